@@ -1,0 +1,1 @@
+"""Calibration procedures a person performs, one module each, on the fits of smoother.fit."""

@@ -1,0 +1,48 @@
+"""Array type aliases, and the one way data types hold arrays: float64, contiguous, read-only, shape checked."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+
+def frozen(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> Array:
+    """Return `value` as a read-only float64 array of the given shape (None: any length).
+
+    Raises ValueError, naming `name`, when the shape does not fit. A read-only array is passed on without a copy.
+    """
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    _check_shape(array, shape, name)
+    if array.flags.writeable:
+        array = array.copy() if array is value or array.base is not None else array
+        array.flags.writeable = False
+    return array
+
+
+def frozen_int(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> IntArray:
+    """Return `value` as a read-only int64 array of the given shape; see :func:`frozen`."""
+    array = np.array(value, dtype=np.int64)
+    _check_shape(array, shape, name)
+    array.flags.writeable = False
+    return array
+
+
+def require_increasing(t: Array, name: str) -> None:
+    """Raise ValueError unless `t` (N,) is finite and strictly increasing."""
+    if not np.all(np.isfinite(t)):
+        raise ValueError(f"{name} holds a time that is not finite")
+    if t.size > 1 and not np.all(np.diff(t) > 0.0):
+        raise ValueError(f"{name} is not strictly increasing in time")
+
+
+def _check_shape(array: npt.NDArray[Any], shape: Sequence[int | None], name: str) -> None:
+    fits = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{name} has shape {array.shape}, wanted {tuple(shape)}")

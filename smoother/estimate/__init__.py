@@ -1,0 +1,1 @@
+"""Estimators: session in, trajectory out."""

@@ -1,0 +1,1 @@
+"""The GTSAM factor-graph smoother."""

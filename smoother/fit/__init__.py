@@ -1,0 +1,1 @@
+"""Estimations that calib/ and estimate/ share: standstill, gyro bias, ellipsoid, levelling."""

@@ -1,0 +1,61 @@
+"""The arrow from RawSession to Session: choose the origin of n, find the calibration, apply it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.calibration import Calibration, load_calibration
+from smoother.errors import SessionError
+from smoother.fit.ellipsoid import FitError, fit_ellipsoid
+from smoother.frames import Origin
+from smoother.samples import GnssFixes, Problem, RawSession, Session
+
+GOOD_HORIZONTAL_SIGMA = 10.0  # m; a receiver that reports worse is still searching
+
+
+def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
+    """Return the calibrated session, with n placed at the first good fix.
+
+    The calibration is `calibration_file` if given, else what magcalib.txt offers, else none.
+    Raises SessionError without a single usable fix, ConfigError for a flawed calibration file.
+    """
+    if len(raw.gnss) == 0:
+        raise SessionError(f"{raw.name}: no usable GPS fix; the antenna needs a view of the sky before the start")
+    calibration = Calibration() if calibration_file is None else load_calibration(calibration_file)
+    problems = list(raw.problems)
+    if calibration.hard_iron is None and raw.mag_calibration_field is not None:
+        calibration = _with_ellipsoid(calibration, raw.mag_calibration_field, problems)
+    session = calibration.apply(raw, choose_origin(raw.gnss))
+    return Session(**{**session.__dict__, "problems": tuple(problems)})
+
+
+def choose_origin(fixes: GnssFixes) -> Origin:
+    """Return the position of the first good fix: reported sigma within bounds if any is, and near its neighbours.
+
+    A first fix far from the median of the session (a wrong hemisphere, a cold start) would put the plane of n
+    somewhere else, so fixes farther than 50 km from the median are passed over.
+    """
+    assert fixes.sigma_horizontal is not None
+    sigma = fixes.sigma_horizontal
+    good = ~(sigma > GOOD_HORIZONTAL_SIGMA)
+    lat, lon = np.median(fixes.lat_deg), np.median(fixes.lon_deg)
+    near = (np.abs(fixes.lat_deg - lat) < 0.5) & (np.abs(fixes.lon_deg - lon) * np.cos(np.radians(lat)) < 0.5)
+    for mask in (good & near, near):
+        if np.any(mask):
+            i = int(np.argmax(mask))
+            break
+    else:
+        i = 0
+    known = fixes.alt_m[np.isfinite(fixes.alt_m)]
+    alt = fixes.alt_m[i] if np.isfinite(fixes.alt_m[i]) else (np.median(known) if known.size else 0.0)
+    return Origin(float(fixes.lat_deg[i]), float(fixes.lon_deg[i]), float(alt))
+
+
+def _with_ellipsoid(calibration: Calibration, field: Array, problems: list[Problem]) -> Calibration:
+    try:
+        ellipsoid = fit_ellipsoid(field)
+    except FitError as error:
+        problems.append(Problem("magcalib_unusable", f"magcalib.txt: {error}; the magnetometer is used uncalibrated"))
+        return calibration
+    return calibration.with_magnetometer(ellipsoid.centre, ellipsoid.to_unit_sphere)

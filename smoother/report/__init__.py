@@ -1,0 +1,1 @@
+"""Figures and files of a smoothed session. Draws and writes; computes nothing."""

@@ -1,0 +1,203 @@
+"""What sensors deliver: raw (in counts, axes s) and calibrated (SI, axes s), as different types.
+
+RawSession is what a reader returns; `smoother.calibration.Calibration.apply` turns it into a Session, which is all an
+estimator ever sees. Everything stays in sensor axes s, because how the box sits in the kart is an unknown that the
+estimator finds; only its result is in body axes b.
+
+All arrays are float64 and read-only; times are seconds on one clock per session, strictly increasing.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smoother.arrays import Array, frozen, frozen_int, require_increasing
+from smoother.config import SessionConfig
+from smoother.frames import Origin, geodetic_to_nwu
+
+SENSOR_AXES = 3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A flaw of the data that was lived with: a machine-readable code, a sentence for people, and how often."""
+
+    code: str
+    text: str
+    count: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class RawImu:
+    """Inertial samples as logged. t (N,) s; accel, gyro (N, 3) counts in s; temperature (N,) deg C, NaN where unknown.
+
+    accel_scale is m/s^2 per count, gyro_scale rad/s per count (1.0 for files in SI). Full scale in SI, or None if
+    the file does not say; clipping is judged by it.
+    """
+
+    t: Array
+    accel: Array
+    gyro: Array
+    accel_scale: float = 1.0
+    gyro_scale: float = 1.0
+    accel_full_scale: float | None = None
+    gyro_full_scale: float | None = None
+    temperature: Array | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), accel=(len(self.t), 3), gyro=(len(self.t), 3))
+        if self.temperature is not None:
+            _freeze(self, temperature=(len(self.t),))
+        require_increasing(self.t, "RawImu.t")
+
+
+@dataclass(frozen=True, eq=False)
+class RawMag:
+    """Magnetometer as logged. t (N,) s; field (N, 3) in any unit, axes s."""
+
+    t: Array
+    field: Array
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), field=(len(self.t), 3))
+        require_increasing(self.t, "RawMag.t")
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSamples:
+    """Calibrated inertial samples. t (N,) s; specific_force_s (N, 3) m/s^2; angular_rate_s (N, 3) rad/s; axes s.
+
+    A sample holds the mean over the interval that ends at its time. Full scales as in :class:`RawImu`.
+    """
+
+    t: Array
+    specific_force_s: Array
+    angular_rate_s: Array
+    accel_full_scale: float | None = None
+    gyro_full_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
+        require_increasing(self.t, "ImuSamples.t")
+
+    def between(self, start: float, end: float) -> "ImuSamples":
+        """Return the samples with start <= t < end."""
+        i, j = np.searchsorted(self.t, [start, end])
+        return ImuSamples(
+            self.t[i:j],
+            self.specific_force_s[i:j],
+            self.angular_rate_s[i:j],
+            self.accel_full_scale,
+            self.gyro_full_scale,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MagSamples:
+    """Magnetic field, t (N,) s, field_s (N, 3) in axes s. Unit field if `is_calibrated`, else any unit."""
+
+    t: Array
+    field_s: Array
+    is_calibrated: bool = False
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), field_s=(len(self.t), 3))
+        require_increasing(self.t, "MagSamples.t")
+
+
+_OPTIONAL_COLUMNS = ("speed", "course_deg", "sigma_horizontal", "sigma_up", "sigma_velocity", "hdop", "unix_s")
+
+
+@dataclass(frozen=True, eq=False)
+class GnssFixes:
+    """Position fixes, one row each, NaN where a column is unknown.
+
+    t (N,) s receive time on the session clock; lat_deg, lon_deg, alt_m (N,) WGS-84 (alt NaN if unknown);
+    velocity_n (N, 3) m/s (components NaN if unknown); speed (N,) m/s and course_deg (N,) clockwise from north, as sent;
+    sigma_horizontal, sigma_up (N,) m and sigma_velocity (N,) m/s per axis, as reported by the receiver; hdop (N,);
+    num_sv (N,) satellites, -1 unknown; fix (N,) quality, >= 1 usable; unix_s (N,) the receiver's own UTC.
+    """
+
+    t: Array
+    lat_deg: Array
+    lon_deg: Array
+    alt_m: Array
+    velocity_n: Array
+    speed: Array | None = None
+    course_deg: Array | None = None
+    sigma_horizontal: Array | None = None
+    sigma_up: Array | None = None
+    sigma_velocity: Array | None = None
+    hdop: Array | None = None
+    unix_s: Array | None = None
+    num_sv: np.ndarray | None = None
+    fix: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        _freeze(self, t=(n,), lat_deg=(n,), lon_deg=(n,), alt_m=(n,), velocity_n=(n, 3))
+        for name in _OPTIONAL_COLUMNS:
+            value = getattr(self, name)
+            value = np.full(n, np.nan) if value is None else value
+            object.__setattr__(self, name, frozen(value, (n,), f"GnssFixes.{name}"))
+        for name, unknown in (("num_sv", -1), ("fix", 1)):
+            value = getattr(self, name)
+            value = np.full(n, unknown) if value is None else value
+            object.__setattr__(self, name, frozen_int(value, (n,), f"GnssFixes.{name}"))
+        require_increasing(self.t, "GnssFixes.t")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def position_n(self, origin: Origin) -> Array:
+        """Positions in n, (N, 3) m; an unknown height counts as the origin's and has Up NaN."""
+        known = np.isfinite(self.alt_m)
+        position = geodetic_to_nwu(self.lat_deg, self.lon_deg, np.where(known, self.alt_m, origin.alt_m), origin)
+        position[~known, 2] = np.nan
+        return position
+
+    def select(self, keep: np.ndarray) -> "GnssFixes":
+        """Return the rows chosen by a mask (N,) bool or by indices."""
+        names = ("t", "lat_deg", "lon_deg", "alt_m", "velocity_n", *_OPTIONAL_COLUMNS, "num_sv", "fix")
+        return GnssFixes(**{name: getattr(self, name)[keep] for name in names})
+
+
+@dataclass(frozen=True, eq=False)
+class RawSession:
+    """One recording as read: sensors in counts and axes s, fixes in degrees, and what was flawed."""
+
+    name: str
+    gnss: GnssFixes
+    imu: RawImu | None = None
+    mag: RawMag | None = None
+    mag_calibration_field: Array | None = None  # (K, 3) magcalib.txt: the field while turned in every direction, axes s
+    config: SessionConfig = field(default_factory=SessionConfig)
+    inputs: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    unix_at_zero: float | None = None  # UTC, seconds since 1970, at t = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """One recording, calibrated: what every estimator is given. Axes s, SI; `origin` places n."""
+
+    name: str
+    gnss: GnssFixes
+    origin: Origin
+    imu: ImuSamples | None = None
+    mag: MagSamples | None = None
+    config: SessionConfig = field(default_factory=SessionConfig)
+    inputs: tuple[str, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    unix_at_zero: float | None = None
+
+    @property
+    def fix_position_n(self) -> Array:
+        """Positions of the fixes in n, (N, 3) m, Up NaN where the height is unknown."""
+        return self.gnss.position_n(self.origin)
+
+
+def _freeze(instance: object, **shapes: tuple[int | None, ...]) -> None:
+    for name, shape in shapes.items():
+        value = frozen(getattr(instance, name), shape, f"{type(instance).__name__}.{name}")
+        object.__setattr__(instance, name, value)

@@ -1,0 +1,1 @@
+"""Reading recordings: bytes and rows in, RawSession out. Parsing only; estimates nothing."""

@@ -1,0 +1,149 @@
+"""Trajectory: what every estimator returns, baseline and smoother alike, on the same axes and with the same names."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smoother.arrays import Array, frozen, require_increasing
+from smoother.frames import euler_from_rotation
+from smoother.samples import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class NavState:
+    """Attitude R_nb (3, 3), position_n (3,) m and velocity_n (3,) m/s at one instant."""
+
+    R_nb: Array
+    position_n: Array
+    velocity_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sigmas:
+    """One standard deviation per row of a trajectory, NaN where the estimator has none.
+
+    position_n (N, 3) m, absolute, with the GPS offset in it; velocity_n (N, 3) m/s; speed (N,) m/s, horizontal;
+    attitude (N, 3) rad of roll, pitch, yaw; track (N,) m, horizontal position per axis with the GPS offset removed.
+    """
+
+    position_n: Array
+    velocity_n: Array
+    speed: Array
+    attitude: Array
+    track: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.track)
+        for name, shape in (("position_n", (n, 3)), ("velocity_n", (n, 3)), ("speed", (n,)), ("attitude", (n, 3))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Sigmas.{name}"))
+        object.__setattr__(self, "track", frozen(self.track, (n,), "Sigmas.track"))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A value of the whole session. `source` is configured, identified or default; `observable`: the data pinned it."""
+
+    value: float | list[float] | list[list[float]]
+    sigma: float | list[float] | None
+    unit: str
+    observable: bool
+    source: str
+
+
+@dataclass(frozen=True)
+class ResidualStatistics:
+    """Residuals of one kind of factor: mean and rms in `unit`, rms divided by sigma, and how many were rejected."""
+
+    unit: str
+    count: int
+    mean: float
+    rms: float
+    normalised_rms: float
+    rejected: int
+
+
+@dataclass(frozen=True, eq=False)
+class FixResiduals:
+    """Per used fix: its index among the session's fixes (N,), residual_n (N, 3) m, and robust weight (N,) in 0..1."""
+
+    index: np.ndarray
+    residual_n: Array
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """The estimator's own states, before densifying. t (K,) s; accel_bias_s (K, 3) m/s^2, gyro_bias_s (K, 3) rad/s.
+
+    position_n, velocity_n (K, 3) of the antenna; R_nb (K, 3, 3) of the kart; covariance (K, 9, 9) of the error in
+    (rotation vector in n of the kart's attitude: truth = exp(error) @ estimate; velocity_n; position_n).
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    R_nb: Array
+    covariance: Array
+    accel_bias_s: Array
+    gyro_bias_s: Array
+    sigma_accel_bias: Array
+    sigma_gyro_bias: Array
+    gps_offset_n: Array | None = None  # (K, 3) m, the slow error of the fixes
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateReport:
+    """What an estimator found out besides the trajectory, for summary.json and the figures."""
+
+    identified: dict[str, Identified] = field(default_factory=dict)
+    residuals: dict[str, ResidualStatistics] = field(default_factory=dict)
+    fixes: FixResiduals | None = None
+    keyframes: Keyframes | None = None
+    problems: tuple[Problem, ...] = ()
+    timings: dict[str, float] = field(default_factory=dict)  # s per stage
+    mode: str = "full"  # "full" or "gps-only"
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Dense estimate in n. t (N,) s on the session clock; NaN where the estimator has no value.
+
+    position_n, velocity_n (N, 3) of the antenna, m and m/s; R_nb (N, 3, 3) of the kart; acceleration_b (N, 3) m/s^2
+    of the IMU, kinematic (gravity removed); angular_rate_b (N, 3) rad/s.
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    R_nb: Array
+    acceleration_b: Array
+    angular_rate_b: Array
+    sigmas: Sigmas | None = None
+    report: EstimateReport = field(default_factory=EstimateReport)
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        shapes: dict[str, tuple[int, ...]] = {
+            "t": (n,),
+            "position_n": (n, 3),
+            "velocity_n": (n, 3),
+            "R_nb": (n, 3, 3),
+            "acceleration_b": (n, 3),
+            "angular_rate_b": (n, 3),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Trajectory.{name}"))
+        require_increasing(self.t, "Trajectory.t")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def speed(self) -> Array:
+        """Horizontal speed of the antenna, (N,) m/s."""
+        return np.asarray(np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1]))
+
+    @property
+    def euler(self) -> Array:
+        """Roll, pitch, yaw of the kart, (N, 3) rad."""
+        return np.stack(euler_from_rotation(self.R_nb), axis=-1)
