@@ -1,0 +1,175 @@
+"""The files a smoothed session leaves behind: trajectory.csv, baseline.csv, gps.csv and strict JSON.
+
+Every file is written under a temporary name and renamed, so that a reader never meets half of one. Numbers are rounded
+to a resolution well below any sensor's (1e-9 deg, 0.1 mm, 0.1 mm/s, 1e-4 deg), which halves the files.
+Refuses to compute anything: what is not in the trajectory or in the session is written as NaN.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from smoother.arrays import Array
+from smoother.frames import Origin, nwu_to_geodetic
+from smoother.samples import Session
+from smoother.trajectory import FixResiduals, Sigmas, Trajectory
+from smoother.units import DEG
+
+TIME_DIGITS = 6
+ANGLE_DIGITS = 9  # of latitude and longitude: 0.1 mm on the ground
+DIGITS = 4
+
+Columns = dict[str, Array]
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`, renamed to it on success and removed on failure."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, origin: Origin, unix_at_zero: float | None) -> None:
+    """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`."""
+    _write_csv(path, trajectory_table(trajectory, origin, unix_at_zero))
+
+
+def write_fixes(path: Path, session: Session, residuals: FixResiduals | None) -> None:
+    """Write the fixes of the session, with the residual and weight that the smoother gave to each."""
+    _write_csv(path, fixes_table(session, residuals))
+
+
+def write_json(path: Path, document: object) -> None:
+    """Write strict JSON: what is not a finite number is null."""
+    with replacing(path) as temporary:
+        temporary.write_text(to_json(document), encoding="utf-8")
+
+
+def to_json(document: object) -> str:
+    """Return strict, indented JSON of nested mappings, sequences, dataclasses, arrays and numbers; NaN becomes null."""
+    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def trajectory_table(trajectory: Trajectory, origin: Origin, unix_at_zero: float | None) -> pl.DataFrame:
+    """Return one row per time of the trajectory; units are in the column names, NaN where there is no estimate."""
+    lat_deg, lon_deg, alt_m = nwu_to_geodetic(trajectory.position_n, origin)
+    roll_pitch_yaw_deg = _rounded(trajectory.euler / DEG, DIGITS)
+    roll_pitch_yaw_deg[roll_pitch_yaw_deg[:, 2] == -180.0, 2] = 180.0  # rounding must not leave (-180, 180]
+    motion: Columns = {
+        "speed_mps": trajectory.speed,
+        **_columns("{}_deg", ("roll", "pitch", "yaw"), roll_pitch_yaw_deg),
+        **_columns("accel_{}_mps2", ("forward", "left", "up"), trajectory.acceleration_b),
+        "yaw_rate_dps": trajectory.angular_rate_b[:, 2] / DEG,
+    }
+    sigmas = trajectory.sigmas if trajectory.sigmas is not None else _no_sigmas(len(trajectory))
+    columns = {
+        "alt_m": alt_m,
+        **_columns("{}_m", ("north", "west", "up"), trajectory.position_n),
+        **_columns("vel_{}_mps", ("north", "west", "up"), trajectory.velocity_n),
+        **motion,
+        **_sigma_columns(sigmas),
+    }
+    return _table(trajectory.t, unix_at_zero, lat_deg, lon_deg, columns)
+
+
+def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:
+    """Return one row per fix in the frame of the trajectory. Residual: prediction - measurement; weight 0..1.
+
+    Both are NaN for a fix the smoother had no use for.
+    """
+    fixes, n = session.gnss, len(session.gnss)
+    residual_n, weight = np.full((n, 3), np.nan), np.full(n, np.nan)
+    if residuals is not None:
+        residual_n[residuals.index] = residuals.residual_n
+        weight[residuals.index] = residuals.weight
+    optional = {
+        "speed_mps": fixes.speed,
+        "course_deg": fixes.course_deg,
+        "hacc_m": fixes.sigma_horizontal,
+        "vacc_m": fixes.sigma_up,
+        "sacc_mps": fixes.sigma_velocity,
+    }
+    columns = {
+        "alt_m": fixes.alt_m,
+        **_columns("{}_m", ("north", "west", "up"), session.fix_position_n),
+        **_columns("vel_{}_mps", ("north", "west", "up"), fixes.velocity_n),
+        **{name: value for name, value in optional.items() if value is not None},
+        **_columns("residual_{}_m", ("north", "west", "up"), residual_n),
+        "weight": weight,
+    }
+    return _table(fixes.t, session.unix_at_zero, fixes.lat_deg, fixes.lon_deg, columns)
+
+
+def _table(t: Array, unix_at_zero: float | None, lat_deg: Array, lon_deg: Array, columns: Columns) -> pl.DataFrame:
+    rounded = {name: _rounded(value, DIGITS) for name, value in columns.items()}
+    return pl.DataFrame(
+        {
+            "t_s": _rounded(t, TIME_DIGITS),
+            "utc": _utc(t, unix_at_zero),
+            "lat_deg": _rounded(lat_deg, ANGLE_DIGITS),
+            "lon_deg": _rounded(lon_deg, ANGLE_DIGITS),
+            **rounded,
+        }
+    )
+
+
+def _rounded(value: Array, digits: int) -> Array:
+    return np.asarray(np.round(value, digits) + 0.0)  # + 0.0 turns -0.0 into 0.0
+
+
+def _utc(t: Array, unix_at_zero: float | None) -> pl.Series:
+    """ISO 8601 to the millisecond, empty where the receiver never told the time."""
+    if unix_at_zero is None:
+        return pl.Series("utc", [None] * len(t), dtype=pl.String)
+    milliseconds = np.round((unix_at_zero + np.asarray(t)) * 1e3).astype(np.int64)
+    return pl.Series("utc", milliseconds).cast(pl.Datetime("ms")).dt.strftime("%Y-%m-%dT%H:%M:%S%.3fZ")
+
+
+def _columns(pattern: str, names: tuple[str, ...], values: Array) -> Columns:
+    return {pattern.format(name): values[:, i] for i, name in enumerate(names)}
+
+
+def _sigma_columns(sigmas: Sigmas) -> Columns:
+    return {
+        **_columns("sigma_{}_m", ("north", "west", "up"), sigmas.position_n),
+        **_columns("sigma_vel_{}_mps", ("north", "west", "up"), sigmas.velocity_n),
+        "sigma_speed_mps": sigmas.speed,
+        **_columns("sigma_{}_deg", ("roll", "pitch", "yaw"), sigmas.attitude / DEG),
+        "sigma_track_m": sigmas.track,
+    }
+
+
+def _no_sigmas(n: int) -> Sigmas:
+    vector, scalar = np.full((n, 3), np.nan), np.full(n, np.nan)
+    return Sigmas(vector, vector, scalar, vector, scalar)
+
+
+def _write_csv(path: Path, table: pl.DataFrame) -> None:
+    with replacing(path) as temporary:
+        table.write_csv(temporary)
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
