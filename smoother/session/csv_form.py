@@ -1,0 +1,88 @@
+"""The CSV form of a session: imu.csv, gps.csv and mag.csv to their types, with what was unusable counted."""
+
+from pathlib import Path
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.tables import Table, read_table
+
+ACCEL_COLUMNS = ("ax", "ay", "az")
+GYRO_COLUMNS = ("gx", "gy", "gz")
+FIELD_COLUMNS = ("mx", "my", "mz")
+FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
+OPTIONAL_FIX_COLUMNS = (
+    *("alt_m", "speed_mps", "course_deg", "vel_n_mps", "vel_e_mps", "vel_u_mps"),
+    *("hacc_m", "hacc_n_m", "hacc_e_m", "vacc_m", "sacc_mps", "sacc_n_mps", "sacc_e_mps"),
+    *("hdop", "num_sv", "fix", "unix_s", "utc_ms"),
+)
+ABSURD_SPECIFIC_FORCE = 1000.0  # m/s^2; beyond 100 g, no sensor of a kart reads it
+ABSURD_RATE = 100.0  # rad/s, 5700 deg/s; likewise
+
+
+def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
+    """Read imu.csv: t_s, ax ay az (m/s^2), gx gy gz (rad/s), axes s. Rows may all be dropped: length 0."""
+    table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
+    accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
+    rows = RowFilter(path.name, "imu", np.ones(table.length, dtype=np.bool_))
+    unreadable = ~(np.isfinite(t) & np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1))
+    rows.drop(unreadable, "invalid", "have an empty or unreadable value")
+    with np.errstate(invalid="ignore"):
+        too_large = np.any(np.abs(accel) > ABSURD_SPECIFIC_FORCE, axis=1) | np.any(np.abs(gyro) > ABSURD_RATE, axis=1)
+    rows.drop(too_large, "absurd", "hold accelerations or rates no sensor can read")
+    time, index = put_in_time_order(rows, t)
+    return RawImu(time, accel[index], gyro[index]), rows.problems
+
+
+def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
+    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0."""
+    table = read_table(path, ("t_s", *FIELD_COLUMNS))
+    field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
+    rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
+    rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "have an empty or unreadable value")
+    rows.drop(np.all(field == 0.0, axis=1), "zero", "read exactly zero on all axes")
+    time, index = put_in_time_order(rows, t)
+    return RawMag(time, field[index]), rows.problems
+
+
+def read_fixes(path: Path) -> tuple[GnssFixes, list[Problem]]:
+    """Read gps.csv, columns as in the contract; maybe without a single usable fix."""
+    table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
+    columns = FixColumns(
+        t=table.column("t_s"),
+        lat_deg=table.column("lat_deg"),
+        lon_deg=table.column("lon_deg"),
+        alt_m=table.column("alt_m"),
+        speed=table.column("speed_mps"),
+        course_deg=table.column("course_deg"),
+        velocity_north=table.column("vel_n_mps"),
+        velocity_east=table.column("vel_e_mps"),
+        velocity_up=table.column("vel_u_mps"),
+        sigma_horizontal=_per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m")),
+        sigma_up=table.column("vacc_m"),
+        sigma_velocity=_per_axis(table, "sacc_mps", ("sacc_n_mps", "sacc_e_mps")),
+        hdop=table.column("hdop"),
+        num_sv=table.column("num_sv"),
+        fix=table.column("fix"),
+        unix_s=_unix_seconds(table),
+        is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
+    )
+    return screen_fixes(columns, path.name)
+
+
+def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
+    """Sigma per axis: the column `name`, else the root mean square of its two parts."""
+    one = table.column(name)
+    mean = np.sqrt(np.mean(np.square(table.stack(*parts)), axis=1))
+    return np.where(np.isfinite(one), one, mean)
+
+
+def _unix_seconds(table: Table) -> Array:
+    """The receiver's UTC in seconds since 1970, from whichever column has it."""
+    time = table.column("unix_s")
+    for other in (table.column("utc"), table.column("utc_ms") / 1000.0):
+        time = np.where(np.isfinite(time), time, other)
+    return time

@@ -1,0 +1,212 @@
+"""Columns of fixes, from whatever file, to GnssFixes: choose the usable rows, normalise the values, count the rest."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.frames import velocity_n_from_course
+from smoother.samples import GnssFixes, Problem
+from smoother.session.rows import RowFilter, put_in_time_order
+
+ABSURD_SPEED = 150.0  # m/s, 540 km/h
+ABSURD_CLIMB = 50.0  # m/s
+ABSURD_SATELLITES = 100
+ABSURD_HEIGHT = (-1000.0, 20000.0)  # m
+UNUSABLE_SIGMA = 1000.0  # m; a receiver that says this of itself has no fix
+FEW_BAD_VALUES = 0.1  # above this share it is the column that is wrong, not the rows
+NEARLY_STILL = 0.15  # m/s; noise of a receiver's speed at rest: its direction means nothing
+MOVING = 1.0  # m/s; faster than this a position does not repeat exactly
+STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no harm
+STALE_STEPS = 3.0  # times the resolution of the file, for files with few decimals
+JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
+METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
+
+
+@dataclass(frozen=True, eq=False)
+class FixColumns:
+    """Raw columns of N rows, each (N,), NaN where unknown. Units as in GnssFixes; velocities in m/s.
+
+    fix : quality, 0 or less is no fix. is_blank : the row has a time but no position at all.
+    """
+
+    t: Array
+    lat_deg: Array
+    lon_deg: Array
+    alt_m: Array
+    speed: Array
+    course_deg: Array
+    velocity_north: Array
+    velocity_east: Array
+    velocity_up: Array
+    sigma_horizontal: Array
+    sigma_up: Array
+    sigma_velocity: Array
+    hdop: Array
+    num_sv: Array
+    fix: Array
+    unix_s: Array
+    is_blank: BoolArray
+
+    def take(self, index: IntArray) -> "FixColumns":
+        """Return the rows at `index`."""
+        return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
+
+
+def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Problem]]:
+    """Return the usable fixes of a file in time order (maybe none) and what was wrong with the others."""
+    rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
+    _drop_without_fix(rows, columns)
+    _drop_impossible(rows, columns)
+    time, index = put_in_time_order(rows, columns.t)
+    ordered = columns.take(index)
+    for find, code, reason in (
+        (_is_jump, "jump", "lie farther from the others than any vehicle moves"),
+        (_is_stale, "repeated", "repeat the position before while moving"),
+    ):
+        bad = find(time, ordered)
+        mask = np.zeros_like(rows.keep)
+        mask[index[bad]] = True
+        rows.drop(mask, code, reason)
+        time, index, ordered = time[~bad], index[~bad], ordered.take(np.flatnonzero(~bad))
+    return _to_fixes(rows, time, ordered), rows.problems
+
+
+def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
+    with np.errstate(invalid="ignore"):
+        searching = (c.fix < 1.0) | c.is_blank | (c.sigma_horizontal > UNUSABLE_SIGMA)
+    rows.drop(searching & np.isfinite(c.t), "no_fix", "are without a fix")
+    rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
+
+
+_UNREADABLE = "have an empty or unreadable time or position"
+
+
+def _drop_impossible(rows: RowFilter, c: FixColumns) -> None:
+    with np.errstate(invalid="ignore"):
+        outside = (np.abs(c.lat_deg) > 90.0) | (c.lon_deg < -180.0) | (c.lon_deg > 360.0)
+        rows.drop(outside, "absurd", "hold a position that is not on Earth")
+        rows.drop((c.lat_deg == 0.0) & (c.lon_deg == 0.0), "null_island", "hold the position 0, 0: no fix yet")
+        too_fast = _too_fast(c)
+    if np.count_nonzero(too_fast & rows.keep) <= FEW_BAD_VALUES * np.count_nonzero(rows.keep):
+        rows.drop(too_fast, "too_fast", f"hold a speed above {ABSURD_SPEED:.0f} m/s")
+
+
+def _too_fast(c: FixColumns) -> BoolArray:
+    return np.asarray((c.speed > ABSURD_SPEED) | (np.hypot(c.velocity_north, c.velocity_east) > ABSURD_SPEED))
+
+
+def _metres(c: FixColumns) -> tuple[Array, Array]:
+    """North and east in metres, rough, relative to the first row; continuous across 180 degrees of longitude."""
+    east = np.mod(c.lon_deg - c.lon_deg[0] + 180.0, 360.0) - 180.0
+    return (c.lat_deg - c.lat_deg[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(c.lat_deg))
+
+
+def _is_jump(t: Array, c: FixColumns) -> BoolArray:
+    """Mask of rows that cannot be reached at any speed from the longest run of rows that follow one another."""
+    bad = np.zeros(t.size, dtype=np.bool_)
+    if t.size < 3:
+        return bad
+    north, east = _metres(c)
+    cuts = np.flatnonzero(np.hypot(np.diff(north), np.diff(east)) > JUMP_DISTANCE + ABSURD_SPEED * np.diff(t)) + 1
+    bounds = np.concatenate([[0], cuts, [t.size]])
+    main = int(np.argmax(np.diff(bounds)))
+
+    def sweep(pieces: range, near: int) -> None:
+        """Walk away from the main run; `near` is its row that faces the pieces."""
+        for piece in pieces:
+            first, last = int(bounds[piece]), int(bounds[piece + 1]) - 1
+            facing, far = (first, last) if first > near else (last, first)
+            distance = np.hypot(north[facing] - north[near], east[facing] - east[near])
+            if distance > JUMP_DISTANCE + ABSURD_SPEED * abs(t[facing] - t[near]):
+                bad[first : last + 1] = True
+            else:
+                near = far
+
+    sweep(range(main + 1, bounds.size - 1), int(bounds[main + 1]) - 1)
+    sweep(range(main - 1, -1, -1), int(bounds[main]))
+    return bad
+
+
+def _is_stale(t: Array, c: FixColumns) -> BoolArray:
+    """Mask of rows that repeat the position before although the vehicle moved: old fixes written again."""
+    repeats = np.concatenate([[False], (np.diff(c.lat_deg) == 0.0) & (np.diff(c.lon_deg) == 0.0)])
+    if not np.any(repeats):
+        return repeats
+    north, east = _metres(c)
+    fresh = np.flatnonzero(~repeats)
+    run = np.cumsum(~repeats) - 1  # which fresh row each row repeats
+    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    speed = np.where(np.isfinite(speed), speed, _speed_from_positions(t[fresh], north[fresh], east[fresh])[run])
+    moving = repeats & (speed > MOVING)
+    moved = np.bincount(run, np.where(moving, speed * np.diff(t, prepend=t[0]), 0.0))
+    resolution = max(_smallest_step(north), _smallest_step(east))
+    return np.asarray(moving & (moved[run] > max(STALE_DISTANCE, STALE_STEPS * resolution)))
+
+
+def _speed_from_positions(t: Array, north: Array, east: Array) -> Array:
+    """Speed at each row, the lesser of the step before and the step after; zero at the ends."""
+    if t.size < 3:
+        return np.zeros(t.size)
+    step = np.hypot(np.diff(north), np.diff(east)) / np.diff(t)
+    return np.concatenate([[0.0], np.minimum(step[1:], step[:-1]), [0.0]])
+
+
+def _smallest_step(values: Array) -> float:
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-4]  # below: rounding of the conversion
+    return float(np.min(steps)) if steps.size else 0.0
+
+
+def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
+    with np.errstate(invalid="ignore"):
+        speed = _cleaned(rows, c.speed, (c.speed < 0.0) | (c.speed > ABSURD_SPEED), "speed", "speed")
+        course = np.mod(_cleaned(rows, c.course_deg, np.abs(c.course_deg) > 720.0, "course", "course"), 360.0)
+        alt = _cleaned(rows, c.alt_m, (c.alt_m < ABSURD_HEIGHT[0]) | (c.alt_m > ABSURD_HEIGHT[1]), "height", "height")
+        satellites = _cleaned(
+            rows, c.num_sv, (c.num_sv < 0.0) | (c.num_sv >= ABSURD_SATELLITES), "satellites", "number of satellites"
+        )
+        hdop = np.where((c.hdop > 0.0) & (c.hdop < 99.0), c.hdop, np.nan)  # 99.99 stands for unknown
+    return GnssFixes(
+        t=t,
+        lat_deg=c.lat_deg,
+        lon_deg=np.where(c.lon_deg > 180.0, c.lon_deg - 360.0, c.lon_deg),
+        alt_m=alt,
+        velocity_n=_velocity_n(c, speed, course),
+        speed=speed,
+        course_deg=course,
+        sigma_horizontal=_positive(c.sigma_horizontal),
+        sigma_up=_positive(c.sigma_up),
+        sigma_velocity=_positive(c.sigma_velocity),
+        hdop=hdop,
+        unix_s=c.unix_s,
+        num_sv=np.where(np.isfinite(satellites), satellites, -1.0).astype(np.int64),
+        fix=np.where(np.isfinite(c.fix), np.minimum(c.fix, 99.0), 1.0).astype(np.int64),
+    )
+
+
+def _cleaned(rows: RowFilter, values: Array, bad: BoolArray, code: str, what: str) -> Array:
+    count = int(np.count_nonzero(bad))
+    if count:
+        rows.say(f"{code}_absurd", f"{count} x an impossible {what}; that value ignored", count)
+    return np.where(bad, np.nan, values)
+
+
+def _positive(sigma: Array) -> Array:
+    with np.errstate(invalid="ignore"):
+        return np.where(sigma > 0.0, sigma, np.nan)
+
+
+def _velocity_n(c: FixColumns, speed: Array, course_deg: Array) -> Array:
+    """Velocity in n (N, 3): components where sent, else from speed and course (Up unknown), NaN where neither is."""
+    with np.errstate(invalid="ignore"):
+        sent = np.stack([c.velocity_north, -c.velocity_east, c.velocity_up], axis=-1)
+        plausible = np.hypot(sent[:, 0], sent[:, 1]) <= ABSURD_SPEED
+        sent[~plausible] = np.nan
+        sent[np.abs(sent[:, 2]) > ABSURD_CLIMB, 2] = np.nan
+        course = np.where(~np.isfinite(course_deg) & (speed <= NEARLY_STILL), 0.0, course_deg)
+        stands = speed <= NEARLY_STILL
+    still_speed = np.where(stands & ~np.isfinite(course_deg), 0.0, speed)
+    computed = velocity_n_from_course(still_speed, course)
+    computed[:, 2] = sent[:, 2]
+    return np.where(plausible[:, None], sent, computed)

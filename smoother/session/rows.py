@@ -1,0 +1,205 @@
+"""Choosing the rows of a stream that can be used, and counting the others. Knows times, not files or units."""
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.samples import Problem
+
+MICROSECOND_WRAP = 2.0**32 * 1e-6  # s; Arduino's micros() starts again after 71.6 minutes
+MILLISECOND_WRAP = 2.0**32 * 1e-3  # s; millis() after 49.7 days
+WRAP_TOLERANCE = 60.0  # s; longest silence across a wrap that is still recognised as one
+GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has a cause of its own
+GLITCH_ROWS = 10
+RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
+SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
+STRAY_GAP = 600.0  # s; see _stray_ends
+LONGEST_GAP = 86400.0  # s; two parts further apart are not one recording
+
+
+@dataclass
+class RowFilter:
+    """The rows of one file still in use, and what was said about the others.
+
+    file : name for the sentences. prefix : start of the problem codes. keep : (N,) bool, changed only by `drop`.
+    """
+
+    file: str
+    prefix: str
+    keep: BoolArray
+    problems: list[Problem] = field(default_factory=list)
+
+    def drop(self, bad: BoolArray, code: str, reason: str) -> None:
+        """Stop using the rows of mask `bad` (N,); `reason` completes the sentence '<file>: <n> rows ...'."""
+        count = int(np.count_nonzero(bad & self.keep))
+        if count:
+            self.keep = self.keep & ~bad
+            self.say(code, f"{_rows(count)} {reason}; dropped", count)
+
+    def say(self, code: str, sentence: str, count: int) -> None:
+        """Report without dropping."""
+        self.problems.append(Problem(f"{self.prefix}_{code}", f"{self.file}: {sentence}", count))
+
+
+def _rows(count: int) -> str:
+    return "1 row" if count == 1 else f"{count} rows"
+
+
+def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
+    """Choose the rows in use that form one strictly increasing time axis.
+
+    t : (N,) s as written. Returns the times (K,) s, unwrapped, and the indices (K,) of their rows in the file.
+    Rows out of order or repeated are dropped (the first of a repeated time stays); a stray far-future stamp costs
+    itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
+    cost a large part of it. After a restart of the clock only the longest piece is kept.
+    """
+    index = np.flatnonzero(rows.keep)
+    time, wraps = unwrap(t[index])
+    if wraps:
+        rows.say("clock_wrapped", f"the 32-bit clock wrapped {wraps} times; unwrapped", wraps)
+    index, time = _resolve_disorder(rows, index, time)
+    keep = longest_increasing(time)
+    _drop_disorder(rows, index, time, keep)
+    index, time = index[keep], time[keep]
+    stray = _stray_ends(time)
+    rows.drop(_mask(rows, index[stray]), "stray_time", "stand far outside the time of the recording")
+    return time[~stray], index[~stray]
+
+
+def unwrap(t: Array) -> tuple[Array, int]:
+    """Undo wraps of a 32-bit microsecond or millisecond counter in t (N,) s; return the times and how many."""
+    total, wraps = t.copy(), 0
+    for period in (MICROSECOND_WRAP, MILLISECOND_WRAP):
+        step = np.diff(total, prepend=total[:1])
+        wrapped = (step < 0.0) & (step + period >= 0.0) & (step + period < WRAP_TOLERANCE)
+        wrapped &= _persists(total, wrapped)
+        wraps += int(np.count_nonzero(wrapped))
+        total = total + period * np.cumsum(wrapped)
+    return total, wraps
+
+
+def _persists(t: Array, fell: BoolArray) -> BoolArray:
+    """Whether, after each fall, the next row stays below the one before the fall: a wrap, not one stray stamp."""
+    after = np.append(t[1:], t[-1:])
+    before = np.append(t[:1], t[:-1])
+    return fell & (after < before)
+
+
+def longest_increasing(t: Array) -> BoolArray:
+    """Mask (N,) of a longest strictly increasing subsequence of t (N,), the first row of equal times.
+
+    Rows above everything before and below everything after belong to every such subsequence; only the stretches
+    between them are searched (patience sorting), so a clean stream costs two passes.
+    """
+    if t.size < 2 or np.all(np.diff(t) > 0.0):
+        return np.ones(t.size, dtype=np.bool_)
+    highest_before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
+    lowest_after = np.concatenate([np.minimum.accumulate(t[::-1])[::-1][1:], [np.inf]])
+    keep = (t > highest_before) & (t < lowest_after)
+    edge = np.diff(np.concatenate([[False], ~keep, [False]]).astype(np.int8))
+    for start, end in zip(np.flatnonzero(edge == 1), np.flatnonzero(edge == -1), strict=True):
+        keep[start + _patience(t[start:end])] = True
+    return keep
+
+
+def _patience(t: Array) -> IntArray:
+    """Indices of a longest strictly increasing subsequence. Source: Fredman 1975, patience sorting."""
+    tails: list[float] = []
+    tail_index: list[int] = []
+    parent = np.full(t.size, -1, dtype=np.int64)
+    for i, value in enumerate(t.tolist()):
+        place = bisect_left(tails, value)
+        if place < len(tails) and tails[place] == value:
+            continue  # the first row of a repeated time stays
+        parent[i] = tail_index[place - 1] if place else -1
+        if place == len(tails):
+            tails.append(value)
+            tail_index.append(i)
+        else:
+            tails[place], tail_index[place] = value, i
+    chain = [tail_index[-1]]
+    while parent[chain[-1]] >= 0:
+        chain.append(int(parent[chain[-1]]))
+    return np.array(chain[::-1], dtype=np.int64)
+
+
+def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
+    """Give back rows (indices and times) in which whatever is still out of order is a flaw of single rows."""
+    tolerated = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
+    if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= tolerated:
+        return index, t
+    order = np.argsort(t, kind="stable")
+    if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE:
+        moved = int(np.count_nonzero(order != np.arange(t.size)))
+        rows.say("reordered", f"{_rows(moved)} stood slightly out of order; sorted by time", moved)
+        return index[order], t[order]
+    return _longest_piece(rows, index, t)
+
+
+def _without_repeats(t: Array) -> Array:
+    return t[np.append(True, np.diff(t) != 0.0)]
+
+
+def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
+    """Cut where the clock was set back for good; keep the piece with most rows."""
+    calm = np.ones(t.size, dtype=np.bool_)
+    calm[1:-1] = ~((t[2:] > t[:-2]) & ((t[1:-1] > t[2:]) | (t[1:-1] < t[:-2])))  # not a single stray stamp
+    steps = np.diff(t[calm])
+    piece = np.zeros(t.size, dtype=np.int64)
+    piece[np.flatnonzero(calm)[1:]] = steps < -RESTART_STEP
+    piece = np.cumsum(piece)
+    chosen = piece == np.argmax(np.bincount(piece))
+    rows.drop(
+        _mask(rows, index[~chosen]),
+        "clock_restart",
+        f"belong to {piece[-1]} other starts of the clock, not the longest",
+    )
+    return index[chosen], t[chosen]
+
+
+def _drop_disorder(rows: RowFilter, index: IntArray, t: Array, keep: BoolArray) -> None:
+    repeated = ~keep & np.isin(t, t[keep])
+    rows.drop(_mask(rows, index[repeated]), "repeated_time", "repeat the time of another row")
+    rows.drop(_mask(rows, index[~keep & ~repeated]), "out_of_order", "are out of time order")
+
+
+def _stray_ends(t: Array) -> BoolArray:
+    """Mask of a few rows at either end that stand farther away than the whole rest lasts, or than a day.
+
+    A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound.
+    """
+    stray = np.zeros(t.size, dtype=np.bool_)
+    cuts = np.flatnonzero(np.diff(t) > STRAY_GAP) + 1
+    if cuts.size == 0:
+        return stray
+    bounds = np.concatenate([[0], cuts, [t.size]])
+    main = int(np.argmax(np.diff(bounds)))
+    first, last = _grow(t, bounds, main)
+    stray[: bounds[first]] = True
+    stray[bounds[last + 1] :] = True
+    return stray
+
+
+def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
+    """First and last of the parts joined to `main`: near enough for their size and the duration so far."""
+    first = last = main
+    few = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
+
+    def belongs(gap: float, part: int) -> bool:
+        span = t[bounds[last + 1] - 1] - t[bounds[first]]
+        many = bounds[part + 1] - bounds[part] > few
+        return bool(gap <= LONGEST_GAP and (many or gap <= span))
+
+    while first > 0 and belongs(t[bounds[first]] - t[bounds[first] - 1], first - 1):
+        first -= 1
+    while last < bounds.size - 2 and belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1], last + 1):
+        last += 1
+    return first, last
+
+
+def _mask(rows: RowFilter, index: IntArray) -> BoolArray:
+    mask = np.zeros(rows.keep.size, dtype=np.bool_)
+    mask[index] = True
+    return mask

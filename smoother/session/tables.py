@@ -1,0 +1,168 @@
+"""CSV tables: a header line, comma separated columns in any order, rows that may be damaged.
+
+Every cell is read as text and cast leniently, so a bad row costs itself and never the file. What can be wrong with a
+file as a whole (empty, no header, a missing column) is a SessionError that names the file and what it has.
+"""
+
+import gzip
+import io
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from smoother.arrays import Array, BoolArray
+from smoother.errors import SessionError
+
+HEAD_BYTES = 65536
+_ISO_FORMATS = ("%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%dT%H:%M:%S%.f%:z", "%Y-%m-%dT%H:%M:%S%.f%z")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Numbers of a CSV file: `columns` maps lower-case names to (N,) float64, NaN where a cell is no number.
+
+    `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
+    """
+
+    file: str
+    columns: dict[str, Array]
+    empty: dict[str, BoolArray]
+    length: int
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def column(self, name: str) -> Array:
+        """Column (N,), NaN throughout if the file has no such column."""
+        return self.columns[name] if name in self.columns else np.full(self.length, np.nan)
+
+    def stack(self, *names: str) -> Array:
+        """Return columns side by side, (N, len(names))."""
+        return np.stack([self.column(name) for name in names], axis=-1)
+
+
+def read_header(path: Path) -> tuple[str, ...]:
+    """Column names of a CSV file, lower case and trimmed; () if it is empty. Raises SessionError if unreadable."""
+    for line in _text_head(path).splitlines():
+        if line.strip():
+            return tuple(_unique_names(line.split(",")))
+    return ()
+
+
+def read_table(
+    path: Path, required: Sequence[str], optional: Sequence[str] = (), iso_times: Sequence[str] = ()
+) -> Table:
+    """Read the named columns of a CSV file, plain or gzip; others are ignored, blank lines too.
+
+    iso_times : optional columns of ISO 8601 times, returned as seconds since 1970 (UTC where no zone is given).
+    Raises SessionError for an empty file, no rows, a missing column or an unreadable file.
+    """
+    header = read_header(path)
+    if not header:
+        raise SessionError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
+    for name in required:
+        if name not in header:
+            raise SessionError(f"{path.name}: no column {name}; has {_shortened(header)}")
+    numbers = [name for name in (*required, *optional) if name in header]
+    times = [name for name in iso_times if name in header]
+    frame = _scan(path, numbers, required, times)
+    if frame.height == 0:
+        raise SessionError(f"{path.name}: a header line, but no rows; was the recording started?")
+    columns = {name: _column(frame, name) for name in (*numbers, *times)}
+    empty = {name: frame[f"empty {name}"].to_numpy() for name in required}
+    return Table(path.name, columns, empty, frame.height)
+
+
+def _scan(path: Path, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]) -> pl.DataFrame:
+    cells = {name: pl.col(name).str.strip_chars(" \t\r") for name in (*numbers, *times)}
+    blank = {name: cells[name].is_null() | (cells[name] == "") for name in required}
+    chosen = [
+        *(cells[name].cast(pl.Float64, strict=False).alias(name) for name in numbers),
+        *(_unix_seconds(cells[name]).alias(name) for name in times),
+        *(blank[name].alias(f"empty {name}") for name in required),
+    ]
+    try:
+        lazy = pl.scan_csv(
+            _source(path),
+            infer_schema=False,
+            truncate_ragged_lines=True,
+            quote_char=None,
+            encoding="utf8-lossy",
+            with_column_names=_unique_names,
+        )
+        return lazy.filter(~pl.all_horizontal(blank.values())).select(chosen).collect(engine="streaming")
+    except pl.exceptions.PolarsError as error:
+        raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
+    except OSError as error:
+        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+
+
+def _column(frame: pl.DataFrame, name: str) -> Array:
+    values = frame[name].fill_null(np.nan).to_numpy()
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _unix_seconds(cell: pl.Expr) -> pl.Expr:
+    text = cell.str.replace(r"(?i)\s*(z|utc)$", "").str.replace(" ", "T", literal=True)
+    parsed = [text.str.to_datetime(form, strict=False, time_unit="us").dt.epoch("us") for form in _ISO_FORMATS]
+    return pl.coalesce(parsed).cast(pl.Float64) / 1e6
+
+
+def _unique_names(names: Sequence[str]) -> list[str]:
+    """Trim and lower the header cells; a repeated or empty name gets a suffix no contract uses."""
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        plain = name.strip("\ufeff\x00 \t\r\n\"'").lower()
+        seen[plain] = seen.get(plain, 0) + 1
+        unique.append(plain if plain and seen[plain] == 1 else f"{plain} #{seen[plain]}")
+    return unique
+
+
+def _shortened(header: Sequence[str], limit: int = 12) -> str:
+    shown = [name[:24] for name in header[:limit]]
+    return ", ".join(shown) + (", .." if len(header) > limit else "")
+
+
+def _source(path: Path) -> Path | io.BytesIO:
+    """The file itself where polars can read it lazily, else its bytes made plain."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    plain = not head.startswith((b"\x1f\x8b", b"\xff\xfe", b"\xfe\xff")) and (b"\n" in head or b"\r" not in head)
+    return path if plain else io.BytesIO(_plain_bytes(path.read_bytes()))
+
+
+def _text_head(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    return _plain_bytes(head).decode("utf-8", errors="replace")
+
+
+def _plain_bytes(data: bytes) -> bytes:
+    """Gunzip (a cut archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines."""
+    if data.startswith(b"\x1f\x8b"):
+        data = _gunzip(data)
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        data = data.decode("utf-16", errors="replace").encode()
+    return data if b"\n" in data else data.replace(b"\r", b"\n")
+
+
+def _gunzip(data: bytes) -> bytes:
+    try:
+        return gzip.decompress(data)
+    except (OSError, EOFError, zlib.error):
+        decoder = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)
+        whole = bytearray()
+        try:
+            for start in range(0, len(data), 4096):
+                whole += decoder.decompress(data[start : start + 4096])
+        except zlib.error:
+            pass
+        return bytes(whole)
