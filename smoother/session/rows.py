@@ -139,7 +139,8 @@ def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntAr
 
 
 def _without_repeats(t: Array) -> Array:
-    return t[np.append(True, np.diff(t) != 0.0)]
+    distinct: Array = t[np.append(True, np.diff(t) != 0.0)]
+    return distinct
 
 
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:

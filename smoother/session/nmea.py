@@ -1,0 +1,329 @@
+"""NMEA sentences to fixes. The only user of pynmea2; everything a receiver or a card can do to the text is met here.
+
+Sentences of one UTC make one fix, whatever their order and talker. The height is the one of the sentence, above mean
+sea level.
+"""
+
+import datetime
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pynmea2
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.errors import SessionError
+from smoother.samples import GnssFixes, Problem
+from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.units import DAY, KMH, KNOT
+
+# [t_s,]$<talker><kind>,<data>[*<checksum>]; a garbled byte ends the match and so leaves the checksum out
+_SENTENCE = re.compile(
+    rb"(?:(?:^|(?<=[\r\n]))[ \t]*([-+]?\d[-+0-9.eE]*)[ \t]*,[ \t]*)?\$"
+    rb"(([A-Z]{2})(RMC|GGA|GNS|GST|VTG|ZDA),([\x20-\x23\x25-\x29\x2b-\x7e]*))(\*[0-9A-Fa-f]{2})?"
+)
+_TIME_OF_DAY = re.compile(r"^(\d\d)(\d\d)(\d\d(?:\.\d*)?)$")
+_COORDINATE = re.compile(r"^\d{3,5}(?:\.\d*)?$")
+_PRECEDENCE = ("VTG", "RMC", "GNS", "GGA", "GST", "ZDA")  # later ones overrule: VTG only fills what RMC leaves out
+_TALKERS = ("GN", "GP")  # preferred in this order where several constellations report the same kind
+_TIME_QUANTUM = 1e-3  # s; UTC equal to a millisecond is one epoch
+
+
+@dataclass(frozen=True)
+class _Sentence:
+    """One good sentence: receive time and UTC of day in s (NaN if unknown), and values by column of FixColumns."""
+
+    kind: str
+    talker: str
+    received: float
+    time_of_day: float
+    values: dict[str, float]
+
+
+@dataclass
+class _Tally:
+    """What was wrong with the sentences of one file."""
+
+    checksum: int = 0
+    unreadable: int = 0
+    duplicate: int = 0
+    misplaced: int = 0
+
+    def problems(self, file: str) -> list[Problem]:
+        said = (
+            ("gps_bad_checksum", self.checksum, "{} NMEA sentences fail their checksum; dropped"),
+            ("gps_bad_sentence", self.unreadable, "{} NMEA sentences are cut short or unreadable; dropped"),
+            ("gps_duplicate_sentence", self.duplicate, "{} NMEA sentences stand twice; the second dropped"),
+            ("gps_misplaced_sentence", self.misplaced, "{} NMEA sentences out of order; placed by their UTC"),
+        )
+        return [Problem(code, f"{file}: {text.format(count)}", count) for code, count, text in said if count]
+
+
+@dataclass(frozen=True, eq=False)
+class NmeaReading:
+    """Fixes of a file, what was flawed, and whether `t` is a receive time on the IMU clock or counts from the start."""
+
+    gnss: GnssFixes
+    problems: list[Problem] = field(default_factory=list)
+    has_receive_times: bool = False
+
+
+def read_nmea(path: Path) -> NmeaReading:
+    """Read a file of sentences, each line optionally prefixed `t_s,`. Raises SessionError if it holds none."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    if not data.strip():
+        raise SessionError(f"{path.name}: the file is empty; expected NMEA sentences")
+    return fixes_from_sentences([(math.nan, data)], path.name)
+
+
+def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> NmeaReading:
+    """Merge sentences into fixes.
+
+    received : (receive time in s or NaN, bytes with any number of sentences); a `t_s,` prefix overrules the time.
+    Without receive times t counts from the first sentence with a time. Raises SessionError if no sentence is usable.
+    """
+    tally = _Tally()
+    sentences = _parse_all(received, tally)
+    timed = [sentence for sentence in sentences if math.isfinite(sentence.time_of_day)]
+    if not timed:
+        flaws = "; ".join(problem.text for problem in tally.problems(file))
+        raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
+    utc = _continuous_utc(np.array([sentence.time_of_day for sentence in timed]))
+    columns, has_receive_times = _merge(sentences, utc, tally)
+    gnss, problems = screen_fixes(columns, file)
+    return NmeaReading(gnss, [*tally.problems(file), *problems], has_receive_times)
+
+
+def _parse_all(received: Iterable[tuple[float, bytes]], tally: _Tally) -> list[_Sentence]:
+    matches = [(time, match) for time, data in received for match in _SENTENCE.finditer(data)]
+    checked = any(match.group(6) for _, match in matches)
+    sentences = []
+    for time, match in matches:
+        if checked and not match.group(6):
+            tally.unreadable += 1  # cut short: in this file a whole sentence has a checksum
+            continue
+        sentence = _parse(time, match, tally)
+        if sentence is not None:
+            sentences.append(sentence)
+    return sentences
+
+
+def _parse(time: float, match: re.Match[bytes], tally: _Tally) -> _Sentence | None:
+    prefix, body, talker, kind = match.group(1), match.group(2), match.group(3), match.group(4).decode()
+    try:
+        message = pynmea2.parse((body + (match.group(6) or b"")).decode("ascii"))
+    except pynmea2.ChecksumError:
+        tally.checksum += 1
+        return None
+    except (pynmea2.ParseError, ValueError):
+        tally.unreadable += 1
+        return None
+    text = message.data[0] if kind != "VTG" else ""
+    time_of_day = _time_of_day(text)
+    if text and not math.isfinite(time_of_day):
+        tally.unreadable += 1
+        return None
+    received = time if prefix is None else _number(prefix.decode())
+    return _Sentence(kind, talker.decode(), received, time_of_day, _VALUES[kind](message))
+
+
+def _number(text: object) -> float:
+    try:
+        value = float(str(text))
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+def _time_of_day(text: str) -> float:
+    match = _TIME_OF_DAY.match(text)
+    if match is None:
+        return math.nan
+    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3])
+    return hours * 3600.0 + minutes * 60.0 + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else math.nan
+
+
+def _day(year: int, month: int, day: int) -> float:
+    """Days since 1970, NaN for a date that does not exist."""
+    try:
+        return float((datetime.date(year, month, day) - datetime.date(1970, 1, 1)).days)
+    except ValueError:
+        return math.nan
+
+
+def _position(message: Any) -> dict[str, float]:
+    """Latitude and longitude in degrees; nothing where a part is missing, for which pynmea2 would say 0."""
+    whole = _COORDINATE.match(message.lat) and _COORDINATE.match(message.lon)
+    if not whole or message.lat_dir not in ("N", "S") or message.lon_dir not in ("E", "W"):
+        return {}
+    try:
+        return {"lat_deg": message.latitude, "lon_deg": message.longitude}
+    except ValueError:
+        return {}
+
+
+def _rmc(message: Any) -> dict[str, float]:
+    date = str(message.data[8]) if len(message.data) > 8 else ""
+    known = len(date) == 6 and date.isdigit()
+    mode = message.data[11] if len(message.data) > 11 else ""
+    return {
+        **_position(message),
+        "fix": 1.0 if message.status == "A" and mode != "N" else 0.0,
+        "speed": _number(message.spd_over_grnd) * KNOT,
+        "course_deg": _number(message.true_course),
+        "day": _day(2000 + int(date[4:]), int(date[2:4]), int(date[:2])) if known else math.nan,
+    }
+
+
+def _gga(message: Any) -> dict[str, float]:
+    return {
+        **_position(message),
+        "fix": _number(message.gps_qual),
+        "num_sv": _number(message.num_sats),
+        "hdop": _number(message.horizontal_dil),
+        "alt_m": _number(message.altitude),
+    }
+
+
+def _gns(message: Any) -> dict[str, float]:
+    mode = message.mode_indicator
+    return {
+        **_position(message),
+        "fix": 0.0 if mode and set(mode) <= {"N"} else 1.0,
+        "num_sv": _number(message.num_sats),
+        "hdop": _number(message.hdop),
+        "alt_m": _number(message.altitude),
+    }
+
+
+def _gst(message: Any) -> dict[str, float]:
+    north, east = _number(message.std_dev_latitude), _number(message.std_dev_longitude)
+    return {
+        "sigma_horizontal": math.sqrt(0.5 * (north**2 + east**2)),
+        "sigma_up": _number(message.std_dev_altitude),
+    }
+
+
+def _vtg(message: Any) -> dict[str, float]:
+    knots, kmh = _number(message.spd_over_grnd_kts), _number(message.spd_over_grnd_kmph)
+    return {"speed": kmh * KMH if math.isnan(knots) else knots * KNOT, "course_deg": _number(message.true_track)}
+
+
+def _zda(message: Any) -> dict[str, float]:
+    year, month, day = (_number(text) for text in (message.year, message.month, message.day))
+    known = all(math.isfinite(value) for value in (year, month, day)) and 1.0 <= year <= 9999.0
+    return {"day": _day(int(year), int(month), int(day)) if known else math.nan}
+
+
+_VALUES = {"RMC": _rmc, "GGA": _gga, "GNS": _gns, "GST": _gst, "VTG": _vtg, "ZDA": _zda}
+
+
+def _continuous_utc(time_of_day: Array) -> Array:
+    """Seconds (N,) that run on over midnight, in file order, from the UTC of day of each sentence.
+
+    Days are counted on the median of five neighbours, so that one damaged time cannot shift all that follow.
+    """
+    padded = np.pad(time_of_day, 2, mode="edge")
+    steady = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    steps = np.diff(steady, prepend=steady[:1])
+    steady = steady + DAY * np.cumsum(np.where(steps < -0.5 * DAY, 1, np.where(steps > 0.5 * DAY, -1, 0)))
+    return np.asarray(time_of_day + DAY * np.round((steady - time_of_day) / DAY))
+
+
+def _merge(sentences: list[_Sentence], utc: Array, tally: _Tally) -> tuple[FixColumns, bool]:
+    """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it."""
+    timed = np.array([math.isfinite(sentence.time_of_day) for sentence in sentences])
+    owner = _owners(sentences, timed)
+    ticks = np.round(utc / _TIME_QUANTUM).astype(np.int64)
+    epochs, row_of_timed = np.unique(ticks, return_inverse=True)
+    row = row_of_timed[owner]
+    newest = np.maximum.accumulate(row_of_timed)
+    tally.misplaced += int(np.count_nonzero((row_of_timed < newest) & (np.diff(row_of_timed, prepend=-1) != 0)))
+    values = _fill(sentences, row, epochs.size, tally)
+    received = np.full(epochs.size, np.inf)
+    np.fmin.at(received, row_of_timed, [s.received for s in sentences if math.isfinite(s.time_of_day)])
+    seconds = np.asarray(epochs * _TIME_QUANTUM, dtype=np.float64)
+    since_first = np.asarray((epochs - ticks[0]) * _TIME_QUANTUM, dtype=np.float64)
+    t, has_receive_times = _row_times(received, since_first)
+    unix = seconds + _midnight(values["day"], seconds)
+    position_missing = ~np.isfinite(values["lat_deg"])
+    columns = {name: values[name] for name in _COLUMNS if name != "day"}
+    unknown = np.full(epochs.size, np.nan)
+    return (
+        FixColumns(
+            t=t,
+            **columns,
+            velocity_north=unknown,
+            velocity_east=unknown,
+            velocity_up=unknown,
+            sigma_velocity=unknown,
+            unix_s=unix,
+            is_blank=position_missing,
+        ),
+        has_receive_times,
+    )
+
+
+_COLUMNS = (
+    *("lat_deg", "lon_deg", "alt_m", "speed", "course_deg", "sigma_horizontal", "sigma_up"),
+    *("hdop", "num_sv", "fix", "day"),
+)
+
+
+def _fill(sentences: list[_Sentence], row: IntArray, rows: int, tally: _Tally) -> dict[str, Array]:
+    """Columns (rows,): of each kind the first sentence of an epoch counts, kinds overrule in _PRECEDENCE."""
+    values = {name: np.full(rows, np.nan) for name in _COLUMNS}
+    talker_rank = {talker: rank for rank, talker in enumerate(_TALKERS)}
+    order = sorted(
+        range(len(sentences)),
+        key=lambda i: (_PRECEDENCE.index(sentences[i].kind), talker_rank.get(sentences[i].talker, len(_TALKERS)), i),
+    )
+    taken: set[tuple[str, int]] = set()
+    seen: set[tuple[str, str, int]] = set()
+    for i in order:
+        sentence, place = sentences[i], int(row[i])
+        tally.duplicate += (sentence.kind, sentence.talker, place) in seen
+        seen.add((sentence.kind, sentence.talker, place))
+        if (sentence.kind, place) in taken:
+            continue
+        taken.add((sentence.kind, place))
+        for name, value in sentence.values.items():
+            if math.isfinite(value) and not _is_weaker(name, value, values[name][place]):
+                values[name][place] = value
+    return values
+
+
+def _is_weaker(name: str, value: float, present: float) -> bool:
+    """Whether a sentence that claims a fix meets another that denies it: the denial stays."""
+    return name == "fix" and present == 0.0 and value > 0.0
+
+
+def _owners(sentences: list[_Sentence], timed: BoolArray) -> IntArray:
+    """For each sentence the number of the timed one it belongs to: itself, else the one before it.
+
+    Without RMC, u-blox receivers start the burst with VTG: a file that starts so attaches VTG to the one after it.
+    """
+    before = np.cumsum(timed) - 1
+    leads = sentences[0].kind == "VTG" and all(sentence.kind != "RMC" for sentence in sentences)
+    return np.clip(np.where(timed, before, before + leads), 0, np.count_nonzero(timed) - 1)
+
+
+def _row_times(received: Array, since_first: Array) -> tuple[Array, bool]:
+    """Times (N,) s: receive times where most have one, the others placed by UTC; else since the first sentence."""
+    known = np.isfinite(received)
+    if np.count_nonzero(known) * 2 <= received.size:
+        return since_first, False
+    return np.where(known, received, since_first + np.median(received[known] - since_first[known])), True
+
+
+def _midnight(day: Array, utc: Array) -> float:
+    """Unix time of the midnight that `utc` (N,) counts from, by the vote of all dates (N,) days; NaN without dates."""
+    known = np.isfinite(day)
+    return float(np.median(day[known] - np.floor(utc[known] / DAY))) * DAY if np.any(known) else math.nan
