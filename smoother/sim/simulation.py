@@ -1,0 +1,99 @@
+"""A simulated session: an ordinary RawSession, and beside it the truth and every value an estimator must find.
+
+simulation = simulate_preset("kart", seed=3, track="tinbarn", duration=200.0, gnss_velocity=False)
+session = prepare(simulation.raw)
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.samples import RawSession
+from smoother.sim.motion import drive
+from smoother.sim.presets import draw_scenario
+from smoother.sim.scenario import Scenario, with_changes
+from smoother.sim.sensors import (
+    SimulatedGnss,
+    SimulatedImu,
+    earth_field_n,
+    simulate_gnss,
+    simulate_imu,
+    simulate_mag,
+    simulate_mag_calibration,
+)
+from smoother.sim.track import TRACKS, Track
+from smoother.sim.truth import Clock, Truth
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What came out of a scenario. `raw` is all that an estimator may see.
+
+    The times of `truth` are on the session's clock, like those of `raw`. field_n (3,) uT is the Earth's magnetic
+    field. `imu` and `gnss` hold the samples again with the true biases, offsets and times behind each.
+    """
+
+    raw: RawSession
+    truth: Truth
+    scenario: Scenario
+    field_n: Array
+    imu: SimulatedImu | None
+    gnss: SimulatedGnss
+
+    @property
+    def track(self) -> Track:
+        """The track driven."""
+        return TRACKS[self.scenario.track]
+
+    def lap_crossings(self, of_imu: bool = False) -> Array:
+        """Session times (K,) s at which the antenna (or the IMU) crosses the start/finish line, within the session."""
+        arm = None if of_imu else self.scenario.lever_arm_b
+        crossings = self.truth.crossings(self.track.start_line, arm)
+        start, end = self.truth.clock.to_session(np.array([0.0, self.scenario.duration]))
+        return np.asarray(crossings[(crossings >= start) & (crossings <= end)])
+
+
+def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
+    """Return the session of a scenario. Motion and each sensor draw from streams of their own."""
+    motion_rng, imu_rng, gnss_rng, mag_rng = rng.spawn(4)
+    imu_errors, mag_errors = scenario.imu, scenario.mag
+    clock = Clock() if imu_errors is None else Clock(imu_errors.clock_offset, imu_errors.clock_drift)
+    truth = drive(TRACKS[scenario.track], scenario.motion, scenario.duration, motion_rng, clock)
+    field_n = _field_n(scenario)
+    imu = None if imu_errors is None else simulate_imu(truth, imu_errors, scenario.R_bs, scenario.duration, imu_rng)
+    gnss = simulate_gnss(truth, scenario.gnss, scenario.lever_arm_b, scenario.duration, scenario.start_unix, gnss_rng)
+    mag, calibration = None, None
+    if mag_errors is not None:
+        reading_rng, calibration_rng = mag_rng.spawn(2)
+        mag = simulate_mag(truth, mag_errors, field_n, scenario.R_bs, scenario.duration, reading_rng)
+        calibration = simulate_mag_calibration(mag_errors, field_n, calibration_rng)
+    raw = RawSession(
+        name=f"{scenario.name}-{scenario.track}",
+        gnss=gnss.fixes,
+        imu=None if imu is None else imu.raw,
+        mag=mag,
+        mag_calibration_field=calibration,
+        inputs=("simulation",),
+        unix_at_zero=scenario.start_unix - clock.offset,
+    )
+    return Simulation(raw, truth, scenario, field_n, imu, gnss)
+
+
+def simulate_preset(
+    preset: str, seed: int, *, track: str = "larkfield", duration: float = 600.0, **changes: Any
+) -> Simulation:
+    """Return a session of a preset; the same seed always gives the same session.
+
+    `changes` set single figures after the preset's draw, `gnss_rate=10.0` for the field `rate` of the receiver's
+    errors and so on (see :func:`smoother.sim.scenario.with_changes`); all others keep the values of that seed.
+    """
+    draw_rng, noise_rng = np.random.default_rng(seed).spawn(2)
+    return simulate(with_changes(draw_scenario(preset, draw_rng, track, duration), changes), noise_rng)
+
+
+def _field_n(scenario: Scenario) -> Array:
+    if scenario.mag is not None and scenario.mag.field_n is not None:
+        return scenario.mag.field_n
+    return earth_field_n(TRACKS[scenario.track].origin, scenario.start_unix)
