@@ -55,6 +55,8 @@ class Motion:
     grip_sigma: float = 0.03  # how much of the grip the driver leaves unused, one sigma
     grip_length: float = 120.0  # m
     slip_per_acceleration: float = 0.0045  # rad per m/s^2 of lateral acceleration: about 4.5 deg at 1.75 g
+    slip_sigma: float = 0.25  # of that, how differently each corner is taken
+    slip_length: float = 25.0  # m
     slip_lead: float = 0.12  # s by which the nose turns in before the path
     roll_per_acceleration: float = 0.0015  # rad per m/s^2: 1.5 deg at 1.75 g, a stiff frame on soft tyres
     pitch_per_acceleration: float = 0.0012  # rad per m/s^2
@@ -171,7 +173,7 @@ def _pass(limit: Array, demand: Array, step: Array, push: float, power: float, d
         strongest = min(push, power / max(square, 1e-6) ** 0.5)
         square = min(ceiling, max(0.0, square + 2.0 * ds * (strongest * left - drag * square)))
         out.append(square)
-    return np.sqrt(np.array(out))
+    return np.asarray(np.sqrt(np.array(out)))
 
 
 def _control_points(
@@ -184,13 +186,10 @@ def _control_points(
     lateral = _smooth(speed * np.gradient(heading, _STEP))
     forward = np.gradient(speed, _STEP)
     bump, tilt = _kerbs(motion, path, driven, kerbs)
-    rough = [
-        wander(path.distance[0], path.distance[-1], motion.roughness_length, surface, motion.roughness)(distance)
-        for _ in range(2)
-    ]
-    slip = motion.slip_per_acceleration * np.interp(
-        np.arange(len(lateral)) + motion.slip_lead / _STEP, np.arange(len(lateral)), lateral
-    )
+    ends = (path.distance[0], path.distance[-1])
+    rough = [wander(*ends, motion.roughness_length, surface, motion.roughness)(distance) for _ in range(2)]
+    sliding = 1.0 + wander(*ends, motion.slip_length, surface, motion.slip_sigma)(distance)
+    slip = motion.slip_per_acceleration * _earlier(lateral, motion.slip_lead) * sliding
     roll = motion.roll_per_acceleration * lateral + rough[0] + tilt
     pitch = -motion.pitch_per_acceleration * _smooth(forward) - np.arctan(track.slope(distance)) + rough[1]
     north_west = _plan_position(track, path.offset, distance)
@@ -209,6 +208,12 @@ def _heading(track: Track, offset: BSpline, distance: Array) -> Array:
 
 def _smooth(values: Array) -> Array:
     return np.asarray(gaussian_filter1d(values, _ATTITUDE_SMOOTHING / _STEP, mode="nearest"))
+
+
+def _earlier(values: Array, lead: float) -> Array:
+    """Return values (N,) as they will be `lead` s later."""
+    index = np.arange(len(values))
+    return np.asarray(np.interp(index + lead / _STEP, index, values))
 
 
 def _kerbs(motion: Motion, path: _Path, driven: Array, rng: np.random.Generator) -> tuple[Array, Array]:

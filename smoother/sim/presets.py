@@ -58,6 +58,7 @@ class Figures:
     imu_gaps: tuple[float, ...]
     hard_iron: float  # fraction of the Earth's field, each axis
     soft_iron: float  # largest distortion of an axis or between axes
+    mag_calibration_points: int
     mag_noise: float
     engine_disturbance: float
 
@@ -96,6 +97,7 @@ WHITE = Figures(
     imu_gaps=(),
     hard_iron=0.0,
     soft_iron=0.0,
+    mag_calibration_points=500,
     mag_noise=0.02,
     engine_disturbance=0.0,
 )
@@ -133,6 +135,7 @@ KART = Figures(
     imu_gaps=(),
     hard_iron=0.6,
     soft_iron=0.1,
+    mag_calibration_points=0,
     mag_noise=0.02,
     engine_disturbance=0.05,
 )
@@ -170,6 +173,7 @@ KART_HARSH = Figures(
     imu_gaps=(0.15,),
     hard_iron=0.6,
     soft_iron=0.1,
+    mag_calibration_points=0,
     mag_noise=0.02,
     engine_disturbance=0.2,
 )
@@ -280,6 +284,7 @@ def _draw_mag(figures: Figures, rng: np.random.Generator) -> MagErrors:
         hard_iron_s=_signed((0.0, figures.hard_iron * _EARTH_FIELD), rng, 3),
         soft_iron=np.eye(3) + 0.5 * (distortion + distortion.T),  # soft iron is symmetric
         engine_disturbance=figures.engine_disturbance,
+        calibration_points=figures.mag_calibration_points,
         engine_direction_s=direction / np.linalg.norm(direction),
     )
 

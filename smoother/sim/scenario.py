@@ -121,7 +121,8 @@ class MagErrors:
 
     noise and engine_disturbance are fractions of the field's strength; the engine's field points along
     engine_direction_s and grows with rpm and throttle. inclination and declination come from the World Magnetic Model
-    unless field_n (3,) uT says otherwise. calibration_points: readings of magcalib.txt, 0 for none.
+    unless field_n (3,) uT says otherwise. calibration_points: readings taken while
+    the box is turned in all directions before the session, as in magcalib.txt; 0 leaves it uncalibrated.
     """
 
     rate: float = 10.0  # Hz
@@ -131,7 +132,7 @@ class MagErrors:
     engine_disturbance: float = 0.0
     engine_direction_s: Array = field(default_factory=lambda: frozen(np.array([1.0, 0.0, 0.0]), (3,), "direction"))
     field_n: Array | None = None
-    calibration_points: int = 500
+    calibration_points: int = 0
     resolution: float | None = None  # uT per count, 0.15 of the AK8963; None: not rounded
 
 

@@ -21,7 +21,7 @@ from smoother.units import KNOT
 
 _LONGEST_PIECE = 0.005  # s; two Gauss points on it average motion of up to 25 Hz to 1e-4 of itself
 _CHUNK = 50_000  # quadrature points evaluated at once: bounds the memory of sessions of hours
-_CLOSEST_STAMPS = 1e-6  # s; the resolution of a logger's clock
+TICKS_PER_SECOND = 1e6  # of the logger's clock
 _SATELLITES, _HDOP = 10, 0.9
 
 
@@ -130,10 +130,14 @@ def _inside(time: Array, intervals: tuple[Interval, ...]) -> BoolArray:
 
 def _stamps(time: Array, jitter: float, rng: np.random.Generator) -> Array:
     """Stamps (N,) s with jitter, in order: a logger's clock never runs backwards, however late it reads the sensor."""
-    noise = rng.standard_normal(len(time))
-    stamps = np.sort(time + jitter * noise)
-    behind = _CLOSEST_STAMPS * np.arange(len(time))
-    return np.maximum.accumulate(stamps - behind) + behind if jitter else time
+    return _in_ticks(np.sort(time + jitter * rng.standard_normal(len(time))))
+
+
+def _in_ticks(time: Array) -> Array:
+    """Times (N,) s, in order, rounded to the clock's ticks, no two on the same one."""
+    index = np.arange(len(time))
+    ticks = np.maximum.accumulate(np.round(time * TICKS_PER_SECOND).astype(np.int64) - index) + index
+    return np.asarray(ticks / TICKS_PER_SECOND)  # the nearest float64 to the decimal, as a file gives it back
 
 
 def _convert(values: Array, full_scale: float | None, bits: int | None) -> tuple[Array, float]:
@@ -164,8 +168,8 @@ def simulate_gnss(
     velocity = truth.antenna_velocity_n(velocity_time, lever_arm_b)
     velocity = velocity + errors.velocity_sigma * velocity_rng.standard_normal((n, 3))
     stamps = at_epoch + errors.position_latency + errors.receive_jitter * stamp_rng.standard_exponential(n)
-    # sentences cannot overtake each other, and what arrives after the end is not recorded
-    stamps = np.maximum.accumulate(stamps + 1e-9 * np.arange(n))
+    stamps = _in_ticks(np.maximum.accumulate(stamps))  # sentences cannot overtake each other
+    # what arrives after the end is not recorded
     kept = ~_inside(epoch, errors.outages) & (stamps <= truth.clock.to_session(np.asarray(duration)))
     fixes = _fixes(stamps, position, velocity, start_unix + epoch, truth.origin, errors)
     return SimulatedGnss(fixes.select(kept), at_epoch[kept], velocity_time[kept], offset[kept], jump[kept])
@@ -259,7 +263,7 @@ def simulate_mag(
     load = truth.running(session_time) * truth.throttle(session_time) * truth.engine_rpm(session_time)
     load = load / max(float(np.max(load)), 1e-9)
     engine = errors.engine_disturbance * strength * load[:, None] * errors.engine_direction_s
-    return RawMag(session_time, _mag_reading(field_s + engine, errors, strength, rng))
+    return RawMag(_in_ticks(session_time), _mag_reading(field_s + engine, errors, strength, rng))
 
 
 def simulate_mag_calibration(errors: MagErrors, field_n: Array, rng: np.random.Generator) -> Array | None:

@@ -15,6 +15,7 @@ from scipy.interpolate import BSpline, CubicSpline
 
 from smoother.arrays import Array, frozen
 from smoother.frames import Origin, nwu_to_geodetic
+from smoother.units import DEG
 
 _DEGREE = 5
 _CONTROL_SPACING = 4.0  # m; the spline turns the step of curvature at an arc's end into a ramp of about 10 m
@@ -159,65 +160,49 @@ def _fillet(before: Array, vertex: Array, after: Array, radius: float) -> tuple[
     return first, arc, last
 
 
-def _corners(*east_north_radius: tuple[float, float, float]) -> tuple[Corner, ...]:
-    """Corners from (east, north, radius) triples, m: the way a map is read."""
-    return tuple(Corner(north, -east, radius) for east, north, radius in east_north_radius)
+def _corners(turn_deg: float, *east_north_radius: tuple[float, float, float]) -> tuple[Corner, ...]:
+    """Corners from (east, north, radius) triples, m, the way a map is read, turned clockwise by turn_deg.
+
+    The turn keeps straights off the axes of n, where a mistaken sign could go unseen.
+    """
+    cos, sin = np.cos(turn_deg * DEG), np.sin(turn_deg * DEG)
+    return tuple(
+        Corner(float(cos * north - sin * east), float(-cos * east - sin * north), radius)
+        for east, north, radius in east_north_radius
+    )
 
 
 _LARKFIELD = Track(
-    name="larkfield",  # club track, clockwise: two hairpins, parallel straights 70 m apart, a chicane
+    name="larkfield",  # club track, clockwise: two hairpins, straights 32 m apart, a chicane
     origin=Origin(52.1174, 17.4082, 96.0),
     corners=_corners(
-        (0, 190, 16),
-        (72, 200, 11),
-        (66, 92, 14),
-        (122, 80, 13),
-        (132, 186, 20),
-        (214, 172, 14),
-        (196, 96, 22),
-        (226, 52, 20),
-        (214, -24, 13),
-        (122, -8, 22),
-        (96, 40, 9),
-        (52, -30, 16),
-        (0, -40, 17),
+        37.0,
+        *((0, 205, 14), (33, 212, 14), (37, 98, 16), (84, 88, 20), (96, 176, 34), (150, 214, 24)),
+        *((212, 190, 22), (192, 96, 45), (230, 34, 26), (206, -46, 16), (128, -30, 30), (104, 6, 13)),
+        *((70, -42, 15), (38, -34, 25), (0, -66, 14)),
     ),
     hills=((1.6, 1, 0.4), (0.5, 3, 2.0)),
 )
 _TINBARN = Track(
-    name="tinbarn",  # short and tight like a hall, anticlockwise: mostly hairpins, flat
+    name="tinbarn",  # short and tight like a hall, anticlockwise: mostly hairpins, nearly flat
     origin=Origin(-34.2719, -60.8925, 71.0),
     corners=_corners(
-        (84, 0, 8),
-        (88, 30, 7),
-        (38, 32, 7),
-        (40, 56, 7),
-        (96, 54, 8),
-        (98, 92, 9),
-        (50, 84, 14),
-        (6, 96, 8),
-        (14, 44, 12),
-        (-6, 0, 8),
+        -22.0,
+        *((125, 0, 10), (134, 21, 8.5), (53, 24, 9), (48, 45, 9), (130, 48, 9), (137, 75, 11), (103, 82, 11)),
+        *((89, 67, 11), (67, 72, 9), (70, 101, 11), (17, 106, 11), (12, 74, 17), (26, 43, 17), (-10, 22, 10)),
+        *((-5, 0, 9),),
     ),
     hills=((0.15, 1, 1.0),),
     width=6.0,
 )
 _LONGMEADOW = Track(
-    name="longmeadow",  # fast and open, clockwise: a 330 m straight, sweepers, one slow hairpin, some height
+    name="longmeadow",  # fast and open, clockwise: a 350 m straight, sweepers, a slow hairpin, some height
     origin=Origin(38.6113, -99.3307, 655.0),
     corners=_corners(
-        (0, 250, 30),
-        (110, 268, 28),
-        (128, 170, 34),
-        (196, 150, 30),
-        (216, 250, 26),
-        (290, 240, 24),
-        (280, 90, 60),
-        (310, -20, 11),
-        (210, 20, 40),
-        (110, -10, 16),
-        (76, -96, 20),
-        (0, -110, 18),
+        -118.0,
+        *((0, 262, 30), (66, 300, 34), (132, 262, 30), (126, 176, 38), (206, 150, 32), (236, 246, 30), (304, 250, 26)),
+        *((316, 140, 90), (286, 50, 55), (330, -40, 13), (300, -62, 13), (214, 24, 45), (118, -6, 24), (92, -100, 24)),
+        *((0, -128, 20),),
     ),
     hills=((3.2, 1, 2.6), (0.8, 2, 0.3)),
     width=10.0,

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from smoother.arrays import Array
-from smoother.frames import GRAVITY_N, Origin, nwu_to_geodetic, rotation_from_euler
+from smoother.frames import GRAVITY_N, Origin, geodetic_to_nwu, nwu_to_geodetic, rotation_from_euler
+from smoother.trajectory import Trajectory
+from smoother.units import DEG
 
 _DEGREE = 5
 _POSITION, _EULER = slice(0, 3), slice(3, 6)
@@ -135,6 +137,18 @@ class Truth:
         """Latitude, longitude (deg) and height (m) of the antenna, each (N,)."""
         return nwu_to_geodetic(self.antenna_position_n(t, lever_arm_b), self.origin)
 
+    def trajectory(self, t: Array, lever_arm_b: Array, origin: Origin | None = None) -> Trajectory:
+        """Truth at t (N,) as a Trajectory of the antenna, in the n of `origin` (the track's if None)."""
+        states = self.at(t)
+        position_n, velocity_n = states.antenna_position_n(lever_arm_b), states.antenna_velocity_n(lever_arm_b)
+        R_nb = states.R_nb
+        if origin is not None:
+            position_n = geodetic_to_nwu(*nwu_to_geodetic(position_n, self.origin), origin)
+            turn = _axes_e(origin).T @ _axes_e(self.origin)  # the Earth is round: 1e-4 rad for 1 km
+            velocity_n, R_nb = velocity_n @ turn.T, turn @ R_nb
+        acceleration_b = np.einsum("nji,nj->ni", states.R_nb, states.acceleration_n)
+        return Trajectory(states.t, position_n, velocity_n, R_nb, acceleration_b, states.angular_rate_b)
+
     def engine_revolutions(self, t: Array) -> Array:
         """Revolutions of the crankshaft since some time before the start, (N,)."""
         return np.asarray(self._evaluate(t, 0)[:, _REVOLUTIONS])
@@ -176,11 +190,19 @@ class Truth:
         span = left - right
         forward = np.array([span[1], -span[0]]) / np.linalg.norm(span)  # the driver's left is 90 deg anticlockwise
         offset = self.antenna_position_n(t, arm)[:, :2] - 0.5 * (left + right)
-        return offset @ forward, -2.0 * (offset @ span) / (span @ span)
+        return np.asarray(offset @ forward), np.asarray(-2.0 * (offset @ span) / (span @ span))
 
     def _evaluate(self, t: Array, derivative: int) -> Array:
         spline: Any = self._spline  # type: ignore[attr-defined]
         return np.asarray(spline(self.clock.to_true(np.atleast_1d(t)), nu=derivative))
+
+
+def _axes_e(origin: Origin) -> Array:
+    """R_en (3, 3): north, west and up at a place, in Earth-fixed axes."""
+    lat, lon = origin.lat_deg * DEG, origin.lon_deg * DEG
+    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    west = np.array([np.sin(lon), -np.cos(lon), 0.0])
+    return np.stack([np.cross(west, up), west, up], axis=1)
 
 
 def _rate(euler: Array, rate: Array) -> Array:
@@ -201,4 +223,4 @@ def _angular_acceleration(euler: Array, rate: Array, second: Array) -> Array:
         -d_pitch * d_roll * sr - d_yaw * d_pitch * sp * sr + d_yaw * d_roll * cp * cr,
         -d_pitch * d_roll * cr - d_yaw * d_pitch * sp * cr - d_yaw * d_roll * cp * sr,
     ]
-    return _rate(euler, second) + np.stack(convective, axis=-1)
+    return np.asarray(_rate(euler, second) + np.stack(convective, axis=-1))
