@@ -1,0 +1,246 @@
+"""Is a recording good enough to drive with? Rates, gaps, fixes, clipping and vibration, judged in a second.
+
+Looks at what the sensors delivered, not at what an estimator would make of it. A finding is `ok`, a `warning` (the
+result will be poorer) or a `stop` (mend it before driving: the data would be lost or useless). Units inside are SI.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from smoother.arrays import Array
+from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
+from smoother.units import DEG, STANDARD_GRAVITY
+
+SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
+SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
+SMALLEST_GYRO_RANGE = 250.0 * DEG
+
+
+@dataclass(frozen=True)
+class CheckLimits:
+    """What is asked of a recording, each number with its unit; `stop` is where the data becomes useless."""
+
+    fix_rate: float = 4.0  # Hz; a kart goes 5 m between two fixes at 5 Hz
+    fix_gap: float = 1.0  # s
+    fix_gap_stop_share: float = 0.2  # of the recording spent in gaps
+    accuracy: float = 5.0  # m, median as reported
+    accuracy_stop: float = 20.0  # m
+    satellites: float = 6.0
+    imu_rate: float = 90.0  # Hz; engine vibration folds into the kart's motion below it
+    imu_rate_stop: float = 20.0  # Hz; cannot be integrated
+    imu_gap: float = 0.05  # s
+    imu_gap_stop_share: float = 0.05
+    clipped: float = 0.001  # share of samples
+    clipped_stop: float = 0.02
+    accel_vibration: float = 8.0  # m/s^2 rms over the three axes; a rigidly mounted box on a kart has about 4
+    gyro_vibration: float = 120.0 * DEG  # rad/s rms; about 95 deg/s was seen on a kart that still could be smoothed
+    gravity: tuple[float, float] = (0.75, 1.6)  # of the standard, slow specific force at its 20th percentile
+    turn_rate: float = 10.0  # rad/s, slow rate rms; above it the file is most likely in deg/s
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One judgement: `level` is ok, warning or stop; `topic` what it is about; `text` a sentence with its remedy."""
+
+    level: str
+    topic: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings about a recording and the numbers behind them."""
+
+    name: str
+    findings: tuple[Finding, ...]
+    measures: dict[str, float]
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing speaks against driving."""
+        return all(finding.level != "stop" for finding in self.findings)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why not to drive, empty if good."""
+        return tuple(finding.text for finding in self.findings if finding.level == "stop")
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one sensor contributed."""
+
+    findings: list[Finding]
+    measures: dict[str, float]
+
+
+def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
+    """Judge a recording as it was read."""
+    limits = CheckLimits() if limits is None else limits
+    parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits), _check_mag(raw.mag)]
+    if raw.imu is not None and len(raw.gnss):
+        parts.append(_check_clocks(raw.gnss, raw.imu))
+    notes = [Finding("warning", "file", problem.text) for problem in raw.problems]
+    findings = [finding for part in parts for finding in part.findings]
+    measures = {name: value for part in parts for name, value in part.measures.items()}
+    return Check(raw.name, (*findings, *notes), measures)
+
+
+def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
+    if len(fixes) < 2:
+        text = "no GPS fix; wait in the open until the receiver has found its satellites"
+        return _Part([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
+    interval, span = float(np.median(np.diff(fixes.t))), float(fixes.t[-1] - fixes.t[0])
+    gaps = _gaps(fixes.t, max(limits.fix_gap, 2.5 * interval))
+    measures = {
+        "duration_s": span,
+        "fixes": float(len(fixes)),
+        "fix_rate_hz": 1.0 / interval,
+        "fix_gaps": float(gaps.size),
+        "fix_gap_longest_s": float(np.max(gaps, initial=0.0)),
+        "fix_gap_share": float(np.sum(gaps)) / span,
+        "accuracy_median_m": _median(fixes.sigma_horizontal),
+        "satellites_median": _median(_known_satellites(fixes)),
+        "speed_known_share": float(np.mean(np.isfinite(fixes.velocity_n[:, 0]))),
+        "top_speed_mps": _top_speed(fixes),
+    }
+    return _Part(list(_judge_gnss(measures, limits)), measures)
+
+
+def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+    rate = measures["fix_rate_hz"]
+    text = f"{measures['fixes']:.0f} fixes in {measures['duration_s']:.0f} s, {rate:.3g} a second"
+    slow = rate < limits.fix_rate
+    yield Finding("warning" if slow else "ok", "GPS", text + ("; set the receiver to 5 Hz or more" if slow else ""))
+    if measures["fix_gaps"]:
+        lost = measures["fix_gap_share"] > limits.fix_gap_stop_share
+        text = f"{measures['fix_gaps']:.0f} gaps, the longest {measures['fix_gap_longest_s']:.1f} s"
+        yield Finding("stop" if lost else "warning", "GPS", text + "; give the antenna a free view of the sky")
+    accuracy = measures["accuracy_median_m"]
+    if np.isfinite(accuracy):
+        level = "ok" if accuracy <= limits.accuracy else "warning" if accuracy <= limits.accuracy_stop else "stop"
+        remedy = "" if level == "ok" else "; wait for better reception, or move the antenna"
+        yield Finding(level, "GPS", f"the receiver reports an accuracy of {accuracy:.1f} m{remedy}")
+    if measures["satellites_median"] < limits.satellites:
+        text = f"only {measures['satellites_median']:.0f} satellites; the antenna needs a free view of the sky"
+        yield Finding("warning", "GPS", text)
+    if measures["speed_known_share"] < 0.5:
+        yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
+
+
+def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
+    if imu is None or len(imu.t) < 2:
+        return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
+    interval, span = float(np.median(np.diff(imu.t))), float(imu.t[-1] - imu.t[0])
+    gaps = _gaps(imu.t, max(limits.imu_gap, 5.0 * interval))
+    force, turn = imu.accel * imu.accel_scale, imu.gyro * imu.gyro_scale
+    slow_force, slow_turn = _slow(force, interval), _slow(turn, interval)
+    measures = {
+        "imu_rate_hz": 1.0 / interval,
+        "imu_gaps": float(gaps.size),
+        "imu_gap_longest_s": float(np.max(gaps, initial=0.0)),
+        "imu_gap_share": float(np.sum(gaps)) / span,
+        "accel_clipped_share": _clipped_share(force, imu.accel_full_scale, SMALLEST_ACCEL_RANGE),
+        "gyro_clipped_share": _clipped_share(turn, imu.gyro_full_scale, SMALLEST_GYRO_RANGE),
+        "accel_vibration_mps2": _rms(force - slow_force),
+        "gyro_vibration_dps": _rms(turn - slow_turn) / DEG,
+        "slow_force_mps2": float(np.percentile(np.linalg.norm(slow_force, axis=1), 20)),
+        "slow_turn_rate_dps": _rms(slow_turn - np.median(slow_turn, axis=0)) / DEG,
+    }
+    findings = [*_judge_imu_timing(measures, limits), *_judge_imu_values(measures, limits)]
+    return _Part([*findings, *_dead_axes(imu)], measures)
+
+
+def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+    rate = measures["imu_rate_hz"]
+    level = "ok" if rate >= limits.imu_rate else "warning" if rate >= limits.imu_rate_stop else "stop"
+    yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
+    if measures["imu_gaps"]:
+        lost = measures["imu_gap_share"] > limits.imu_gap_stop_share
+        text = f"{measures['imu_gaps']:.0f} gaps, the longest {measures['imu_gap_longest_s']:.2f} s; try another card"
+        yield Finding("stop" if lost else "warning", "IMU", text)
+
+
+def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+    for sensor, words in (("accel", "acceleration"), ("gyro", "turn rate")):
+        share = measures[f"{sensor}_clipped_share"]
+        if share > limits.clipped:
+            text = f"{100 * share:.2g} % of the {words} samples are clipped; set a wider range, or mount the box softer"
+            yield Finding("stop" if share > limits.clipped_stop else "warning", "IMU", text)
+    accel, gyro = measures["accel_vibration_mps2"], measures["gyro_vibration_dps"]
+    strong = accel > limits.accel_vibration or gyro * DEG > limits.gyro_vibration
+    remedy = "; mount the box to the frame, away from the engine" if strong else ""
+    yield Finding("warning" if strong else "ok", "IMU", f"vibration {accel:.1f} m/s² and {gyro:.0f} deg/s rms{remedy}")
+    gravity, (low, high) = measures["slow_force_mps2"] / STANDARD_GRAVITY, limits.gravity
+    if not low <= gravity <= high:
+        text = (
+            f"the accelerometer reads {measures['slow_force_mps2']:.2f} m/s² where 9.8 is due; is it in another unit?"
+        )
+        yield Finding("stop", "IMU", text)
+    if measures["slow_turn_rate_dps"] * DEG > limits.turn_rate:
+        yield Finding("stop", "IMU", "the gyroscope turns faster than any kart; is it in deg/s instead of rad/s?")
+
+
+def _dead_axes(imu: RawImu) -> Iterator[Finding]:
+    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
+        for axis in np.flatnonzero(np.ptp(values, axis=0) == 0.0):
+            yield Finding("stop", "IMU", f"the {'xyz'[axis]} axis of the {sensor} never changes; check the wiring")
+
+
+def _check_mag(mag: RawMag | None) -> _Part:
+    if mag is None or len(mag.t) < 2:
+        return _Part([Finding("ok", "compass", "none; it is not needed")], {})
+    rate = 1.0 / float(np.median(np.diff(mag.t)))
+    return _Part([Finding("ok", "compass", f"{rate:.3g} samples a second")], {"mag_rate_hz": rate})
+
+
+def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
+    covered = float(np.mean((fixes.t >= imu.t[0] - 1.0) & (fixes.t <= imu.t[-1] + 1.0)))
+    if covered > 0.95:
+        return _Part([], {"fixes_with_imu_share": covered})
+    text = f"the motion sensor covers only {100 * covered:.0f} % of the fixes"
+    return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
+
+
+def _gaps(t: Array, limit: float) -> Array:
+    """Steps longer than `limit` seconds."""
+    steps = np.diff(t)
+    return np.asarray(steps[steps > limit])
+
+
+def _slow(values: Array, interval: float) -> Array:
+    """Running mean over SMOOTHING seconds of (N, 3) samples."""
+    return np.asarray(uniform_filter1d(values, max(1, round(SMOOTHING / interval)), axis=0, mode="nearest"))
+
+
+def _clipped_share(values: Array, full_scale: float | None, smallest_range: float) -> float:
+    """Share of samples at the end of the range; without a known range, of runs that repeat an axis' own extreme."""
+    if full_scale is not None:
+        return float(np.mean(np.any(np.abs(values) >= 0.995 * full_scale, axis=1)))
+    # at the end of its range a sensor repeats one and the same number, which noise far from zero all but never does
+    at_end = (values == values.max(axis=0)) | (values == values.min(axis=0))
+    repeated = at_end[1:] & (values[1:] == values[:-1]) & (np.abs(values[1:]) > 0.95 * smallest_range)
+    return float(np.mean(np.any(repeated, axis=1))) if len(values) > 1 else 0.0
+
+
+def _known_satellites(fixes: GnssFixes) -> Array:
+    count = np.asarray(fixes.num_sv, dtype=np.float64)
+    return np.where(count > 0.0, count, np.nan)
+
+
+def _top_speed(fixes: GnssFixes) -> float:
+    speed = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1])
+    return float(np.max(speed[np.isfinite(speed)], initial=0.0))
+
+
+def _median(values: Array | None) -> float:
+    known = np.empty(0) if values is None else values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def _rms(values: Array) -> float:
+    """Rms over all three axes together of (N, 3) samples."""
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))

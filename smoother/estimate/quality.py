@@ -1,0 +1,113 @@
+"""The quality gate: may a person believe this trajectory? Judged from the result and the fixes alone, without truth.
+
+The gate is meant to catch results that are wrong, not results that are poor: an honest trajectory of bad data with
+wide sigmas passes. Its limits are options, and the measures behind each verdict are handed back with it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.resample import resample
+from smoother.samples import Session
+from smoother.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class QualityLimits:
+    """Limits of the gate. A fix is far when it lies beyond max(near_fix, near_fix_sigmas x reported accuracy).
+
+    far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
+    far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
+    top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
+    normalised_rms: of the residuals of any factor; 1 is honest, beyond this the noise model is wrong by as much.
+    rejected_share: of the measurements of any factor.
+    """
+
+    near_fix: float = 5.0  # m
+    near_fix_sigmas: float = 3.0
+    far_share: float = 0.10
+    far_seconds: float = 15.0  # s
+    top_speed: float = 110.0  # m/s
+    sigma_horizontal: float = 50.0  # m
+    normalised_rms: float = 5.0
+    rejected_share: float = 0.30
+    fewest_residuals: int = 20  # below it neither share nor rms means anything
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Verdict of the gate; `reasons` are sentences, empty when passed; `measures` are what it was judged by."""
+
+    passed: bool
+    reasons: tuple[str, ...]
+    measures: dict[str, float]
+
+
+def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None = None) -> Quality:
+    """Judge a trajectory by its own fixes, sigmas and residuals."""
+    limits = QualityLimits() if limits is None else limits
+    finite = bool(np.isfinite(estimate.position_n).all() and np.isfinite(estimate.velocity_n).all())
+    measures = {"top_speed_mps": float(np.nanmax(estimate.speed, initial=0.0)), **_distances(session, estimate, limits)}
+    if estimate.sigmas is not None:
+        sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
+        measures["median_sigma_horizontal_m"] = float(np.median(sigma))
+    reasons = [] if finite else ["some rows have no position or velocity"]
+    reasons += _motion_reasons(measures, limits) + _residual_reasons(estimate, limits)
+    return Quality(not reasons, tuple(reasons), measures)
+
+
+def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
+    """Share and longest stretch of fixes that the trajectory passes at a distance, each at the time it was true."""
+    fixes = session.gnss
+    latency = estimate.report.identified.get("gps_position_latency")
+    t = fixes.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
+    inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
+    if not inside.any():
+        return {}
+    gap = resample(estimate, t[inside]).position_n[:, :2] - session.fix_position_n[inside, :2]
+    accuracy = np.zeros(len(t)) if fixes.sigma_horizontal is None else np.nan_to_num(fixes.sigma_horizontal, nan=0.0)
+    distance = np.hypot(gap[:, 0], gap[:, 1])
+    far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * accuracy[inside]))
+    return {
+        "median_fix_distance_m": float(np.median(distance)),
+        "far_fix_share": float(np.mean(far)),
+        "longest_far_s": _longest_stretch(t[inside], far),
+    }
+
+
+def _longest_stretch(t: Array, chosen: Array) -> float:
+    """Duration (s) of the longest run of chosen rows, zero for a single row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int64), [0]])))
+    starts, ends = edges[::2], edges[1::2] - 1
+    return float(np.max(t[ends] - t[starts], initial=0.0))
+
+
+def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[str]:
+    reasons = []
+    if measures["top_speed_mps"] > limits.top_speed:
+        reasons.append(f"a speed of {measures['top_speed_mps'] * 3.6:.0f} km/h is not a kart's")
+    if measures.get("far_fix_share", 0.0) > limits.far_share:
+        share = 100.0 * measures["far_fix_share"]
+        reasons.append(f"{share:.0f} % of the fixes lie far from the trajectory (limit {100 * limits.far_share:.0f} %)")
+    if measures.get("longest_far_s", 0.0) > limits.far_seconds:
+        reasons.append(f"the trajectory leaves the fixes for {measures['longest_far_s']:.0f} s")
+    sigma = measures.get("median_sigma_horizontal_m", 0.0)
+    if not sigma <= limits.sigma_horizontal:
+        reasons.append(f"the horizontal sigma is {sigma:.0f} m (limit {limits.sigma_horizontal:.0f} m)")
+    return reasons
+
+
+def _residual_reasons(estimate: Trajectory, limits: QualityLimits) -> list[str]:
+    reasons = []
+    for name, residual in estimate.report.residuals.items():
+        if residual.count < limits.fewest_residuals:
+            continue
+        words = name.replace("_", " ")
+        if residual.normalised_rms > limits.normalised_rms:
+            reasons.append(f"residuals of {words} are {residual.normalised_rms:.1f} times their sigma")
+        if residual.rejected > limits.rejected_share * residual.count:
+            share = 100.0 * residual.rejected / residual.count
+            reasons.append(f"{share:.0f} % of {words} was rejected (limit {100 * limits.rejected_share:.0f} %)")
+    return reasons

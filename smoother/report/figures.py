@@ -1,0 +1,396 @@
+"""The figures of a smoothed session: each function draws one matplotlib Figure, `save_figures` writes them all.
+
+Draws what it is given and computes nothing but axis limits. Maps are north up, axes in metres; limits follow the
+smoothed trajectory, so that a stray fix or a baseline that ran away does not shrink the picture.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from smoother.arrays import Array
+from smoother.report import style
+from smoother.report.files import replacing
+from smoother.samples import Session
+from smoother.trajectory import Trajectory
+from smoother.units import DEG, KMH, STANDARD_GRAVITY
+
+MAIN_FIGURE = "overview"
+CLOSE_UP = 10.0  # m from the middle of a close-up of the map to its nearest edge, at least
+CORNER_TIME = 4.0  # s that a close-up of a corner covers
+PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
+CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
+SLOWEST_CORNER = 5.0  # m/s; turning on the spot is no corner
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What the figures show; `heading` is the line above each of them."""
+
+    session: Session
+    smoothed: Trajectory
+    baseline: Trajectory | None
+    heading: str
+
+    @property
+    def start(self) -> float:
+        """Time of the first row, where the clock of the figures is zero."""
+        return float(self.smoothed.t[0])
+
+    @property
+    def seconds(self) -> float:
+        """Length of the session."""
+        return max(float(self.smoothed.t[-1] - self.smoothed.t[0]), 1e-3)
+
+    @property
+    def has_attitude(self) -> bool:
+        """False for a session that only GPS could be used of."""
+        return bool(np.isfinite(self.smoothed.R_nb).any())
+
+
+def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | None = None) -> list[Path]:
+    """Write every figure the session has something for as PNG; return their paths, the main one first.
+
+    `done` is told the share (0..1) that is finished. Figures of an earlier run that no longer apply are removed.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    written = []
+    with matplotlib.rc_context(style.STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # a name may be in any script
+        for i, (name, draw) in enumerate(FIGURES.items()):
+            path = directory / f"{name}.png"
+            figure = draw(shown)
+            if figure is None:
+                path.unlink(missing_ok=True)
+                continue
+            with replacing(path) as temporary:
+                figure.savefig(temporary, format="png")
+            written.append(path)
+            if done is not None:
+                done((i + 1) / len(FIGURES))
+    return written
+
+
+def overview(shown: Shown) -> Figure:
+    """Map coloured by speed, a close-up of raw, baseline and smoothed, and speed over time."""
+    figure = style.new_figure(shown.heading, 13.0, 7.6)
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.1, 1.0], height_ratios=[1.5, 1.0])
+    whole, close, speed_axes = (figure.add_subplot(grid[place]) for place in ((slice(None), 0), (0, 1), (1, 1)))
+    line = style.coloured_line(whole, *_map(shown.smoothed), shown.smoothed.speed / KMH, linewidth=1.8)
+    figure.colorbar(line, ax=whole, orientation="horizontal", shrink=0.7, aspect=40, pad=0.02, label="speed (km/h)")
+    whole.set_title("Smoothed track, coloured by speed")
+    _frame_map(whole, shown)
+    _draw_close_up(close, whole, shown)
+    _draw_speed(speed_axes, shown)
+    speed_axes.set_title("Speed")
+    style.outside_legend(speed_axes)
+    return figure
+
+
+def track(shown: Shown) -> Figure:
+    """The whole track and a close-up, each with raw fixes, baseline and smoothed."""
+    figure = style.new_figure(f"Track: {shown.heading}", 13.0, 7.0)
+    whole, close = figure.subplots(1, 2)
+    _draw_tracks(whole, shown, size=2.0)
+    whole.set_title("Whole session")
+    _frame_map(whole, shown)
+    _draw_close_up(close, whole, shown)
+    return figure
+
+
+def speed(shown: Shown) -> Figure:
+    """Speed over the session, and half a minute of it with its sigma."""
+    figure = style.new_figure(f"Speed: {shown.heading}")
+    whole, close = figure.subplots(2, 1)
+    _draw_speed(whole, shown)
+    whole.set_title("Whole session")
+    style.outside_legend(whole)
+    _draw_speed(close, shown)
+    sigmas = shown.smoothed.sigmas
+    if sigmas is not None:
+        near = _near_fastest(shown)
+        t = shown.smoothed.t[near] - shown.start
+        style.band(close, t, shown.smoothed.speed[near] / KMH, sigmas.speed[near] / KMH, style.SMOOTHED)
+    _zoom_to_fastest(close, shown)
+    close.set_title(f"{CLOSE_UP_TIME:.0f} s around the top speed, band: two sigma")
+    return figure
+
+
+def attitude(shown: Shown) -> Figure | None:
+    """Roll, pitch and yaw with two sigma, and the baseline's."""
+    if not shown.has_attitude:
+        return None
+    figure = style.new_figure(f"Attitude: {shown.heading}", 12.0, 8.0)
+    rows = figure.subplots(3, 1, sharex=True)
+    labels = ("roll (deg)\nright side down +", "pitch (deg)\nnose down +", "yaw (deg)\nfrom north, left +")
+    angles = shown.smoothed.euler / DEG
+    for i, (axes, label) in enumerate(zip(rows, labels, strict=True)):
+        if shown.baseline is not None:
+            degrees = shown.baseline.euler[:, i] / DEG
+            _line(axes, shown, shown.baseline, degrees, "baseline", style.BASELINE, width=0.7, wraps=True)
+        _line(axes, shown, shown.smoothed, angles[:, i], "smoothed", style.SMOOTHED, wraps=True)
+        if shown.smoothed.sigmas is not None:
+            sigma = shown.smoothed.sigmas.attitude[:, i] / DEG
+            style.band(axes, shown.smoothed.t - shown.start, style.broken_at_wraps(angles[:, i]), sigma, style.SMOOTHED)
+        axes.set_ylabel(label)
+        axes.set_ylim(style.limits_around(angles[:, i], 0.3, least=20.0))
+    rows[2].set(yticks=[-180, -90, 0, 90, 180], ylim=(-190.0, 190.0))
+    rows[0].set_title("Band: two sigma")
+    style.outside_legend(rows[0])
+    _time_axis(rows[2], shown)
+    return figure
+
+
+def accelerations(shown: Shown) -> Figure | None:
+    """Forward, left and up acceleration over time in g, and the g-g diagram."""
+    if not shown.has_attitude:
+        return None
+    figure = style.new_figure(f"Accelerations of the kart, gravity removed: {shown.heading}", 13.0, 7.2)
+    grid = figure.add_gridspec(3, 2, width_ratios=[1.9, 1.0])
+    acceleration = shown.smoothed.acceleration_b / STANDARD_GRAVITY
+    limit, limit_up = (_limit_of_most(acceleration[:, axes]) for axes in ([0, 1], [2]))
+    for i, label in enumerate(("forward (g)\nbraking -", "left (g)\nright turn -", "up (g)")):
+        axes = figure.add_subplot(grid[i, 0])
+        _line(axes, shown, shown.smoothed, acceleration[:, i], "smoothed", style.AXES_COLOURS[i], width=0.8)
+        axes.set_ylabel(label)
+        reach = limit if i < 2 else limit_up
+        axes.set_ylim(-reach, reach)
+        _time_axis(axes, shown)
+        if i < 2:
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+    circle = figure.add_subplot(grid[:, 1])
+    extent = (-limit, limit, -limit, limit)
+    known = np.isfinite(acceleration).all(axis=1)
+    right, forward = -acceleration[known, 1], acceleration[known, 0]
+    circle.hexbin(right, forward, gridsize=60, extent=extent, bins="log", cmap="cividis", mincnt=1, linewidths=0.2)
+    circle.set(
+        xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal", xlabel="to the right (g)", ylabel="forward (g)"
+    )
+    circle.set_title("g-g diagram, brighter: more often")
+    return figure
+
+
+def biases(shown: Shown) -> Figure | None:
+    """Biases of accelerometer and gyroscope over time, with two sigma, in the sensor's own axes."""
+    keyframes = shown.smoothed.report.keyframes
+    if keyframes is None or not np.isfinite(keyframes.gyro_bias_s).any():
+        return None
+    figure = style.new_figure(f"Sensor biases found: {shown.heading}")
+    accel, gyro = figure.subplots(2, 1, sharex=True)
+    t = keyframes.t - shown.start
+    pairs = (
+        (accel, keyframes.accel_bias_s, keyframes.sigma_accel_bias, 1.0, "accelerometer (m/s²)"),
+        (gyro, keyframes.gyro_bias_s, keyframes.sigma_gyro_bias, DEG, "gyroscope (deg/s)"),
+    )
+    for axes, bias, sigma, unit, label in pairs:
+        for i, name in enumerate("xyz"):
+            axes.plot(*style.thinned(t, bias[:, i] / unit), color=style.AXES_COLOURS[i], label=name)
+            style.band(axes, t, bias[:, i] / unit, sigma[:, i] / unit, style.AXES_COLOURS[i])
+        axes.set_ylabel(label)
+        axes.set_ylim(style.limits_around(bias / unit, 0.5, least=0.2))
+    accel.set_title("In the axes of the sensor; band: two sigma")
+    style.outside_legend(accel)
+    _time_axis(gyro, shown)
+    return figure
+
+
+def residuals(shown: Shown) -> Figure | None:
+    """Distance of the trajectory from every fix, per axis, over time and as a distribution."""
+    fixes = shown.smoothed.report.fixes
+    if fixes is None or not len(fixes.index):
+        return None
+    figure = style.new_figure(f"Trajectory minus fixes: {shown.heading}", 12.0, 8.0)
+    rows = figure.subplots(3, 2, width_ratios=[5.0, 1.0], sharex="col", sharey="row")
+    t = shown.session.gnss.t[fixes.index] - shown.start
+    down = fixes.weight < 0.5
+    for i, name in enumerate(("north", "west", "up")):
+        residual = fixes.residual_n[:, i]
+        known = np.abs(residual[np.isfinite(residual) & ~down])
+        limit = 1.6 * float(np.percentile(known, 99)) + 0.1 if known.size else 1.0
+        axes, side = rows[i]
+        shown_residual = np.clip(residual, -limit, limit)  # what lies beyond is drawn at the border
+        axes.plot(t[~down], shown_residual[~down], ".", markersize=2.5, color=style.SMOOTHED, label="fix")
+        axes.plot(t[down], shown_residual[down], "x", markersize=5, color=style.SECOND, label="fix given little weight")
+        axes.set_ylabel(f"{name} (m)")
+        axes.set_ylim(-1.05 * limit, 1.05 * limit)
+        side.hist(
+            np.clip(residual[~down], -limit, limit), 40, (-limit, limit), color=style.SMOOTHED, orientation="horizontal"
+        )
+        side.set_xticks([])
+        side.grid(False)
+    rows[0, 1].set_title("distribution")
+    style.outside_legend(rows[0, 0])
+    _time_axis(rows[2, 0], shown)
+    return figure
+
+
+def sigma(shown: Shown) -> Figure | None:
+    """The standard deviations the smoother reports, on logarithmic axes."""
+    sigmas = shown.smoothed.sigmas
+    if sigmas is None:
+        return None
+    figure = style.new_figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
+    t = shown.smoothed.t - shown.start
+    horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
+    groups = {
+        "position (m)": {"horizontal": horizontal, "up": sigmas.position_n[:, 2], "line on the track": sigmas.track},
+        "velocity (km/h)": {
+            "speed": sigmas.speed / KMH,
+            "north": sigmas.velocity_n[:, 0] / KMH,
+            "west": sigmas.velocity_n[:, 1] / KMH,
+        },
+        "attitude (deg)": dict(zip(("roll", "pitch", "yaw"), sigmas.attitude.T / DEG, strict=True)),
+    }
+    groups = {
+        label: lines for label, lines in groups.items() if any(np.isfinite(line).any() for line in lines.values())
+    }
+    rows = np.atleast_1d(figure.subplots(len(groups), 1, sharex=True))
+    for axes, (label, lines) in zip(rows, groups.items(), strict=True):
+        for colour, (name, values) in zip(style.AXES_COLOURS, lines.items(), strict=True):
+            axes.plot(*style.thinned(t, values), color=colour, label=name)
+        style.logarithmic(axes)
+        axes.set_ylabel(label)
+        style.outside_legend(axes)
+    _time_axis(rows[-1], shown)
+    return figure
+
+
+FIGURES: dict[str, Callable[[Shown], Figure | None]] = {
+    MAIN_FIGURE: overview,
+    "track": track,
+    "speed": speed,
+    "attitude": attitude,
+    "accelerations": accelerations,
+    "biases": biases,
+    "residuals": residuals,
+    "sigma": sigma,
+}
+
+
+def _map(trajectory: Trajectory) -> tuple[Array, Array]:
+    """East and north (m), for a map with north up."""
+    return -trajectory.position_n[:, 1], trajectory.position_n[:, 0]
+
+
+def _frame_map(axes: Axes, shown: Shown) -> None:
+    """Fit the axes around the smoothed path, metres alike in both directions."""
+    x, y = _map(shown.smoothed)
+    _frame(axes, style.limits_around(x, least=20.0), style.limits_around(y, least=20.0))
+
+
+def _frame(axes: Axes, x_limits: tuple[float, float], y_limits: tuple[float, float]) -> None:
+    """Show at least these limits, more of one of them where the space on the page allows it."""
+    axes.set_xlim(x_limits, auto=True)  # auto: matplotlib may widen the limits to make metres alike
+    axes.set_ylim(y_limits, auto=True)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="east (m)", ylabel="north (m)")
+
+
+def _draw_tracks(axes: Axes, shown: Shown, size: float, window: tuple[float, float] = (-np.inf, np.inf)) -> None:
+    def within(t: Array, x: Array, y: Array) -> tuple[Array, Array]:
+        i, j = np.searchsorted(t, window)
+        return x[i:j], y[i:j]
+
+    fixes_n, baseline, smoothed = shown.session.fix_position_n, shown.baseline, shown.smoothed
+    fixes = within(shown.session.gnss.t, -fixes_n[:, 1], fixes_n[:, 0])
+    axes.plot(*fixes, "o:", markersize=size, linewidth=0.4 * size - 0.6, mew=0, color=style.RAW, label="GPS fixes")
+    if baseline is not None:
+        path = within(baseline.t, *_map(baseline))
+        axes.plot(*path, "--", linewidth=1.0, color=style.BASELINE, label="baseline")
+    axes.plot(*within(smoothed.t, *_map(smoothed)), linewidth=1.6, color=style.SMOOTHED, label="smoothed")
+
+
+def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
+    """Draw one pass of the tightest corner with the legend above it, and its frame on the map of the whole."""
+    t, (x, y) = shown.smoothed.t, _map(shown.smoothed)
+    middle = float(t[_tightest(shown.smoothed)])
+    _draw_tracks(axes, shown, 4.5, (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
+    corner = np.abs(t - middle) <= 0.5 * CORNER_TIME
+    x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=2 * CLOSE_UP) for line in (x, y))
+    _frame(axes, x_limits, y_limits)
+    axes.set_title(f"One corner at {style.clock(middle - shown.start)}")
+    style.outside_legend(axes)
+    size = x_limits[1] - x_limits[0], y_limits[1] - y_limits[0]
+    whole.add_patch(Rectangle((x_limits[0], y_limits[0]), *size, fill=False, edgecolor=style.INK, linewidth=1.0))
+
+
+def _tightest(trajectory: Trajectory) -> int:
+    """Row where the path turns fastest while it is driven, else the middle one."""
+    velocity = trajectory.velocity_n[:, :2]
+    duration = max(float(trajectory.t[-1] - trajectory.t[0]), 0.1)
+    step = max(1, round(0.5 * len(trajectory) / duration))  # half a second
+    if len(trajectory) <= 2 * step:
+        return len(trajectory) // 2
+    before, here, after = velocity[: -2 * step], velocity[step:-step], velocity[2 * step :]
+    course_change = np.abs(np.arctan2(*_turn(before, after)))
+    driven = np.hypot(here[:, 0], here[:, 1]) > SLOWEST_CORNER
+    turning = np.where(driven & np.isfinite(course_change), course_change, 0.0)
+    return step + int(np.argmax(turning))
+
+
+def _turn(a: Array, b: Array) -> tuple[Array, Array]:
+    """Sine and cosine, times both lengths, of the angle from a to b, each (N, 2)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)
+
+
+def _limit_of_most(values: Array) -> float:
+    """Symmetric axis limit that leaves out the highest spikes only."""
+    known = np.abs(values[np.isfinite(values)])
+    return 1.2 * float(np.percentile(known, 99.8)) + 0.05 if known.size else 1.0
+
+
+def _draw_speed(axes: Axes, shown: Shown) -> None:
+    fixes = shown.session.gnss
+    raw = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1])
+    axes.plot(fixes.t - shown.start, raw / KMH, ".", markersize=2.5, color=style.RAW, label="GPS")
+    if shown.baseline is not None:
+        _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--")
+    _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED)
+    axes.set_ylabel("speed (km/h)")
+    top = float(np.max(shown.smoothed.speed)) / KMH
+    axes.set_ylim(-0.03 * top, 1.12 * top + 1.0)
+    _time_axis(axes, shown)
+
+
+def _near_fastest(shown: Shown) -> slice:
+    t = shown.smoothed.t
+    middle = float(t[np.argmax(shown.smoothed.speed)])
+    first = np.clip(middle - 0.5 * CLOSE_UP_TIME, t[0], max(t[-1] - CLOSE_UP_TIME, t[0]))
+    i, j = np.searchsorted(t, [first, first + CLOSE_UP_TIME])
+    return slice(int(i), int(j) + 1)
+
+
+def _zoom_to_fastest(axes: Axes, shown: Shown) -> None:
+    near = shown.smoothed.t[_near_fastest(shown)] - shown.start
+    axes.set_xlim(near[0], near[-1])
+    style.clock_axis(axes, max(float(near[-1] - near[0]), 1e-3))
+
+
+def _line(
+    axes: Axes,
+    shown: Shown,
+    trajectory: Trajectory,
+    values: Array,
+    label: str,
+    colour: str,
+    *,
+    line: str = "-",
+    width: float = 1.2,
+    wraps: bool = False,
+) -> None:
+    t, thin = style.thinned(trajectory.t - shown.start, values)
+    thin = style.broken_at_wraps(thin) if wraps else thin
+    axes.plot(t, thin, line, color=colour, label=label, linewidth=width)
+
+
+def _time_axis(axes: Axes, shown: Shown) -> None:
+    axes.set_xlim(0.0, shown.seconds)
+    style.clock_axis(axes, shown.seconds)

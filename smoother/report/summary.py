@@ -1,0 +1,105 @@
+"""summary.json: everything a session's smoothing found out, as one document of plain values."""
+
+import datetime as dt
+from collections.abc import Mapping
+
+import numpy as np
+
+import smoother
+from smoother.estimate.quality import Quality
+from smoother.samples import Problem, Session
+from smoother.trajectory import Trajectory
+
+Document = dict[str, object]
+
+
+def summary(
+    session: Session,
+    estimate: Trajectory,
+    quality: Quality,
+    timings: Mapping[str, float],
+    options: Mapping[str, object],
+) -> Document:
+    """Return the document; `timings` are seconds per stage, `options` how the estimate was asked for."""
+    report = estimate.report
+    return {
+        "version": smoother.__version__,
+        "session": _about(session, estimate),
+        "inputs": list(session.inputs),
+        "options": dict(options),
+        "mode": report.mode,
+        "counts": _counts(session, estimate),
+        "origin": {"lat_deg": session.origin.lat_deg, "lon_deg": session.origin.lon_deg, "alt_m": session.origin.alt_m},
+        "problems": merged([*session.problems, *report.problems]),
+        "identified": report.identified,
+        "residuals": report.residuals,
+        "quality": quality,
+        "sigma_median": _median_sigmas(estimate),
+        "timings": {**timings, **{f"smoothing_{name}": seconds for name, seconds in report.timings.items()}},
+    }
+
+
+def merged(problems: list[Problem]) -> list[Problem]:
+    """Return the problems without repetitions: the reader and an estimator may have met the same one."""
+    return list(dict.fromkeys(problems))
+
+
+def distance_driven(estimate: Trajectory) -> float:
+    """Return the horizontal length of the path, m, from the speed: standing still adds next to nothing."""
+    return float(np.sum(0.5 * (estimate.speed[1:] + estimate.speed[:-1]) * np.diff(estimate.t)))
+
+
+def _about(session: Session, estimate: Trajectory) -> Document:
+    config = session.config
+    names = {"title": config.title, "driver": config.driver, "kart": config.kart, "track": config.track}
+    return {
+        "name": session.name,
+        **{key: value for key, value in names.items() if value is not None},
+        "start_utc": _iso(session.unix_at_zero, float(estimate.t[0])),
+        "start_s": float(estimate.t[0]),
+        "duration_s": float(estimate.t[-1] - estimate.t[0]),
+        "distance_m": distance_driven(estimate),
+        "top_speed_mps": float(np.max(estimate.speed)),
+    }
+
+
+def _iso(unix_at_zero: float | None, t: float) -> str | None:
+    if unix_at_zero is None:
+        return None
+    moment = dt.datetime(1970, 1, 1) + dt.timedelta(seconds=unix_at_zero + t)
+    return moment.isoformat(timespec="milliseconds") + "Z"
+
+
+def _counts(session: Session, estimate: Trajectory) -> Document:
+    report = estimate.report
+    used = 0 if report.fixes is None else len(report.fixes.index)
+    return {
+        "rows": len(estimate),
+        "keyframes": 0 if report.keyframes is None else len(report.keyframes.t),
+        "fixes": len(session.gnss),
+        "fixes_used": used,
+        "imu_samples": 0 if session.imu is None else len(session.imu.t),
+        "mag_samples": 0 if session.mag is None else len(session.mag.t),
+    }
+
+
+def _median_sigmas(estimate: Trajectory) -> Document | None:
+    """Typical sigma of each quantity, in the units of trajectory.csv, for people who want one number."""
+    sigmas = estimate.sigmas
+    if sigmas is None:
+        return None
+    roll, pitch, yaw = (_median(np.degrees(sigmas.attitude[:, i])) for i in range(3))
+    return {
+        "horizontal_m": _median(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])),
+        "up_m": _median(sigmas.position_n[:, 2]),
+        "track_m": _median(sigmas.track),
+        "speed_mps": _median(sigmas.speed),
+        "roll_deg": roll,
+        "pitch_deg": pitch,
+        "yaw_deg": yaw,
+    }
+
+
+def _median(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
