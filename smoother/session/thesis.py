@@ -134,7 +134,7 @@ def find_records(data: bytes) -> Records:
 def find_block_length(octets: npt.NDArray[np.uint8], nodes: IntArray, size: int) -> int | None:
     """Length of the NMEA block: the distance from flag to next record that most flagged records agree on.
 
-    octets of the file, `size` of them and some zeros; nodes (K,) possible record starts. A distance over several records
+    octets of the file, `size` of them and some zeros; nodes (K,) possible starts. A distance over several records
     collects almost as many votes as the true one, so the smallest among the well supported is taken. None if no
     record carries a sentence.
     """
@@ -282,9 +282,16 @@ def _triple_starts(octets: npt.NDArray[np.uint8]) -> IntArray:
     once = 0
     while once < min(2, octets.size) and octets[once] == mark:
         once += 1
-    if once == 2 and (octets.size - 2) % MAG_STRUCT.size and (octets.size - 1) % MAG_STRUCT.size == 0:
-        once = 1  # one start byte, and the first value happens to begin with another
-    return np.arange(once, octets.size - MAG_STRUCT.size + 1, MAG_STRUCT.size)
+    readings = [np.arange(skip, octets.size - MAG_STRUCT.size + 1, MAG_STRUCT.size) for skip in {once, min(once, 1)}]
+    return min(readings, key=lambda starts: _typical_size(octets, starts))
+
+
+def _typical_size(octets: npt.NDArray[np.uint8], starts: IntArray) -> float:
+    """Median magnitude of the counts. Read one byte off, low bytes become high ones and the values huge.
+
+    It tells one start byte followed by a value that begins with another from two start bytes, also in a cut file.
+    """
+    return float(np.median(np.abs(_field(octets.tobytes(), starts)))) if starts.size else np.inf
 
 
 def _marked_triples(octets: npt.NDArray[np.uint8], marks: int) -> IntArray:
