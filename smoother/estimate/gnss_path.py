@@ -1,0 +1,447 @@
+"""A smooth path through the fixes alone: positions and Doppler velocity, no inertial sensor.
+
+State in n at every node: position, velocity, acceleration, driven by white jerk (damped, see motion_prior); the fixes
+carry a slow Gauss-Markov offset. White noise, Doppler noise and jerk density are identified by variance component
+estimation, outliers lose their weight, and the lag of Doppler behind position and its bias are constants of the
+session. It is the GPS-only smoothing of sessions without a usable IMU, and the starting point and outlier screen of
+the graph.
+
+Sources: Förstner 1979 (variance components); Yang et al. 2002 (IGG III weights).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate import gnss_system as system
+from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.motion_prior import MotionPrior, quintic_basis
+from smoother.samples import GnssFixes, Session
+
+END_MARGIN = (0.6, 0.2)  # s of nodes before the first and after the last time of truth: room for the lag of Doppler
+
+
+@dataclass(frozen=True)
+class GnssPathOptions:
+    """What may be fixed; None is identified, or defaults where it cannot be.
+
+    position_latency, velocity_latency s, whole delay of each; a position latency is never observable here (default 0).
+    offset_sigma m (north, west, up) and offset_tau s: population of the slow error of receivers, walked beside RTK.
+    position_sigma, velocity_sigma: white noise (horizontal, up), m and m/s; jerk_density (horizontal, up) in
+    m/s^3/sqrt(Hz).
+    lag_prior: expectation and sigma, s, of Doppler's lag; kart logs show 0.04-0.14 s. velocity_bias_sigma m/s: of the
+    mean of Doppler over a session, which on kart logs disagrees with the positions by 0.01-0.05 m/s.
+    """
+
+    position_latency: float | None = None
+    velocity_latency: float | None = None
+    offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
+    offset_tau: float = 60.0
+    position_sigma: tuple[float, float] | None = None
+    velocity_sigma: tuple[float, float] | None = None
+    jerk_density: tuple[float, float] | None = None
+    lag_prior: tuple[float, float] = (0.05, 0.1)
+    velocity_bias_sigma: float = 0.05
+    max_node_gap: float = 0.25  # s, so that interpolation between nodes adds nothing to the error
+    min_node_gap: float = 0.05  # s; closer fixes share nodes, they cannot resolve more of a vehicle's motion
+    max_iterations: int = 14
+
+
+@dataclass(frozen=True)
+class VelocityLag:
+    """Delay of Doppler velocity behind position, s; `observable`: the data pinned it; source as in Identified."""
+
+    value: float
+    sigma: float
+    observable: bool
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class GnssMotion:
+    """The path at some times: position_n m, velocity_n m/s, acceleration_n m/s^2 and offset_n m, each (N, 3)."""
+
+    position_n: Array
+    velocity_n: Array
+    acceleration_n: Array
+    offset_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GnssPathSigmas:
+    """Standard deviations at some times: position_n (N, 3) m absolute; track_n (N, 3) m of position plus offset, which
+    is the line in the frame of the fixes; velocity_n (N, 3) m/s."""
+
+    position_n: Array
+    track_n: Array
+    velocity_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GnssPath:
+    """The smoothed path and what was found out with it. K nodes, M fixes; times are true times, latency taken out.
+
+    t (K,) s; position_n, velocity_n, acceleration_n, offset_n (K, 3); covariance (3, K, 4, 4) per axis of (position,
+    velocity, acceleration, offset), the axes being all but independent. Per fix, NaN or weight 0 where not measured:
+    position_residual_n, velocity_residual_n (M, 3) path - fix with the offset on the path's side;
+    position_weight, velocity_weight (M,) horizontal and up_weight (M,), robust, 0..1.
+    position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
+    position_scale (M,) factor of a fix's own sigma over the usual. position_latency s. velocity_bias and its sigma (3,)
+    m/s: mean of Doppler minus path.
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    acceleration_n: Array
+    offset_n: Array
+    covariance: Array
+    position_residual_n: Array
+    velocity_residual_n: Array
+    position_weight: Array
+    velocity_weight: Array
+    up_weight: Array
+    position_scale: Array
+    position_sigma: Array
+    velocity_sigma: Array
+    jerk_density: Array
+    position_latency: float
+    velocity_lag: VelocityLag
+    velocity_bias: Array
+    velocity_bias_sigma: Array
+    iterations: int
+
+    def at(self, t: Array) -> GnssMotion:
+        """The path at times of truth t (N,) s; outside the nodes it goes on at constant velocity."""
+        t = np.asarray(t, dtype=np.float64)
+        inside = np.clip(t, self.t[0], self.t[-1])
+        k, fraction, step = self._place(inside)
+        left, right = quintic_basis(fraction, step)
+        states = np.stack([self.position_n, self.velocity_n, self.acceleration_n], axis=1)
+        between = left @ states[k] + right @ states[k + 1]
+        between[:, 0] += (t - inside)[:, None] * between[:, 1]
+        u = fraction[:, None]
+        return GnssMotion(
+            between[:, 0], between[:, 1], between[:, 2], (1.0 - u) * self.offset_n[k] + u * self.offset_n[k + 1]
+        )
+
+    def sigma_at(self, t: Array) -> GnssPathSigmas:
+        """Standard deviations at times t (N,) s, interpolated between nodes, those of the end nodes outside."""
+        k, fraction, _ = self._place(np.clip(t, self.t[0], self.t[-1]))
+        P = self.covariance.transpose(1, 0, 2, 3)
+        track = P[..., 0, 0] + 2.0 * P[..., 0, 3] + P[..., 3, 3]
+        variance = np.stack([P[..., 0, 0], np.maximum(track, 0.0), P[..., 1, 1]])
+        u = fraction[:, None]
+        position, track, velocity = np.sqrt((1.0 - u) * variance[:, k] + u * variance[:, k + 1])
+        return GnssPathSigmas(position, track, velocity)
+
+    def _place(self, t: Array) -> tuple[np.ndarray, Array, Array]:
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.t.size - 2)
+        step = self.t[k + 1] - self.t[k]
+        return k, (t - self.t[k]) / step, step
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """One round of the iteration. x (3, K, 4); weight (M, 4) per group; sigma (4,) per group; jerk (2,); see fit."""
+
+    x: Array
+    constants: Array  # (4,) and
+    constants_sigma: Array  # (4,), of gnss_system
+    weight: Array
+    sigma: Array
+    jerk: Array
+    vehicle: Array  # (2, 2) stationary sigma of velocity and acceleration, horizontal and up
+
+
+# First values, and what the identification leans on where data is scarce, by group of gnss_system: m, m, m/s, m/s.
+START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])
+START_JERK = np.array([6.0, 1.0])  # m/s^3/sqrt(Hz): a kart's cornering; hardly any up and down
+START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])
+LEAST_SIGMA = np.array([0.02, 0.03, 0.02, 0.02])  # below it a receiver repeats its own filter, not the truth
+LEAST_JERK = np.array([0.05, 0.02])
+LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
+PRIOR_COUNT = 6.0  # measurements that the first values are worth
+KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
+GRADUATION = (4.0, 3.0, 2.0, 1.5)  # factors on both in the first rounds, so that a rough start rejects nothing true
+FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
+SETTLED_SIGMA, SETTLED_WEIGHT = 0.03, 0.1  # relative change, and change of any weight, that end the iteration
+
+
+def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> GnssPath:
+    """Smooth the fixes of `session` (at least one) and identify their noise; see GnssPath.
+
+    Robust against jumps of seconds and against absurd rows; linear in the number of fixes.
+    """
+    options = GnssPathOptions() if options is None else options
+    latency, constants, constants_sigma = _constants(session, options)
+    fixes, position_n = session.gnss, session.fix_position_n
+    true_t = fixes.t - latency
+    scales = _relative_sigmas(fixes)
+    rows = system.fix_rows(position_n, fixes.velocity_n, *scales)
+    nodes = _nodes(true_t, fixes.t[-1], options)
+    estimate = _start(true_t, nodes, position_n, fixes.velocity_n, constants)
+    known = _Known(rows, true_t, nodes, *_anchor(position_n, estimate.weight), constants, constants_sigma, options)
+    rounds = 0
+    for rounds in range(1, options.max_iterations + 1):
+        before = estimate
+        estimate, covariance, residual = _improve(known, before, rounds)
+        if rounds > len(GRADUATION) + FIRST_ROUNDS and _is_settled(before, estimate):
+            break
+    return _result(known, estimate, covariance, residual, scales[0][:, 0], latency, rounds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What stays the same through the iteration; start and constants as in PathPrior."""
+
+    rows: system.FixRows
+    true_t: Array
+    nodes: Array
+    start: Array
+    start_sigma: Array
+    constants: Array
+    constants_sigma: Array
+    options: GnssPathOptions
+
+
+def _constants(session: Session, options: GnssPathOptions) -> tuple[float, Array, Array]:
+    """Position latency, and the expectation and sigma of the session's constants (zero for a configured lag)."""
+    timing = session.config.gps
+    position = options.position_latency if options.position_latency is not None else timing.position_latency
+    velocity = options.velocity_latency if options.velocity_latency is not None else timing.velocity_latency
+    position = 0.0 if position is None else position
+    lag, lag_sigma = options.lag_prior if velocity is None else (velocity - position, 0.0)
+    bias_sigma = options.velocity_bias_sigma
+    return position, np.array([lag, 0.0, 0.0, 0.0]), np.array([lag_sigma, bias_sigma, bias_sigma, bias_sigma])
+
+
+def _relative_sigmas(fixes: GnssFixes) -> tuple[Array, Array]:
+    """Sigma of each fix over the session's usual, (M, 3) for position and velocity, never below 1.
+
+    What receivers report is off by a factor of its own in each session, but says when a fix is worse than others.
+    """
+    assert fixes.sigma_horizontal is not None and fixes.sigma_up is not None
+    assert fixes.sigma_velocity is not None and fixes.hdop is not None
+    horizontal = _relative(fixes.sigma_horizontal if np.isfinite(fixes.sigma_horizontal).any() else fixes.hdop)
+    up = _relative(fixes.sigma_up) if np.isfinite(fixes.sigma_up).any() else horizontal
+    velocity = _relative(fixes.sigma_velocity)
+    return np.stack([horizontal, horizontal, up], axis=1), np.stack([velocity] * 3, axis=1)
+
+
+def _relative(reported: Array) -> Array:
+    known = np.isfinite(reported)
+    if not known.any():
+        return np.ones_like(reported)
+    return np.where(known, np.maximum(reported / np.median(reported[known]), 1.0), 1.0)
+
+
+def _nodes(true_t: Array, end: float, options: GnssPathOptions) -> Array:
+    """Times of the nodes: at the fixes where they are far enough apart, a margin at the ends, gaps filled evenly."""
+    chosen = true_t if np.all(np.diff(true_t) >= options.min_node_gap) else _thinned(true_t, options.min_node_gap)
+    corners = np.concatenate([[true_t[0] - END_MARGIN[0]], chosen, [max(end, true_t[-1]) + END_MARGIN[1]]])
+    parts = np.maximum(np.ceil(np.diff(corners) / options.max_node_gap - 1e-6), 1.0).astype(np.int64)
+    first = np.repeat(np.cumsum(parts) - parts, parts)
+    inner = np.arange(int(parts.sum())) - first
+    t = np.repeat(corners[:-1], parts) + np.repeat(np.diff(corners) / parts, parts) * inner
+    return np.append(t, corners[-1])
+
+
+def _thinned(t: Array, gap: float) -> Array:
+    chosen, i = [0], 0
+    while (i := int(np.searchsorted(t, t[i] + gap))) < t.size:
+        chosen.append(i)
+    return np.asarray(t[chosen])
+
+
+def _start(true_t: Array, nodes: Array, position_n: Array, velocity_n: Array, constants: Array) -> _Estimate:
+    weight = np.ones((true_t.size, system.GROUPS))
+    plausible = plausible_positions(true_t, position_n, velocity_n)
+    weight[:, system.HORIZONTAL_POSITION] = weight[:, system.UP_POSITION] = plausible
+    weight[:, system.HORIZONTAL_VELOCITY] = weight[:, system.UP_VELOCITY] = plausible_velocities(true_t, velocity_n)
+    x = np.zeros((system.AXES, nodes.size, system.N_STATE))
+    for axis in range(system.AXES):
+        good = np.isfinite(position_n[:, axis]) & plausible
+        if good.any():
+            x[axis, :, 0] = np.interp(nodes, true_t[good], position_n[good, axis])
+    return _Estimate(x, constants, np.zeros(system.N_CONSTANTS), weight, START_SIGMA, START_JERK, START_VEHICLE)
+
+
+def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
+    """Where the path may start (3,) m and how far from it (3,) m: anywhere among the fixes, at 0 +- 100 m without."""
+    centre, spread = np.zeros(system.AXES), np.full(system.AXES, 100.0)
+    for axis in range(system.AXES):
+        values = position_n[np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0), axis]
+        if values.size:
+            centre[axis], spread[axis] = np.median(values), 1000.0 + np.ptp(values)
+    return centre, spread
+
+
+def _improve(known: _Known, now: _Estimate, number: int) -> tuple[_Estimate, Array, Array]:
+    """One round: solve, then weigh, then identify. Returns also covariance (3, K, 4, 4) and residuals (R,)."""
+    rows, prior = known.rows, _prior(known, now)
+    between = system.transitions(known.nodes, prior)
+    variance = (now.sigma[rows.group] * rows.scale) ** 2
+    weight = now.weight[rows.fix, rows.group]
+    design = system.design(rows, known.nodes, known.true_t, now.x, now.constants)
+    solution = system.solve(design, weight / variance, between, prior, now.x, now.constants)
+    spread = system.leverage(design, prior, solution)
+    solved = _corrected(now, prior, solution)
+    residual = system.design(rows, known.nodes, known.true_t, solved.x, solved.constants).residual
+    covariance = solution.covariance.reshape(*now.x.shape, system.N_STATE)
+    if number > FIRST_ROUNDS:
+        solved = _identify(known, residual, between, solved, weight, variance, spread, solution)
+    graduation = GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0
+    new_weight = _weigh(rows, residual, weight, variance, spread, graduation, now.weight.shape)
+    return replace(solved, weight=new_weight), covariance, residual
+
+
+def _corrected(now: _Estimate, prior: system.PathPrior, solution: ChainSolution) -> _Estimate:
+    constants, sigma = now.constants.copy(), np.zeros(system.N_CONSTANTS)
+    constants[prior.is_free] += solution.constants
+    constants[0] = np.clip(constants[0], -END_MARGIN[1], END_MARGIN[0])  # the nodes reach no farther
+    sigma[prior.is_free] = np.sqrt(np.diag(solution.constants_covariance))
+    x = now.x + solution.x.reshape(now.x.shape)
+    return replace(now, x=x, constants=constants, constants_sigma=sigma)
+
+
+def _prior(known: _Known, now: _Estimate) -> system.PathPrior:
+    horizontal, up = (MotionPrior(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
+    return system.PathPrior(
+        motion=(horizontal, horizontal, up),
+        offset_sigma=known.options.offset_sigma,
+        offset_tau=known.options.offset_tau,
+        start=known.start,
+        start_sigma=known.start_sigma,
+        constants=known.constants,
+        constants_sigma=known.constants_sigma,
+    )
+
+
+def _weigh(
+    rows: system.FixRows,
+    residual: Array,
+    weight: Array,
+    variance: Array,
+    spread: Array,
+    graduation: float,
+    shape: tuple[int, ...],
+) -> Array:
+    """IGG III weights (M, 4) from residuals as if each measurement had been left out, both horizontal axes together."""
+    share = np.minimum(weight * spread / variance, 0.999)
+    left_out = (residual / (1.0 - share)) ** 2 / (variance + spread / (1.0 - share))
+    squared = np.zeros(shape)
+    np.add.at(squared, (rows.fix, rows.group), left_out)
+    size = np.sqrt(squared) / graduation
+    taper = np.clip((DROP - size) / (DROP - KEEP), 0.0, 1.0)
+    return np.asarray(np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2))
+
+
+def _identify(
+    known: _Known,
+    residual: Array,
+    between: system.Transitions,
+    now: _Estimate,
+    weight: Array,
+    variance: Array,
+    spread: Array,
+    solution: ChainSolution,
+) -> _Estimate:
+    """Variance components: squared residuals over redundancy, leaning on the first values where there is little."""
+    rows, options = known.rows, known.options
+    relative = weight * residual**2 / rows.scale**2
+    redundancy = weight * (1.0 - weight * spread / variance)
+    count = np.bincount(rows.group, redundancy, system.GROUPS) + PRIOR_COUNT
+    found = np.bincount(rows.group, relative, system.GROUPS) + PRIOR_COUNT * START_SIGMA**2
+    sigma = np.maximum(np.sqrt(found / count), LEAST_SIGMA)
+    for given, groups in ((options.position_sigma, [0, 1]), (options.velocity_sigma, [2, 3])):
+        if given is not None:
+            sigma[groups] = given
+    jerk = np.asarray(options.jerk_density) if options.jerk_density is not None else now.jerk
+    if options.jerk_density is None:
+        jerk = _jerk(rows, between, now, weight * spread / variance, solution)
+    return replace(now, sigma=sigma, jerk=jerk, vehicle=_vehicle(now.x))
+
+
+def _jerk(
+    rows: system.FixRows, between: system.Transitions, now: _Estimate, share: Array, solution: ChainSolution
+) -> Array:
+    """Jerk densities (2,). What the measurements determine and neither offset nor start takes up, the jerk does."""
+    driven = system.prior_residuals(between, now.x)
+    squares = np.einsum("aki,akij,akj->a", driven[..., :3], between.information[..., :3, :3], driven[..., :3])
+    n_nodes = now.x.shape[1]
+    P = solution.covariance.reshape(*now.x.shape, system.N_STATE)
+    cross = np.append(solution.cross[:, 3, 3], 0.0).reshape(system.AXES, n_nodes)[:, :-1]
+    keep = between.step[..., 3, 3]
+    offset = P[:, 1:, 3, 3] - 2.0 * keep * cross + keep**2 * P[:, :-1, 3, 3]
+    by_offset = np.sum(1.0 - offset * between.information[..., 3, 3], axis=1)
+    by_start = system.N_STATE - np.einsum("aij,aji->a", between.first, P[:, 0])
+    redundancy = np.maximum(np.bincount(rows.axis, share, system.AXES) - by_offset - by_start, 0.0)
+    jerk = np.empty(2)
+    for i, axes in enumerate(([0, 1], [2])):
+        old = now.jerk[i] ** 2
+        found = PRIOR_COUNT * START_JERK[i] ** 2 + old * squares[axes].sum()
+        jerk[i] = np.sqrt(found / (PRIOR_COUNT + redundancy[axes].sum()))
+    return np.asarray(np.maximum(jerk, LEAST_JERK))
+
+
+def _vehicle(x: Array) -> Array:
+    """Usual velocity and acceleration (2, 2), horizontal per axis and up, of the path itself."""
+    square = np.mean(x[..., 1:3] ** 2, axis=1)
+    return np.asarray(np.maximum(np.sqrt(np.stack([square[:2].mean(axis=0), square[2]])), LEAST_VEHICLE))
+
+
+def _is_settled(before: _Estimate, after: _Estimate) -> bool:
+    noise = np.abs(np.log(np.concatenate([after.sigma / before.sigma, after.jerk / before.jerk])))
+    return bool(noise.max() < SETTLED_SIGMA and np.abs(after.weight - before.weight).max() < SETTLED_WEIGHT)
+
+
+def _result(
+    known: _Known,
+    estimate: _Estimate,
+    covariance: Array,
+    residual: Array,
+    position_scale: Array,
+    latency: float,
+    rounds: int,
+) -> GnssPath:
+    rows = known.rows
+    n_fixes = estimate.weight.shape[0]
+    residuals, measured = np.full((n_fixes, 6), np.nan), np.zeros((n_fixes, system.GROUPS), dtype=np.bool_)
+    residuals[rows.fix, rows.axis + np.where(rows.is_velocity, system.AXES, 0)] = residual
+    measured[rows.fix, rows.group] = True
+    weight = np.where(measured, estimate.weight, 0.0)
+    position, velocity, acceleration, offset = estimate.x.transpose(2, 1, 0)
+    sigma = estimate.sigma
+    return GnssPath(
+        t=known.nodes,
+        position_n=position,
+        velocity_n=velocity,
+        acceleration_n=acceleration,
+        offset_n=offset,
+        covariance=covariance,
+        position_residual_n=residuals[:, :3],
+        velocity_residual_n=residuals[:, 3:],
+        position_weight=weight[:, system.HORIZONTAL_POSITION],
+        velocity_weight=weight[:, system.HORIZONTAL_VELOCITY],
+        up_weight=weight[:, system.UP_POSITION],
+        position_scale=position_scale,
+        position_sigma=sigma[[0, 0, 1]],
+        velocity_sigma=sigma[[2, 2, 3]],
+        jerk_density=estimate.jerk[[0, 0, 1]],
+        position_latency=latency,
+        velocity_lag=_lag(known, estimate),
+        velocity_bias=estimate.constants[1:],
+        velocity_bias_sigma=estimate.constants_sigma[1:],
+        iterations=rounds,
+    )
+
+
+def _lag(known: _Known, estimate: _Estimate) -> VelocityLag:
+    value, sigma = float(estimate.constants[0]), float(estimate.constants_sigma[0])
+    if known.constants_sigma[0] <= 0.0:
+        return VelocityLag(value, 0.0, False, "configured")
+    observable = sigma < known.constants_sigma[0] / 3.0
+    return VelocityLag(value, sigma, observable, "identified" if observable else "default")
