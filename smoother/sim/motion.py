@@ -19,7 +19,7 @@ from smoother.units import DEG, STANDARD_GRAVITY
 _STEP = 0.02  # s between control points: the truth holds motion up to about 15 Hz
 _PLAN_STEP = 1.0  # m between nodes of the speed plan
 MARGIN = 5.0  # s of truth before the first and after the last sample, for latencies and filters
-_LAUNCH_MARGIN = 0.6  # s; smoothing starts the kart moving this much before the plan does
+_LAUNCH_MARGIN = 1.0  # s; smoothing and slip lead stir the kart up to 0.9 s before the plan moves it
 _SPEED_SMOOTHING = 0.12  # s; foot and hand are not faster (jerk below about 60 m/s^3)
 _ATTITUDE_SMOOTHING = 0.06  # s
 

@@ -26,6 +26,18 @@ def _identity() -> Array:
     return frozen(np.eye(3), (3, 3), "identity")
 
 
+def _check(figures: object, **shapes: tuple[int, ...]) -> None:
+    """Make the named arrays read-only. Raises UsageError for a wrong shape or a rate that is not above zero."""
+    for name, shape in shapes.items():
+        try:
+            value = frozen(getattr(figures, name), shape, name)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"{error} of finite numbers") from error
+        object.__setattr__(figures, name, value)
+    if not (rate := getattr(figures, "rate", 1.0)) > 0.0:
+        raise UsageError(f"a rate of {rate} Hz gives no samples; leave the sensor out instead")
+
+
 @dataclass(frozen=True)
 class Interval:
     """A stretch of true time, s since the start of the session."""
@@ -41,6 +53,9 @@ class Jump:
     start: float
     duration: float
     offset_n: Array
+
+    def __post_init__(self) -> None:
+        _check(self, offset_n=(3,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +91,9 @@ class ImuErrors:
     jitter: float = 0.0  # s
     latency: float = 0.0  # s
     gaps: tuple[Interval, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check(self, accel_bias=(3,), gyro_bias=(3,), accel_matrix=(3, 3), gyro_matrix=(3, 3))
 
 
 @dataclass(frozen=True)
@@ -114,6 +132,9 @@ class GnssErrors:
     jumps: tuple[Jump, ...] = ()
     rounding: NmeaRounding | None = None
 
+    def __post_init__(self) -> None:
+        _check(self)
+
 
 @dataclass(frozen=True, eq=False)
 class MagErrors:
@@ -134,6 +155,11 @@ class MagErrors:
     field_n: Array | None = None
     calibration_points: int = 0
     resolution: float | None = None  # uT per count, 0.15 of the AK8963; None: not rounded
+
+    def __post_init__(self) -> None:
+        _check(self, hard_iron_s=(3,), soft_iron=(3, 3), engine_direction_s=(3,))
+        if self.field_n is not None:
+            _check(self, field_n=(3,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +182,7 @@ class Scenario:
             raise UsageError(f"no track named {self.track!r}; there are {', '.join(TRACKS)}")
         if not self.duration > 0.0:
             raise UsageError(f"a session of {self.duration} s cannot be simulated; ask for more than 0 s")
+        _check(self, R_bs=(3, 3), lever_arm_b=(3,))
 
 
 _GROUPS = ("motion", "imu", "gnss", "mag")

@@ -84,6 +84,7 @@ class Truth:
     start: float
     step: float
     clock: Clock = field(default_factory=Clock)
+    _spline: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.control.ndim != 2 or self.control.shape[1] != CHANNELS or len(self.control) <= _DEGREE:
@@ -193,8 +194,7 @@ class Truth:
         return np.asarray(offset @ forward), np.asarray(-2.0 * (offset @ span) / (span @ span))
 
     def _evaluate(self, t: Array, derivative: int) -> Array:
-        spline: Any = self._spline  # type: ignore[attr-defined]
-        return np.asarray(spline(self.clock.to_true(np.atleast_1d(t)), nu=derivative))
+        return np.asarray(self._spline(self.clock.to_true(np.atleast_1d(t)), nu=derivative))
 
 
 def _axes_e(origin: Origin) -> Array:
