@@ -1,0 +1,245 @@
+"""Where the kart stood still: detected from the inertial samples and the speed of the fixes, for any mounting.
+
+Biases, mounting and noise are unknown, and an engine may idle, so nothing is compared with gravity or with zero. Two
+judges have to agree:
+
+1.  GNSS, where the session has it: no fix near the time says that the kart moves. It alone tells a smooth straight from
+    a stop; without a fix nearby nothing is called a standstill. Velocity lags by up to 0.6 s, so fixes that come later
+    are asked too.
+2.  The inertial samples are steady: means over short blocks scatter no more than the scatter within the blocks
+    explains (analysis of variance). Vibration averages out of the means, whatever its strength, so an idling engine
+    does not hide a stop; setting off, turning or being lifted does move the means.
+
+Without any GNSS (a box on the bench) the second judge is helped by a third: the scatter is near the quietest of the
+session and below a bound, because there a smooth ride and a rest would look alike.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.frames import Origin
+from smoother.samples import GnssFixes, Session
+from smoother.units import DEG
+
+
+@dataclass(frozen=True)
+class StandstillOptions:
+    """Figures of the detector; times in s.
+
+    max_speed m/s, of the mean velocity over `speed_window`. The means of `block` are compared over `blocks` of them.
+    steadiness: ratio of variances; 1 is white noise, about 3 a sensor behind a low-pass filter, setting off gives 20
+    and more. force_floor m/s^2, rate_floor rad/s: scatter of block means that is always steady (quantisation, drift).
+    quiet_ratio of scatters and quiet_force, quiet_rate per axis: the third judge. latency: how long after a time fixes
+    are asked.
+    """
+
+    max_speed: float = 0.3
+    speed_window: float = 1.2
+    block: float = 0.25
+    blocks: int = 7
+    steadiness: float = 6.0
+    force_floor: float = 0.05
+    rate_floor: float = 0.3 * DEG
+    quiet_ratio: float = 3.0
+    quiet_force: float = 0.3
+    quiet_rate: float = 1.5 * DEG
+    latency: float = 0.8
+    shortest: float = 1.0
+
+
+MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
+POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
+FEWEST_BLOCKS = 4
+
+
+def session_standstill(session: Session, options: StandstillOptions | None = None) -> BoolArray:
+    """Mask (N,) of the inertial samples at which the kart stood still; (0,) without inertial samples."""
+    options = StandstillOptions() if options is None else options
+    if session.imu is None:
+        return np.zeros(0, dtype=np.bool_)
+    speed, limit = fix_speeds(session.gnss, session.origin, options)
+    imu = session.imu
+    return detect_standstill(imu.t, imu.specific_force_s, imu.angular_rate_s, session.gnss.t, speed, limit, options)
+
+
+def detect_standstill(
+    t: Array,
+    specific_force: Array,
+    angular_rate: Array,
+    fix_t: Array | None = None,
+    fix_speed: Array | None = None,
+    speed_limit: Array | float | None = None,
+    options: StandstillOptions | None = None,
+) -> BoolArray:
+    """Mask (N,) of samples at rest.
+
+    t (N,) s; specific_force (N, 3) m/s^2 and angular_rate (N, 3) rad/s in any axes, with any bias; fix_t (M,) s and
+    fix_speed (M,) m/s, NaN unknown, None on the bench; speed_limit (M,) m/s of each fix, `max_speed` if not given.
+    """
+    options = StandstillOptions() if options is None else options
+    if len(t) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    force, rate = _Blocks.of(t, specific_force, options), _Blocks.of(t, angular_rate, options)
+    still = _is_steady(force, options.force_floor, options) & _is_steady(rate, options.rate_floor, options)
+    if fix_t is None or fix_speed is None:
+        still &= _is_quiet(force, options.quiet_force, options) & _is_quiet(rate, options.quiet_rate, options)
+    else:
+        limit = np.broadcast_to(options.max_speed if speed_limit is None else speed_limit, fix_t.shape)
+        centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
+        still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
+    still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
+    return np.asarray(still[force.block_of_sample])
+
+
+def standstill_intervals(t: Array, is_standstill: BoolArray) -> Array:
+    """First and last sample times (K, 2) s of each run of the mask (N,) over t (N,)."""
+    first, after = _runs(is_standstill)
+    return np.stack([t[first], t[after - 1]], axis=1) if first.size else np.empty((0, 2))
+
+
+# ---- the fixes ------------------------------------------------------------------------------------------------------
+
+
+def fix_speeds(fixes: GnssFixes, origin: Origin, options: StandstillOptions) -> tuple[Array, Array]:
+    """Horizontal speed of each fix (M,) m/s, NaN unknown, and the limit (M,) m/s below which it counts as stopped.
+
+    Doppler velocity is averaged as a vector, so that its noise does not pass for speed; else the speed as sent; else
+    positions are differenced, with a limit that their noise allows.
+    """
+    assert fixes.speed is not None
+    limit = np.full(len(fixes), options.max_speed)
+    step = float(np.median(np.diff(fixes.t))) if len(fixes) > 1 else 1.0
+    window = max(options.speed_window, 3.0 * step)  # at least three fixes
+    velocity = np.stack([_windowed_mean(fixes.t, fixes.velocity_n[:, i], window) for i in range(2)])
+    speed = np.hypot(*velocity)
+    speed = np.where(np.isfinite(speed), speed, _windowed_mean(fixes.t, fixes.speed, window))
+    unknown = ~np.isfinite(speed)
+    if np.any(unknown):
+        from_positions, sigma = _speed_from_positions(fixes, origin)
+        speed = np.where(unknown, from_positions, speed)
+        limit[unknown] = np.clip(3.0 * sigma, options.max_speed, MAX_POSITION_SPEED)[unknown]
+    return speed, limit
+
+
+def _windowed_mean(t: Array, values: Array, window: float) -> Array:
+    """Mean of the known values within half a window of each t (M,); NaN where the value itself is unknown."""
+    known = np.isfinite(values)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
+    count = np.concatenate([[0.0], np.cumsum(known)])
+    low, high = np.searchsorted(t, t - 0.5 * window - 1e-6), np.searchsorted(t, t + 0.5 * window + 1e-6)
+    mean = (total[high] - total[low]) / np.maximum(count[high] - count[low], 1.0)
+    return np.where(known, mean, np.nan)
+
+
+def _speed_from_positions(fixes: GnssFixes, origin: Origin) -> tuple[Array, Array]:
+    """Speed (M,) from mean positions before and after each fix, and its sigma (M,) per axis from the white noise."""
+    t, position = fixes.t, fixes.position_n(origin)[:, :2]
+    padded = np.vstack([np.zeros((1, 3)), np.cumsum(np.column_stack([t - t[0], position - position[0]]), axis=0)])
+    here = np.arange(len(t))
+    low = np.searchsorted(t, t - POSITION_WINDOW)
+    high = np.searchsorted(t, t + POSITION_WINDOW, side="right")
+    before, after = here - low + 1, high - here  # both hold the fix itself: its noise cancels
+    mean_before = (padded[here + 1] - padded[low]) / before[:, None]
+    mean_after = (padded[high] - padded[here]) / after[:, None]
+    change = mean_after - mean_before
+    span = np.where(change[:, 0] > 0.5 * POSITION_WINDOW, change[:, 0], np.nan)  # too few fixes to tell
+    noise = _white_noise(position)
+    return np.hypot(change[:, 1], change[:, 2]) / span, noise * np.sqrt(1.0 / before + 1.0 / after) / span
+
+
+def _white_noise(position: Array) -> float:
+    """Standard deviation per axis of what is not a straight line through neighbouring fixes (M, 2)."""
+    if len(position) < 3:
+        return float("inf")
+    bend = position[1:-1] - 0.5 * (position[:-2] + position[2:])
+    return float(1.4826 * np.median(np.abs(bend)) / np.sqrt(1.5))
+
+
+def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options: StandstillOptions) -> BoolArray:
+    """Whether all fixes from a step before `centre` (B,) until the latency after it are below their limit."""
+    known = np.isfinite(speed)
+    fix_t, is_moving = fix_t[known], speed[known] > limit[known]
+    if fix_t.size == 0:
+        return np.zeros(len(centre), dtype=np.bool_)
+    step = float(np.median(np.diff(fix_t))) if fix_t.size > 1 else 1.0
+    low = np.searchsorted(fix_t, centre - 0.3 - step)
+    high = np.searchsorted(fix_t, centre + options.latency + step)
+    moving = np.concatenate([[0], np.cumsum(is_moving)])
+    return np.asarray((high > low) & (moving[high] == moving[low]))
+
+
+# ---- the inertial samples -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Per window of blocks, summed over axes: variance between block means, within blocks; mean count of a block.
+
+    between, within, count, occupied (B,); block_of_sample (N,). Blocks without samples (gaps) count for nothing.
+    """
+
+    between: Array
+    within: Array
+    count: Array
+    occupied: Array
+    block_of_sample: np.ndarray
+
+    @staticmethod
+    def of(t: Array, values: Array, options: StandstillOptions) -> "_Blocks":
+        block = np.floor((t - t[0]) / options.block).astype(np.int64)
+        size = int(block[-1]) + 1
+        centred = values - np.median(values, axis=0)  # keeps the sums of squares precise
+        count = np.bincount(block, minlength=size).astype(np.float64)
+        filled = np.maximum(count, 1.0)
+        totals = [np.bincount(block, centred[:, i], size) for i in range(3)]
+        mean = np.stack(totals) / filled
+        inside = sum(np.bincount(block, (centred[:, i] - mean[i][block]) ** 2, size) for i in range(3))
+        has = (count > 0.0).astype(np.float64)
+
+        def windowed(x: Array) -> Array:
+            half = options.blocks // 2
+            return np.convolve(x, np.ones(options.blocks))[half : half + size]
+
+        k = windowed(has)
+        squares, sums = windowed(np.sum(mean**2, axis=0) * has), np.stack([windowed(m * has) for m in mean])
+        between = (squares - np.sum(sums**2, axis=0) / np.maximum(k, 1.0)) / np.maximum(k - 1.0, 1.0)
+        freedom = np.maximum(windowed(np.maximum(count - 1.0, 0.0)), 1.0)
+        return _Blocks(
+            np.maximum(between, 0.0),
+            windowed(np.asarray(inside)) / freedom,
+            windowed(count) / np.maximum(k, 1.0),
+            k,
+            block,
+        )
+
+
+def _is_steady(blocks: _Blocks, floor: float, options: StandstillOptions) -> BoolArray:
+    explained = options.steadiness * blocks.within / np.maximum(blocks.count, 1.0)
+    enough = blocks.occupied >= FEWEST_BLOCKS
+    return np.asarray(enough & (blocks.between <= np.maximum(explained, 3.0 * floor**2)))
+
+
+def _is_quiet(blocks: _Blocks, bound: float, options: StandstillOptions) -> BoolArray:
+    scatter = np.sqrt(blocks.within)
+    known = scatter[blocks.occupied >= FEWEST_BLOCKS]
+    if known.size == 0:
+        return np.zeros(len(scatter), dtype=np.bool_)
+    level = max(options.quiet_ratio * float(np.percentile(known, 10.0)), 0.1 * bound)
+    return np.asarray(scatter <= min(level, np.sqrt(3.0) * bound))
+
+
+def _runs(mask: BoolArray) -> tuple[np.ndarray, np.ndarray]:
+    """First index of each run of True, and the first index after it."""
+    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
+    first, after = _runs(mask)
+    long = after - first >= shortest
+    edges = np.zeros(len(mask) + 1, dtype=np.int64)
+    edges[first[long]] += 1
+    edges[after[long]] -= 1
+    return np.asarray(np.cumsum(edges[:-1]) > 0)
