@@ -117,7 +117,7 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
     yield Finding("warning" if slow else "ok", "GPS", text + ("; set the receiver to 5 Hz or more" if slow else ""))
     if measures["fix_gaps"]:
         lost = measures["fix_gap_share"] > limits.fix_gap_stop_share
-        text = f"{measures['fix_gaps']:.0f} gaps, the longest {measures['fix_gap_longest_s']:.1f} s"
+        text = f"{_counted(measures['fix_gaps'], 'gap')}, the longest {measures['fix_gap_longest_s']:.1f} s"
         yield Finding("stop" if lost else "warning", "GPS", text + "; give the antenna a free view of the sky")
     accuracy = measures["accuracy_median_m"]
     if np.isfinite(accuracy):
@@ -160,8 +160,8 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
     if measures["imu_gaps"]:
         lost = measures["imu_gap_share"] > limits.imu_gap_stop_share
-        text = f"{measures['imu_gaps']:.0f} gaps, the longest {measures['imu_gap_longest_s']:.2f} s; try another card"
-        yield Finding("stop" if lost else "warning", "IMU", text)
+        text = f"{_counted(measures['imu_gaps'], 'gap')}, the longest {measures['imu_gap_longest_s']:.2f} s"
+        yield Finding("stop" if lost else "warning", "IMU", text + "; try another card")
 
 
 def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
@@ -203,6 +203,10 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
         return _Part([], {"fixes_with_imu_share": covered})
     text = f"the motion sensor covers only {100 * covered:.0f} % of the fixes"
     return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
+
+
+def _counted(count: float, word: str) -> str:
+    return f"{count:.0f} {word}" + ("" if count == 1.0 else "s")
 
 
 def _gaps(t: Array, limit: float) -> Array:

@@ -1,0 +1,52 @@
+# Everything a fresh clone needs is `make demo` and `make test`; only Python 3.11 to 3.14 must be there.
+#   make demo    simulate a kart session, smooth it, say where the pictures are
+#   make test    run every test
+#   make lint    style and types
+#   make bench   the measurements behind the README's tables (minutes)
+
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO ?= demo
+# one process per core; the linear algebra inside each needs no threads of its own
+JOBS ?= 2
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/for-running
+	@$(BIN)/smooth demo $(DEMO)
+
+test: $(VENV)/for-testing
+	$(BIN)/python -m pytest -n $(JOBS)
+
+lint: $(VENV)/for-linting
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: $(VENV)/for-benchmarks
+	@for file in tests/benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(BIN)/python:
+	@sh .ci/venv.sh $(VENV)
+
+$(VENV)/for-running: $(BIN)/python pyproject.toml
+	@echo "installing kart-smoother into $(VENV) (some minutes the first time)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/for-testing: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	@touch $@
+
+$(VENV)/for-linting: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev]"
+	@touch $@
+
+$(VENV)/for-benchmarks: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,bench]"
+	@touch $@

@@ -1,0 +1,37 @@
+"""What several commands share: exit codes, the names of the commands, and the check that a session exists."""
+
+import difflib
+from pathlib import Path
+
+import click
+
+from smoother.errors import UsageError
+
+EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is Python's own, for bugs; 130 the shell's
+COMMAND_NAMES = ("check", "demo", "simulate", "evaluate")
+
+sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+solver_option = click.option(
+    "--solver", type=click.Choice(["batch", "isam2"]), default="batch", help="Whole session at once, or as a stream."
+)
+
+
+def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
+    """Raise UsageError unless every session exists, naming what was perhaps meant."""
+    if not sessions:
+        raise UsageError(f"which session? `{command} --help` says more")
+    for path in sessions:
+        if path.exists():
+            continue
+        if str(path) in COMMAND_NAMES:
+            raise UsageError(
+                f"{path}: no such file or folder; if the command is meant it comes first: smooth {path} ..."
+            )
+        near = difflib.get_close_matches(str(path), [*COMMAND_NAMES, *_neighbours(path)], n=1)
+        raise UsageError(f"{path}: no such file or folder" + (f"; did you mean {near[0]}?" if near else ""))
+
+
+def _neighbours(path: Path) -> list[str]:
+    parent = path.parent
+    return [str(parent / entry.name) for entry in parent.iterdir()] if parent.is_dir() else []

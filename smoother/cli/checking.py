@@ -1,0 +1,89 @@
+"""`smooth check SESSION...`: at the track, before the driver has left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from smoother.cli.arguments import (
+    EXIT_DONE,
+    EXIT_QUALITY,
+    EXIT_UNUSABLE,
+    json_option,
+    require_sessions,
+    sessions_argument,
+)
+from smoother.cli.output import progress_on_terminal, say, say_json, say_pairs, warn
+from smoother.cli.pipeline import read
+from smoother.errors import SmootherError
+
+if TYPE_CHECKING:
+    from smoother.estimate.check import Check
+
+_MARKS = {"ok": "ok", "warning": "note", "stop": "STOP"}
+
+
+@click.command(short_help="Is the recording good? Seconds, at the track.")
+@sessions_argument
+@json_option
+def check(sessions: tuple[Path, ...], as_json: bool) -> int:
+    """Tell in seconds whether a recording is good to drive with, and why.
+
+    Make a test recording of a minute with the engine running, check it, then drive. Looks at rates, gaps, fixes,
+    clipping and vibration. Exit code 3: something has to be mended first.
+    """
+    require_sessions(sessions, "smooth check")
+    outcomes = [_attempt(path, is_only=len(sessions) == 1) for path in sessions]
+    if as_json:
+        documents = [_document(outcome, path) for outcome, path in zip(outcomes, sessions, strict=True)]
+        _say_documents(documents)
+    for outcome in outcomes:
+        if isinstance(outcome, SmootherError):
+            warn(str(outcome))
+        elif not as_json:
+            _show(outcome)
+    if any(isinstance(outcome, SmootherError) for outcome in outcomes):
+        return EXIT_UNUSABLE
+    good = all(outcome.is_good for outcome in outcomes if not isinstance(outcome, SmootherError))
+    return EXIT_DONE if good else EXIT_QUALITY
+
+
+def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
+    from smoother.estimate.check import check as check_recording
+
+    with progress_on_terminal() as progress:
+        progress("reading", 0.0)
+        try:
+            return check_recording(read(path))
+        except SmootherError as error:
+            if is_only:
+                raise
+            return error
+
+
+def _show(result: Check) -> None:
+    say_pairs(result.name, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
+    if result.is_good:
+        say("GOOD TO DRIVE")
+    else:
+        say("NOT GOOD TO DRIVE: " + "; ".join(result.reasons))
+
+
+def _document(outcome: Check | SmootherError, path: Path) -> dict[str, object]:
+    if isinstance(outcome, SmootherError):
+        return {"session": str(path), "error": str(outcome)}
+    return {
+        "session": outcome.name,
+        "good": outcome.is_good,
+        "reasons": outcome.reasons,
+        "findings": outcome.findings,
+        "measures": outcome.measures,
+    }
+
+
+def _say_documents(documents: list[dict[str, object]]) -> None:
+    from smoother.report.files import to_json
+
+    say_json(to_json(documents[0] if len(documents) == 1 else documents))

@@ -1,0 +1,45 @@
+"""`smooth demo [DIR]`: from nothing to a smoothed session, for people who have no recording yet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY
+from smoother.cli.output import progress_on_terminal, say, warn
+from smoother.cli.pipeline import OUTPUT_DIRECTORY, Options, smooth_session
+from smoother.cli.simulating import TRACKS, write
+from smoother.cli.tables import show_result
+
+PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tuned to it
+
+
+@click.command(short_help="No recording yet? Simulate one and smooth it.")
+@click.argument(
+    "directory", metavar="[DIR]", required=False, default="demo", type=click.Path(path_type=Path, file_okay=False)
+)
+@click.option(
+    "--duration", metavar="S", type=click.FloatRange(20.0, 3600.0), default=240.0, help="Seconds driven [240]."
+)
+@click.option("--seed", type=click.IntRange(0), default=SEED, help=f"Another session [{SEED}].")
+@click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Another track [{TRACKS[0]}].")
+@click.option("--open", "open_it", is_flag=True, help="Show the main figure when done.")
+def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool) -> int:
+    """Simulate a kart session as the logger would record it into DIR [./demo], and smooth it into DIR/smoothed.
+
+    The last line says which picture to open. `smooth evaluate DIR` then compares the result with the truth.
+    """
+    from smoother.sim.simulation import simulate_preset
+
+    with progress_on_terminal() as progress:
+        progress("simulating", 0.0)
+        write(simulate_preset(PRESET, seed, track=track, duration=duration), directory, "csv")
+        result = smooth_session(directory, directory / OUTPUT_DIRECTORY, Options(), progress)
+    if not result.quality.passed:
+        warn(f"{directory}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")
+    say(f"Simulated kart session (preset {PRESET}, seed {seed}) in {directory}, smoothed into {result.directory}")
+    show_result(result)
+    if open_it:
+        click.launch(str(result.main_file))
+    return EXIT_DONE if result.quality.passed else EXIT_QUALITY

@@ -1,0 +1,119 @@
+"""`smooth evaluate SESSION...`: every estimator against truth.csv, for sessions that have one."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from smoother.cli.arguments import (
+    EXIT_DONE,
+    EXIT_QUALITY,
+    json_option,
+    require_sessions,
+    sessions_argument,
+    solver_option,
+)
+from smoother.cli.output import number, progress_on_terminal, say_json, say_table, warn
+from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, session_directory
+
+if TYPE_CHECKING:
+    from smoother.cli.output import Progress
+    from smoother.estimate.quality import Quality
+
+SETTLED = 10.0  # s; attitude is also scored without them, as it needs motion to become known
+LABELS = {"gps": "GPS alone", "baseline": "baseline", "smoother": "smoother"}
+Figures = dict[str, object]
+
+_COLUMNS = (  # heading, key, digits
+    ("horizontal m", "horizontal_rms_m", 3),
+    ("at fixes m", "horizontal_rms_at_fixes_m", 3),
+    ("over 1 s m", "relative_1s_rms_m", 3),
+    ("up m", "up_rms_m", 3),
+    ("velocity m/s", "horizontal_velocity_rms_mps", 3),
+    ("roll deg", "roll_rms_deg", 2),
+    ("pitch deg", "pitch_rms_deg", 2),
+    ("yaw deg", "yaw_rms_deg", 2),
+    ("in 1 sigma", "coverage_1sigma", 2),
+    ("in 2 sigma", "coverage_2sigma", 2),
+)
+
+
+@click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.")
+@sessions_argument
+@solver_option
+@click.option("--skip", metavar="S", type=click.FloatRange(0.0), default=0.0, help="Leave out the first S seconds [0].")
+@json_option
+def evaluate(sessions: tuple[Path, ...], solver: str, skip: float, as_json: bool) -> int:
+    """Compare GPS alone, the baseline and the smoother with the truth in SESSION/truth.csv.
+
+    Everything is estimated afresh; nothing is written. Figures are root mean squares: "at fixes" only where there is
+    a fix, "over 1 s" of the change of position in a second, "velocity" horizontal. "in 1 sigma" is the share of
+    position errors within the sigma that was reported (honest: about 0.68 and 0.95).
+    """
+    require_sessions(sessions, "smooth evaluate")
+    documents, passed = [], True
+    for path in sessions:
+        with progress_on_terminal() as progress:
+            document, quality = score(path, Options(solver=solver), skip, progress)
+        documents.append(document)
+        passed &= quality.passed
+        if not quality.passed:
+            warn(f"{path}: the result failed its quality gate: {'; '.join(quality.reasons)}")
+        if not as_json:
+            _show(path, document)
+    if as_json:
+        from smoother.report.files import to_json
+
+        say_json(to_json(documents[0] if len(documents) == 1 else documents))
+    return EXIT_DONE if passed else EXIT_QUALITY
+
+
+def score(path: Path, options: Options, skip: float, progress: Progress) -> tuple[dict[str, Figures], Quality]:
+    """Return the figures of each estimator by its key in LABELS, and the smoother's verdict about itself."""
+    from smoother.estimate.evaluate import at_fixes
+    from smoother.estimate.evaluate import evaluate as evaluate_against
+    from smoother.estimate.gps_alone import GpsAlone
+    from smoother.session.truth import load_truth
+
+    progress("reading", 0.0)
+    directory = session_directory(path)
+    session = calibrated(read(path), directory)
+    truth = load_truth(directory, session.origin)
+    estimates = estimate(session, options, Stopwatch(), progress)
+    trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
+    if estimates.baseline is not None:
+        trajectories["baseline"] = estimates.baseline
+    document: dict[str, Figures] = {}
+    for name in (name for name in LABELS if name in trajectories):
+        trajectory = trajectories[name]
+        settled = (
+            evaluate_against(trajectory, truth, skip + SETTLED) if truth.t[-1] - truth.t[0] > 2 * SETTLED else None
+        )
+        document[name] = {
+            "session": session.name,
+            **asdict(evaluate_against(trajectory, truth, skip)),
+            "horizontal_rms_at_fixes_m": at_fixes(trajectory, truth, session),
+        }
+        if settled is not None:
+            angles = ("roll_rms_deg", "pitch_rms_deg", "yaw_rms_deg")
+            document[name]["settled"] = {"after_s": SETTLED, **{angle: getattr(settled, angle) for angle in angles}}
+    return document, estimates.quality
+
+
+def _show(path: Path, document: dict[str, Figures]) -> None:
+    rows = []
+    for name, figures in document.items():
+        cells = [number(_float(figures[key]), digits) for _, key, digits in _COLUMNS]
+        rows.append([LABELS[name], *cells, _nees(figures["nees"])])
+    say_table(f"{path}: rms error against truth.csv", ["", *(heading for heading, _, _ in _COLUMNS), "NEES"], rows)
+
+
+def _float(value: object) -> float | None:
+    return float(value) if isinstance(value, (int, float)) else None
+
+
+def _nees(value: object) -> str:
+    return f"{value['mean']:.1f} of {value['dimension']}" if isinstance(value, dict) else "-"

@@ -1,0 +1,63 @@
+"""The entry point: which command is meant, and the one place where errors become a line and an exit code."""
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE
+from smoother.cli.output import warn
+from smoother.cli.smoothing import NAMED_COMMANDS, smooth
+from smoother.errors import SmootherError
+
+
+def main() -> None:
+    """Run the command line and leave with its exit code."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit code; only bugs leave as exceptions, with their traceback."""
+    command, rest, name = choose(list(arguments) or ["--help"])
+    try:
+        return int(command.main(args=rest, prog_name=name, standalone_mode=False) or EXIT_DONE)
+    except SmootherError as error:
+        warn(str(error))
+    except click.ClickException as error:
+        warn(f"{error.format_message()} (see `{name} --help`)")
+    except (click.Abort, KeyboardInterrupt):
+        warn("stopped")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # the reader of our stdout has gone (`smooth ... | head`); keep Python from complaining about it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    return EXIT_UNUSABLE
+
+
+def choose(arguments: list[str]) -> tuple[click.Command, list[str], str]:
+    """Return the command that is meant, its arguments, and its name for messages.
+
+    A path that exists is a session whatever its name, so `smooth demo` smooths ./demo when it is there. When more words
+    follow, or options that only the command knows, the command is meant: `smooth check demo` checks ./demo.
+    """
+    word = arguments[0]
+    if word not in NAMED_COMMANDS:
+        return smooth, arguments, "smooth"
+    if Path(word).exists() and _is_lone_session(arguments):
+        warn(f"{word} is here as a file or folder, so it is smoothed; with more words the command is meant")
+        return smooth, arguments, "smooth"
+    return NAMED_COMMANDS[word], arguments[1:], f"smooth {word}"
+
+
+def _is_lone_session(arguments: list[str]) -> bool:
+    """Whether the arguments are one session and options of the nameless command."""
+    if "--help" in arguments:
+        return False
+    try:
+        _, positional, _ = smooth.make_parser(click.Context(smooth)).parse_args(list(arguments))
+    except click.UsageError:
+        return False
+    return len(positional) == 1

@@ -1,0 +1,90 @@
+"""What the command line says: results on stdout, progress and warnings on stderr, never a stray control character.
+
+Colour, width and whether a terminal is there are rich's business; it knows NO_COLOR and pipes.
+"""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Iterator
+
+import click
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+Progress = Callable[[str, float], None]
+"""Told the name of a stage and the share (0..1) of it that is done."""
+
+
+def no_progress(stage: str, share: float) -> None:
+    """Say nothing."""
+
+
+def plain(text: object) -> str:
+    """Return text without control characters: names come from files, and a terminal obeys escape sequences."""
+    return "".join(c if c.isprintable() else " " for c in str(text))
+
+
+def say(text: str) -> None:
+    """Print one line on stdout, unwrapped."""
+    click.echo(plain(text))
+
+
+def say_json(document: str) -> None:
+    """Print a JSON document on stdout."""
+    click.echo(document, nl=not document.endswith("\n"))
+
+
+def warn(text: str) -> None:
+    """Print one line on stderr."""
+    click.echo(f"smooth: {plain(text)}", err=True)
+
+
+def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
+    """Print a title and, below it, names with their values in two columns."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(min_width=12)
+    table.add_column(overflow="fold")
+    for name, value in pairs:
+        table.add_row(Text(plain(name), style="dim"), Text(plain(value)))
+    console = Console(highlight=False)
+    console.print(Text(plain(title), style="bold"))
+    console.print(table)
+
+
+def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
+    """Print a table: the first column to the left, the others to the right."""
+    table = Table(title=Text(plain(title), style="bold"), title_justify="left", box=None, pad_edge=False)
+    for i, name in enumerate(header):
+        table.add_column(Text(name), justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*(Text(plain(cell)) for cell in row))
+    Console(highlight=False).print(table)
+
+
+@contextlib.contextmanager
+def progress_on_terminal(wanted: bool = True) -> Iterator[Progress]:
+    """Give a function that draws a progress line on stderr, if that is a terminal, and removes it at the end."""
+    if not wanted or not sys.stderr.isatty():
+        yield no_progress
+        return
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda stage, share: bar.update(task, description=plain(stage), completed=share)
+
+
+def duration(seconds: float) -> str:
+    """Return 9 min 43 s, or 1 h 2 min for long ones."""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Return a number, or a dash where there is none."""
+    return "-" if value is None or value != value else f"{value:.{digits}f}"

@@ -1,0 +1,218 @@
+"""One session from disk to disk: read, calibrate, estimate, judge, write. Called by every command that needs a result.
+
+Heavy imports happen inside the functions, so that `smooth --help` does not wait for GTSAM and matplotlib.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from smoother.cli.output import Progress, duration, no_progress, plain, warn
+from smoother.errors import SessionError, SmootherError, UsageError
+from smoother.units import KMH
+
+if TYPE_CHECKING:
+    from smoother.estimate.quality import Quality
+    from smoother.samples import RawSession, Session
+    from smoother.trajectory import Trajectory
+
+OUTPUT_DIRECTORY = "smoothed"
+TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
+FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a session is smoothed: `rate` in Hz of the rows; solver batch or isam2; whether to add the extras."""
+
+    rate: float = 50.0
+    solver: str = "batch"
+    baseline: bool = True
+    figures: bool = True
+
+
+@dataclass
+class Stopwatch:
+    """Seconds per stage, in the order in which they were run."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time what happens inside."""
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """What was made of a session, still in memory."""
+
+    session: Session
+    smoothed: Trajectory
+    baseline: Trajectory | None
+    quality: Quality
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What was made of a session, on disk: `main_file` is what a person opens first."""
+
+    document: dict[str, object]
+    quality: Quality
+    directory: Path
+    main_file: Path
+
+
+def read(path: Path) -> RawSession:
+    """Read a session. Raises SmootherError in one line with file and remedy."""
+    from smoother.session.load import load_raw
+
+    return load_raw(path)
+
+
+def session_directory(path: Path) -> Path:
+    """Return the directory of a session that may have been named by one of its files."""
+    return path if path.is_dir() else path.parent
+
+
+def calibrated(raw: RawSession, directory: Path) -> Session:
+    """Return the session with calibration.toml applied, if its directory holds one."""
+    from smoother.prepare import prepare
+
+    calibration = directory / "calibration.toml"
+    return prepare(raw, calibration if calibration.is_file() else None)
+
+
+def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
+    """Run smoother and baseline, and judge the result."""
+    from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+    from smoother.estimate.quality import assess
+
+    with watch.stage("smoothing"):
+        smoother = GraphSmoother(GraphOptions(rate=options.rate, solver=options.solver), progress=progress)
+        smoothed = smoother.estimate(session)
+    baseline = None
+    if options.baseline:
+        progress("baseline", 0.0)
+        with watch.stage("baseline"):
+            baseline = estimate_baseline(session, options.rate)
+    return Estimates(session, smoothed, baseline, assess(session, smoothed))
+
+
+def estimate_baseline(session: Session, rate: float) -> Trajectory:
+    """Run the thesis' pipeline."""
+    from smoother.estimate.baseline.baseline import BaselineOptions, ThesisBaseline
+
+    return ThesisBaseline(BaselineOptions(rate=rate)).estimate(session)
+
+
+def smooth_session(path: Path, out: Path | None, options: Options, progress: Progress = no_progress) -> Result:
+    """Smooth one session and write everything about it into `out`, by default SESSION/smoothed."""
+    watch = Stopwatch()
+    progress("reading", 0.0)
+    with watch.stage("reading"):
+        raw = read(path)
+    with watch.stage("preparing"):
+        session = calibrated(raw, session_directory(path))
+    directory = output_directory(path, out, session.name)
+    estimates = estimate(session, options, watch, progress)
+    try:
+        return write(estimates, directory, options, watch, progress)
+    except OSError as error:
+        raise unwritable(directory, error) from error
+
+
+def output_directory(path: Path, out: Path | None, name: str) -> Path:
+    """Create and return the directory of the results.
+
+    A session on a locked card cannot take them: without `out` they then go to ./smoothed/NAME. Raises UsageError when
+    `out` is the session's own directory, whose gps.csv would be overwritten, or cannot be created.
+    """
+    source = session_directory(path)
+    if out is not None:
+        if out.resolve() == source.resolve():
+            raise UsageError(
+                f"--out {out}: is the session itself, its gps.csv would be overwritten; name another place"
+            )
+        return _created(out)
+    try:
+        return _created(source / OUTPUT_DIRECTORY)
+    except UsageError:
+        instead = Path(OUTPUT_DIRECTORY) / (name or "session")
+        warn(f"{source} cannot be written to; the results go to {instead}")
+        return _created(instead)
+
+
+def write(
+    estimates: Estimates, directory: Path, options: Options, watch: Stopwatch, progress: Progress = no_progress
+) -> Result:
+    """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
+    from smoother.report.files import write_fixes, write_json, write_trajectory
+
+    session, smoothed, baseline = estimates.session, estimates.smoothed, estimates.baseline
+    progress("writing", 0.0)
+    with watch.stage("writing"):
+        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, session.unix_at_zero)
+        write_fixes(directory / FIXES, session, smoothed.report.fixes)
+        if baseline is not None:
+            write_trajectory(directory / BASELINE, baseline, session.origin, session.unix_at_zero)
+        else:
+            (directory / BASELINE).unlink(missing_ok=True)
+    with watch.stage("figures"):
+        main_file = _write_figures(estimates, directory, options, progress)
+    document = _summary(estimates, options, watch)
+    write_json(directory / SUMMARY, document)
+    return Result(document, estimates.quality, directory, main_file)
+
+
+def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> Path:
+    if not options.figures:
+        for name in FIGURE_NAMES:
+            (directory / FIGURES / f"{name}.png").unlink(missing_ok=True)
+        return directory / TRAJECTORY
+    from smoother.report.figures import Shown, save_figures
+
+    shown = Shown(estimates.session, estimates.smoothed, estimates.baseline, heading(estimates))
+    return save_figures(shown, directory / FIGURES, lambda share: progress("figures", share))[0]
+
+
+def heading(estimates: Estimates) -> str:
+    """Return the line that names a session everywhere: its title, length, distance and top speed."""
+    from smoother.report.summary import distance_driven
+
+    smoothed = estimates.smoothed
+    length, kilometres = duration(float(smoothed.t[-1] - smoothed.t[0])), distance_driven(smoothed) / 1000.0
+    name = estimates.session.config.title or estimates.session.name
+    return f"{plain(name)}: {length}, {kilometres:.2f} km, top speed {smoothed.speed.max() / KMH:.1f} km/h"
+
+
+def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:
+    from smoother.report.summary import summary
+
+    asked = {"rate_hz": options.rate, "solver": options.solver, "baseline": options.baseline}
+    return summary(estimates.session, estimates.smoothed, estimates.quality, watch.seconds, asked)
+
+
+def unwritable(directory: Path, error: OSError) -> SmootherError:
+    """Return the error that says where results could not be written, and what to do."""
+    return SessionError(
+        f"{directory}: cannot be written ({error.strerror or error}); name another place with --out DIR"
+    )
+
+
+def _created(directory: Path) -> Path:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe = directory / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(str(unwritable(directory, error))) from error
+    return directory

@@ -1,0 +1,98 @@
+"""`smooth simulate DIR`: a session with known truth, in the formats the reader knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from smoother.cli.output import duration as as_duration
+from smoother.cli.output import progress_on_terminal, say, say_pairs
+from smoother.errors import UsageError
+
+if TYPE_CHECKING:
+    from smoother.sim.simulation import Simulation
+
+PRESETS, TRACKS = ("white", "kart", "kart_harsh"), ("larkfield", "tinbarn", "longmeadow")
+SIMULATED_FILES = ("imu.csv", "gps.csv", "mag.csv", "out.txt", "magcalib.txt", "truth.csv", "session.toml")
+MARK = "truth_laps.csv"  # only a simulation writes it: a folder with it may be written over
+
+
+@click.command(short_help="Write a simulated session with its truth.")
+@click.argument("directory", metavar="DIR", required=False, type=click.Path(path_type=Path, file_okay=False))
+@click.option("--preset", type=click.Choice(PRESETS), default="kart", help="How good sensors and GPS are [kart].")
+@click.option("--seed", type=click.IntRange(0), default=1, help="Same seed, same session [1].")
+@click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Where [{TRACKS[0]}].")
+@click.option("--duration", metavar="S", type=click.FloatRange(5.0, 90000.0), default=300.0, help="Seconds [300].")
+@click.option("--format", "form", type=click.Choice(["csv", "thesis"]), default="csv", help="Files to write [csv].")
+@click.option("--imu-rate", metavar="HZ", type=click.FloatRange(1.0, 2000.0), help="Motion samples a second.")
+@click.option("--gps-rate", metavar="HZ", type=click.FloatRange(0.1, 50.0), help="Fixes a second.")
+@click.option("--standstill", metavar="S", type=click.FloatRange(0.0), help="Seconds at rest before the start.")
+@click.option("--no-imu", is_flag=True, help="GPS only.")
+@click.option("--no-mag", is_flag=True, help="No compass.")
+@click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")
+@click.option("--told", is_flag=True, help="Also write session.toml with the true mounting, noise and delays.")
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other figure; --list shows them.")
+@click.option("--list", "list_them", is_flag=True, help="List every figure of this preset, and stop.")
+def simulate(
+    directory: Path | None, settings: tuple[str, ...], list_them: bool, form: str, told: bool, **choices: Any
+) -> int:
+    """Simulate a kart session into DIR, with truth.csv beside it for `smooth evaluate`.
+
+    Every noise can be set, in SI units: --set gnss.white_horizontal=0.5 --set imu.gyro_noise=0.02
+    --set gnss.outages=60:5,120:10 (start:length in seconds).
+    """
+    from smoother.cli.scenario_settings import listed, parsed
+    from smoother.sim.simulation import simulate_preset
+
+    changes = {**_common_changes(choices), **parsed(settings)}
+    if list_them:
+        say_pairs(f"preset {choices['preset']}", listed(choices["preset"], choices["seed"], changes))
+        return 0
+    if directory is None:
+        raise UsageError("where to? smooth simulate DIR; `smooth simulate --help` says more")
+    if form == "thesis" and choices["no_imu"]:
+        raise UsageError("--format thesis cannot hold a session without IMU; leave out --no-imu, or write csv")
+    with progress_on_terminal() as progress:
+        progress("simulating", 0.0)
+        names = {name: choices[name] for name in ("track", "duration")}
+        simulation = simulate_preset(choices["preset"], choices["seed"], **names, **changes)
+        progress("writing", 0.5)
+        write(simulation, directory, form, told)
+    raw, length = simulation.raw, as_duration(choices["duration"])
+    samples = 0 if raw.imu is None else len(raw.imu.t)
+    text = f"{length}, {len(raw.gnss)} fixes, {samples} IMU samples, seed {choices['seed']}"
+    say_pairs(raw.name, [("simulated", text)])
+    say(str(directory))
+    return 0
+
+
+def write(simulation: Simulation, directory: Path, form: str, told: bool = False) -> None:
+    """Write a simulation into a directory that is new, empty of sessions, or an earlier simulation.
+
+    Raises UsageError rather than write over a recording, or where nothing can be written.
+    """
+    from smoother.sim.record import write_csv, write_settings, write_thesis
+
+    present = [name for name in SIMULATED_FILES if (directory / name).exists()]
+    if present and not (directory / MARK).exists():
+        raise UsageError(f"{directory}: holds a recording ({present[0]}) that would be lost; name another folder")
+    try:
+        for name in present:  # of another format or with more sensors: they would be read with the new ones
+            (directory / name).unlink()
+        (write_csv if form == "csv" else write_thesis)(simulation, directory)
+        if told:
+            write_settings(simulation, directory / "session.toml")
+    except OSError as error:
+        raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
+
+
+def _common_changes(choices: dict[str, Any]) -> dict[str, Any]:
+    """The options for the figures that are changed most, as changes of the scenario."""
+    named = {"imu_rate": "imu.rate", "gps_rate": "gnss.rate", "standstill": "motion.standstill"}
+    changes = {key: choices[option] for option, key in named.items() if choices[option] is not None}
+    changes |= {"imu": None} if choices["no_imu"] else {}
+    changes |= {"mag": None} if choices["no_mag"] else {}
+    changes |= {"gnss.velocity": False} if choices["no_speed"] else {}
+    return changes

@@ -1,0 +1,142 @@
+"""`smooth SESSION...`: the command for which no name has to be typed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from smoother.cli.arguments import (
+    EXIT_DONE,
+    EXIT_QUALITY,
+    EXIT_UNUSABLE,
+    json_option,
+    require_sessions,
+    sessions_argument,
+    solver_option,
+)
+from smoother.cli.checking import check
+from smoother.cli.demo import demo
+from smoother.cli.evaluating import evaluate
+from smoother.cli.output import progress_on_terminal, say_json, warn
+from smoother.cli.pipeline import Options, Result, smooth_session
+from smoother.cli.simulating import simulate
+from smoother.cli.tables import show_result
+from smoother.errors import SmootherError
+
+HELP = """Smooth recorded kart sessions: position, speed, attitude, each with an error bar.
+
+SESSION is the folder your logger wrote (imu.csv with gps.csv or a .nmea file; or out.txt), or one file of it.
+The results go into a folder "smoothed" inside it: a table for your spreadsheet (trajectory.csv), figures, and
+summary.json with everything that was found out. Nothing you recorded is changed, and no network is used.
+
+\b
+    smooth monday/           smooth a session
+    smooth check monday/     is the recording good? (seconds, at the track)
+    smooth demo              no recording yet? simulate one and smooth it
+"""
+NAMED_COMMANDS: dict[str, click.Command] = {"check": check, "demo": demo, "simulate": simulate, "evaluate": evaluate}
+EPILOG = (
+    "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
+    "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
+    "`smooth ./check other`.",
+    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted.",
+)
+
+
+class SmoothCommand(click.Command):
+    """The command without a name; its help also lists the named ones."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of named commands, how a folder with such a name is told apart, and the exit codes."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(f"smooth {name}", command.get_short_help_str(70)) for name, command in NAMED_COMMANDS.items()]
+            )
+        for paragraph in EPILOG:
+            formatter.write_paragraph()
+            formatter.write_text(paragraph)
+
+
+@click.command(cls=SmoothCommand, help=HELP)
+@sessions_argument
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed].")
+@click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
+@solver_option
+@click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
+@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@json_option
+@click.option("--open", "open_it", is_flag=True, help="Show the main figure when done.")
+@click.version_option(package_name="kart-smoother", prog_name="smooth")
+def smooth(
+    sessions: tuple[Path, ...],
+    out: Path | None,
+    rate: float,
+    solver: str,
+    no_baseline: bool,
+    no_figures: bool,
+    as_json: bool,
+    open_it: bool,
+) -> int:
+    """Smooth sessions; the text people read is HELP."""
+    require_sessions(sessions, "smooth")
+    options = Options(rate, solver, not no_baseline, not no_figures)
+    outcomes: list[Result | SmootherError] = []
+    for path, directory in zip(sessions, output_directories(out, sessions), strict=True):
+        outcomes.append(_attempt(path, directory, options, is_only=len(sessions) == 1))
+        _report(outcomes[-1], path, as_json)
+    if as_json:
+        say_json(_as_json(sessions, outcomes))
+    results = [outcome for outcome in outcomes if isinstance(outcome, Result)]
+    if open_it and results:
+        click.launch(str(results[-1].main_file))
+    return exit_code(outcomes)
+
+
+def output_directories(out: Path | None, sessions: tuple[Path, ...]) -> list[Path | None]:
+    """Return where each session goes: of several each gets a folder of its own in `out`, numbered if names repeat."""
+    if out is None or len(sessions) == 1:
+        return [out] * len(sessions)
+    names = [session.resolve().stem if session.is_file() else session.resolve().name for session in sessions]
+    repeated = [names[:i].count(name) for i, name in enumerate(names)]
+    return [out / (f"{name}-{count + 1}" if count else name) for name, count in zip(names, repeated, strict=True)]
+
+
+def exit_code(outcomes: list[Result | SmootherError]) -> int:
+    """Return 2 if any session was unusable, else 3 if any result is not to be trusted, else 0."""
+    if any(isinstance(outcome, SmootherError) for outcome in outcomes):
+        return EXIT_UNUSABLE
+    passed = all(outcome.quality.passed for outcome in outcomes if isinstance(outcome, Result))
+    return EXIT_DONE if passed else EXIT_QUALITY
+
+
+def _attempt(path: Path, directory: Path | None, options: Options, is_only: bool) -> Result | SmootherError:
+    """Smooth one session; of several, an unusable one must not keep the others from being smoothed."""
+    with progress_on_terminal() as progress:
+        try:
+            return smooth_session(path, directory, options, progress)
+        except SmootherError as error:
+            if is_only:
+                raise
+            return error
+
+
+def _report(outcome: Result | SmootherError, path: Path, as_json: bool) -> None:
+    if isinstance(outcome, SmootherError):
+        warn(str(outcome))
+        return
+    if not outcome.quality.passed:
+        warn(f"{path}: the result failed its quality gate: {'; '.join(outcome.quality.reasons)}")
+    if not as_json:
+        show_result(outcome)
+
+
+def _as_json(sessions: tuple[Path, ...], outcomes: list[Result | SmootherError]) -> str:
+    """One session: its summary. Several: a list, with an `error` in place of the summary of an unusable one."""
+    from smoother.report.files import to_json
+
+    documents = [
+        outcome.document if isinstance(outcome, Result) else {"session": {"name": str(path)}, "error": str(outcome)}
+        for path, outcome in zip(sessions, outcomes, strict=True)
+    ]
+    return to_json(documents[0] if len(documents) == 1 else documents)

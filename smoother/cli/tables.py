@@ -1,0 +1,103 @@
+"""The short tables on stdout, from the same document that summary.json holds."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from smoother.cli.output import duration, number, say, say_pairs
+from smoother.units import DEG, KMH
+
+if TYPE_CHECKING:
+    from smoother.cli.pipeline import Result
+    from smoother.samples import Problem
+    from smoother.trajectory import Identified
+
+_NAMES = {
+    "gps_position_latency": "GPS position delay",
+    "gps_velocity_latency": "GPS speed delay",
+    "lever_arm_b": "antenna from box (forward, left, up)",
+    "R_bs": "box in the kart (roll, pitch, yaw)",
+    "accel_noise": "accelerometer noise",
+    "gyro_noise": "gyroscope noise",
+    "gps_offset_sigma": "GPS wander",
+    "gps_offset_tau": "GPS wander time",
+}
+
+
+def show_result(result: Result) -> None:
+    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at."""
+    document: Any = result.document
+    about = document["session"]
+    pairs = [("driven", _driven(about)), ("recorded", _recorded(document["counts"], document["mode"]))]
+    if document["sigma_median"]:
+        pairs.append(("sure to", _sigma(document["sigma_median"])))
+    for name, identified in document["identified"].items():
+        pairs.append((_NAMES.get(name, name.replace("_", " ")), _identified(name, identified)))
+    pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]
+    reasons = "; ".join(result.quality.reasons)
+    pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
+    say_pairs(about.get("title") or about["name"], pairs)
+    say(str(result.main_file))
+
+
+def _driven(about: Any) -> str:
+    kilometres, top = about["distance_m"] / 1000.0, about["top_speed_mps"] / KMH
+    return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f} km/h"
+
+
+def _recorded(counts: Any, mode: str) -> str:
+    text = f"{counts['fixes']} fixes, {counts['imu_samples']} IMU samples"
+    return text + (", smoothed from GPS only" if mode == "gps-only" else "")
+
+
+def _sigma(sigma: Any) -> str:
+    known = [
+        (f"position ±{number(sigma['horizontal_m'])} m", sigma["horizontal_m"]),
+        (f"line on the track ±{number(sigma['track_m'])} m", sigma["track_m"]),
+        (f"speed ±{number(sigma['speed_mps'] / KMH)} km/h", sigma["speed_mps"]),
+        (
+            f"roll, pitch, yaw ±{sigma['roll_deg']:.1f}, {sigma['pitch_deg']:.1f}, {sigma['yaw_deg']:.1f} deg",
+            sigma["yaw_deg"],
+        ),
+    ]
+    return ", ".join(text for text, value in known if math.isfinite(value)) + " (typical, one sigma)"
+
+
+def _identified(name: str, identified: Identified) -> str:
+    weak = identified.source == "identified" and not identified.observable
+    source = "weakly identified" if weak else identified.source
+    if name == "R_bs":
+        return f"{_mounting(identified.value)} deg ({source})"
+    unit, factor, digits = _shown_unit(identified.unit)
+    text = _values(identified.value, factor, digits)
+    if identified.sigma is not None:
+        text += f" ± {_values(identified.sigma, factor, digits)}"
+    return f"{text} {unit} ({source})"
+
+
+def _mounting(R_bs: Any) -> str:
+    import numpy as np
+
+    from smoother.frames import euler_from_rotation
+
+    roll_pitch_yaw = [float(angle) for angle in euler_from_rotation(np.asarray(R_bs))]
+    return _values(roll_pitch_yaw, 1.0 / DEG, 1)
+
+
+def _shown_unit(unit: str) -> tuple[str, float, int]:
+    """Unit for people, its factor, and digits."""
+    if unit.startswith("rad"):
+        return unit.replace("rad", "deg", 1), 1.0 / DEG, 2
+    return unit, 1.0, 3 if unit == "s" else 2
+
+
+def _values(value: Any, factor: float, digits: int) -> str:
+    items = value if isinstance(value, (list, tuple)) else [value]
+    return ", ".join(
+        _values(item, factor, digits) if isinstance(item, list) else number(item * factor, digits) for item in items
+    )
+
+
+def _problem(problem: Problem) -> str:
+    return problem.text if problem.count == 1 else f"{problem.text} ({problem.count} times)"

@@ -1,0 +1,89 @@
+"""Dependencies point one way: a module imports only from layers below its own."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LAYERS = [  # lowest first; a file or a package of smoother/
+    "errors",
+    "arrays",
+    "units",
+    "so3",
+    "frames",
+    "config",
+    "samples",
+    "trajectory",
+    "calibration",
+    "session",
+    "sim",
+    "fit",
+    "prepare",
+    "estimate",
+    "laps",
+    "report",
+    "export",
+    "live",
+    "cli",
+]
+
+
+def existing(name: str) -> list[Path]:
+    package, module = ROOT / "smoother" / name, ROOT / "smoother" / f"{name}.py"
+    return sorted(package.rglob("*.py")) if package.is_dir() else [module] if module.exists() else []
+
+
+def imported_modules(path: Path) -> Iterator[str]:
+    """Every module a file imports, at its head or inside a function; `from smoother import x` counts as smoother.x."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.relative_to(ROOT)}:{node.lineno}: imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_module_imports_only_layers_below(name: str) -> None:
+    above = LAYERS[LAYERS.index(name) + 1 :]
+    for path in existing(name):
+        layers = [module.split(".")[1] for module in imported_modules(path) if module.startswith("smoother.")]
+        assert not set(layers) & set(above), f"{path.relative_to(ROOT)} imports a layer above its own"
+
+
+def test_every_module_of_the_package_has_a_layer() -> None:
+    modules = (
+        path for path in (ROOT / "smoother").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    )
+    names = {path.stem for path in modules}
+    assert names - {"__init__"} <= set(LAYERS)
+
+
+def test_only_the_command_line_imports_the_calibration_procedures() -> None:
+    for path in (ROOT / "smoother").rglob("*.py"):
+        if "cli" not in path.relative_to(ROOT).parts:
+            assert not [module for module in imported_modules(path) if module.split(".")[0] == "calib"], path
+
+
+def test_the_calibration_procedures_use_nothing_above_fit() -> None:
+    above = set(LAYERS[LAYERS.index("fit") + 1 :])
+    for path in (ROOT / "calib").rglob("*.py"):
+        layers = {module.split(".")[1] for module in imported_modules(path) if module.startswith("smoother.")}
+        assert not layers & above, path
+
+
+def test_only_the_command_line_prints() -> None:
+    for path in (ROOT / "smoother").rglob("*.py"):
+        if "cli" in path.relative_to(ROOT).parts:
+            continue
+        calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+        assert not [call for call in calls if isinstance(call.func, ast.Name) and call.func.id == "print"], path
+
+
+@pytest.mark.parametrize(("library", "owner"), [("pynmea2", "session/nmea.py"), ("matplotlib", "report")])
+def test_a_library_has_one_owner(library: str, owner: str) -> None:
+    for path in (ROOT / "smoother").rglob("*.py"):
+        if any(module.split(".")[0] == library for module in imported_modules(path)):
+            assert path.relative_to(ROOT / "smoother").as_posix().startswith(owner), path
