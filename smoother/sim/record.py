@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array
+from smoother.errors import UsageError
 from smoother.frames import wrap_angle
 from smoother.samples import GnssFixes, RawImu, RawMag
 from smoother.session import thesis
@@ -22,7 +23,7 @@ _DEGREE_DECIMALS = 10  # of latitude and longitude: 0.01 mm
 _TRUTH_CHUNK = 200_000  # rows evaluated at once
 _COUNT = 0.15  # uT per count of the AK8963
 _INT16 = (-32768, 32767)
-NMEA_BLOCK = 96  # bytes of the receiver's buffer in out.txt: the longest RMC sentence has 82
+NMEA_BLOCK = 96  # bytes of the receiver's buffer in out.txt for each sentence, of which none is longer than 82
 
 
 def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0) -> None:
@@ -42,17 +43,20 @@ def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0)
     write_truth(simulation, directory, truth_rate)
 
 
-def write_thesis(simulation: Simulation, directory: Path, truth_rate: float = 50.0) -> None:
+def write_thesis(
+    simulation: Simulation, directory: Path, truth_rate: float = 50.0, sentences: Sequence[str] = ("RMC",)
+) -> None:
     """Write out.txt, magcalib.txt (if there are readings), truth.csv and truth_laps.csv into `directory`.
 
-    The format has millisecond stamps, 4 g and 500 deg/s, magnetometer and RMC sentence with the fixes only.
-    Raises ValueError for a simulation without IMU, which the format cannot hold.
+    The format has millisecond stamps, 4 g and 500 deg/s; magnetometer and sentences come with the fixes only. The
+    thesis recorded RMC alone, so heights are unknown; GGA after it adds them.
+    Raises UsageError for a simulation that the format cannot hold: without IMU, or faster than its stamps.
     """
     raw = simulation.raw
-    if raw.imu is None:
-        raise ValueError("the thesis' format cannot hold a session without IMU")
+    if raw.imu is None or len(raw.imu.t) > 1000.0 * simulation.scenario.duration:
+        raise UsageError("the thesis' format needs an IMU of at most 1000 Hz; choose another rate or format")
     directory.mkdir(parents=True, exist_ok=True)
-    (directory / "out.txt").write_bytes(_thesis_records(raw.imu, raw.mag, raw.gnss))
+    (directory / "out.txt").write_bytes(_thesis_records(raw.imu, raw.mag, raw.gnss, sentences))
     if raw.mag_calibration_field is not None:
         rows = [thesis.RECORD_START + triple for triple in _mag_triples(raw.mag_calibration_field)]
         (directory / "magcalib.txt").write_bytes(b"".join(rows))
@@ -251,13 +255,15 @@ def _speed_and_course(fixes: GnssFixes, i: int) -> tuple[str, str]:
     return f"{fixes.speed[i] / KNOT:.3f}", f"{fixes.course_deg[i]:.2f}"
 
 
-def _thesis_records(imu: RawImu, mag: RawMag | None, fixes: GnssFixes) -> bytes:
-    """All records of out.txt: each IMU sample, with magnetometer and sentence at the first one after a fix came in."""
+def _thesis_records(imu: RawImu, mag: RawMag | None, fixes: GnssFixes, sentences: Sequence[str]) -> bytes:
+    """All records of out.txt: each IMU sample, with magnetometer and sentences at the first after a fix came in."""
+    index = np.arange(len(imu.t))
     start_ms = np.clip(np.floor(imu.t / MILLISECOND), 0, None).astype(np.int64)
+    start_ms = np.maximum.accumulate(start_ms - index) + index  # one timer interrupt in a millisecond
     accel = _counts(imu.accel * imu.accel_scale / thesis.ACCEL_SCALE)
     gyro = _counts(imu.gyro * imu.gyro_scale / thesis.GYRO_SCALE)
     carrier = np.searchsorted(imu.t, fixes.t)
-    block_of = {int(k): block for k, block in zip(carrier, _gps_blocks(mag, fixes), strict=True)}
+    block_of = {int(k): block for k, block in zip(carrier, _gps_blocks(mag, fixes, sentences), strict=True)}
     records = []
     for k, (ms, values) in enumerate(zip(start_ms.tolist(), np.hstack([accel, gyro]).tolist(), strict=True)):
         block = block_of.get(k)
@@ -267,18 +273,18 @@ def _thesis_records(imu: RawImu, mag: RawMag | None, fixes: GnssFixes) -> bytes:
     return b"".join(records)
 
 
-def _gps_blocks(mag: RawMag | None, fixes: GnssFixes) -> list[bytes]:
+def _gps_blocks(mag: RawMag | None, fixes: GnssFixes, sentences: Sequence[str]) -> list[bytes]:
     """Magnetometer triple and receiver's buffer of each fix; where a new sentence is shorter, the old one shows."""
     if mag is None:
         triples = [thesis.MAG_STRUCT.pack(0, 0, 0)] * len(fixes)
     else:
         latest = np.clip(np.searchsorted(mag.t, fixes.t, side="right") - 1, 0, None)
         triples = _mag_triples(mag.field[latest])
-    buffer = bytearray(NMEA_BLOCK)
+    buffer = bytearray(NMEA_BLOCK * len(sentences))
     blocks = []
     for i, triple in enumerate(triples):
-        sentence = (nmea_sentences(fixes, ("RMC",), i)[0] + "\r\n").encode("ascii")
-        buffer[: len(sentence)] = sentence
+        text = "".join(sentence + "\r\n" for sentence in nmea_sentences(fixes, sentences, i)).encode("ascii")
+        buffer[: len(text)] = text
         blocks.append(triple + bytes(buffer))
     return blocks
 
