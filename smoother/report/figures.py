@@ -221,9 +221,8 @@ def residuals(shown: Shown) -> Figure | None:
         axes.plot(t[down], shown_residual[down], "x", markersize=5, color=style.SECOND, label="fix given little weight")
         axes.set_ylabel(f"{name} (m)")
         axes.set_ylim(-1.05 * limit, 1.05 * limit)
-        side.hist(
-            np.clip(residual[~down], -limit, limit), 40, (-limit, limit), color=style.SMOOTHED, orientation="horizontal"
-        )
+        kept = np.clip(residual[~down & np.isfinite(residual)], -limit, limit)
+        side.hist(kept, bins=40, range=(-limit, limit), color=style.SMOOTHED, orientation="horizontal")
         side.set_xticks([])
         side.grid(False)
     rows[0, 1].set_title("distribution")

@@ -1,0 +1,116 @@
+"""Figures: which are drawn for which session, and that nothing in a name or in the data spoils them."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib import image
+
+from smoother.cli.pipeline import FIGURE_NAMES
+from smoother.report import figures, style
+from smoother.report.figures import FIGURES, Shown, overview, save_figures
+from smoother.samples import Session
+from smoother.trajectory import EstimateReport, Trajectory
+
+
+def gps_only(trajectory: Trajectory) -> Trajectory:
+    n = len(trajectory)
+    unknown = np.full((n, 3), np.nan)
+    report = EstimateReport(mode="gps-only", fixes=trajectory.report.fixes)
+    blank = {"R_nb": np.full((n, 3, 3), np.nan), "acceleration_b": unknown, "angular_rate_b": unknown, "report": report}
+    return Trajectory(**{**vars(trajectory), **blank})
+
+
+def names(paths: list[Path]) -> list[str]:
+    return [path.stem for path in paths]
+
+
+def test_a_full_session_gets_every_figure_the_main_one_first(
+    tmp_path: Path, session: Session, trajectory: Trajectory
+) -> None:
+    shares: list[float] = []
+    paths = save_figures(Shown(session, trajectory, trajectory, "a session"), tmp_path, shares.append)
+    assert names(paths) == list(FIGURES) == list(FIGURE_NAMES)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    for path in paths:
+        pixels = image.imread(path)
+        assert pixels.shape[1] >= 1500
+        assert pixels[..., :3].std() > 0.05  # not blank
+
+
+def test_a_gps_only_session_gets_the_figures_it_has_data_for(
+    tmp_path: Path, session: Session, trajectory: Trajectory
+) -> None:
+    (tmp_path / "attitude.png").write_bytes(b"of an earlier run")
+    paths = save_figures(Shown(session, gps_only(trajectory), None, "a session"), tmp_path)
+    assert names(paths) == ["overview", "track", "speed", "residuals", "sigma"]
+    assert not (tmp_path / "attitude.png").exists()
+
+
+@pytest.mark.parametrize("heading", ["costs $1 or $\\frac{", "東京 Ō 🏎", "<script>", "%s {0}"])
+def test_a_name_is_text_and_never_markup(
+    tmp_path: Path, session: Session, trajectory: Trajectory, heading: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "FIGURES", {"overview": overview})  # all headings are made alike
+    assert save_figures(Shown(session, gps_only(trajectory), None, heading), tmp_path)
+
+
+def test_the_map_keeps_to_the_track_when_fixes_and_baseline_stray(session: Session, trajectory: Trajectory) -> None:
+    astray = Trajectory(**{**vars(trajectory), "position_n": trajectory.position_n * 1e4})
+    figure = overview(Shown(session, trajectory, astray, "a session"))
+    figure.canvas.draw()
+    east = -trajectory.position_n[:, 1]
+    for axes in figure.axes[:2]:
+        left, right = axes.get_xlim()
+        assert right - left < 4.0 * np.ptp(east)
+
+
+def test_a_session_of_two_rows_can_be_drawn(tmp_path: Path, session: Session, trajectory: Trajectory) -> None:
+    two = {name: value[:2] for name, value in vars(trajectory).items() if isinstance(value, np.ndarray)}
+    save_figures(Shown(session, Trajectory(**two), None, "short"), tmp_path)
+
+
+def test_drawing_leaves_matplotlib_as_it_was(
+    tmp_path: Path, session: Session, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "FIGURES", {"overview": overview})
+    before = dict(matplotlib.rcParams)
+    save_figures(Shown(session, gps_only(trajectory), None, "a session"), tmp_path)
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_thinning_keeps_every_peak_and_bounds_the_points() -> None:
+    t = np.arange(100_000) / 50.0
+    value = np.sin(t / 100.0)
+    value[51_234] = 30.0
+    value[77_777] = -30.0
+    thin_t, thin = style.thinned(t, value, points=2000)
+    assert len(thin_t) <= 2100
+    assert thin.max() == 30.0
+    assert thin.min() == -30.0
+    assert np.all(np.diff(thin_t) > 0.0)
+    assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+
+
+def test_thinning_lives_with_stretches_that_are_unknown() -> None:
+    t = np.arange(10_000.0)
+    value = np.where((t > 2000) & (t < 8000), np.nan, 1.0)
+    _, thin = style.thinned(t, value, points=500)
+    assert np.isnan(thin).any()
+    assert np.isfinite(thin).any()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step", "text"),
+    [
+        (0.0, 1.0, "0:00"),
+        (65.0, 5.0, "1:05"),
+        (59.5, 0.5, "0:59.5"),
+        (3661.0, 600.0, "1:01:01"),
+        (119.9999999999, 1.0, "2:00"),
+    ],
+)
+def test_the_clock_reads_minutes_and_seconds(seconds: float, step: float, text: str) -> None:
+    assert style.clock(seconds, step) == text

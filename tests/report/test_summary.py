@@ -1,0 +1,57 @@
+"""summary.json: complete, and strict JSON."""
+
+import json
+
+import pytest
+
+from smoother.estimate.quality import Quality
+from smoother.report.files import to_json
+from smoother.report.summary import distance_driven, summary
+from smoother.samples import Problem, Session
+from smoother.trajectory import Trajectory
+
+
+@pytest.fixture
+def document(session: Session, trajectory: Trajectory) -> dict[str, object]:
+    flawed = Session(
+        **{**vars(session), "problems": (Problem("row", "1 row dropped"), Problem("row", "1 row dropped"))}
+    )
+    quality = Quality(False, ("because",), {"far_fix_share": 0.3})
+    made = summary(flawed, trajectory, quality, {"reading": 0.1}, {"rate_hz": 50.0})
+    return dict(json.loads(to_json(made)))
+
+
+def test_the_summary_has_the_fields_of_the_contract(document: dict[str, object]) -> None:
+    wanted = {"version", "inputs", "counts", "origin", "problems", "identified", "residuals", "quality", "timings"}
+    assert wanted <= set(document)
+    assert "laps" not in document  # absent until laps are found, not empty
+
+
+def test_problems_of_reader_and_estimator_stand_once_each(document: dict[str, object]) -> None:
+    assert document["problems"] == [
+        {"code": "row", "text": "1 row dropped", "count": 1},
+        {"code": "short", "text": "a short session", "count": 2},
+    ]
+
+
+def test_identified_values_have_sigma_unit_and_source(document: dict[str, object]) -> None:
+    identified = document["identified"]
+    assert isinstance(identified, dict)
+    assert identified["gps_position_latency"] == {
+        "value": 0.12,
+        "sigma": 0.01,
+        "unit": "s",
+        "observable": True,
+        "source": "identified",
+    }
+
+
+def test_the_verdict_comes_with_its_reasons(document: dict[str, object]) -> None:
+    assert document["quality"] == {"passed": False, "reasons": ["because"], "measures": {"far_fix_share": 0.3}}
+
+
+def test_the_distance_is_that_of_the_antenna_over_ground(session: Session, trajectory: Trajectory) -> None:
+    steps = trajectory.position_n[1:, :2] - trajectory.position_n[:-1, :2]
+    path = float(((steps**2).sum(axis=1) ** 0.5).sum())
+    # the path of the true positions: chords of 20 ms are shorter than the arc by less than 1e-4 of it
+    assert distance_driven(trajectory) == pytest.approx(path, rel=1e-3)
