@@ -1,55 +1,44 @@
-"""From a directory, or one file of it, to a RawSession: find the files, read them, put them on one clock.
+"""From a directory, or one file of it, to a RawSession: find the files, read them, put them on one time base.
 
 A format is one entry of `FORMATS`; the first that recognises what lies in the directory reads it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.files import SessionFiles, list_files
+from smoother.session.nmea import read_nmea
+from smoother.session.rows import counted
 from smoother.session.settings import load_settings
-from smoother.session.tables import read_header
+from smoother.session.thesis import read_magcalib, read_out
 
-SLOWEST_IMU = 20.0  # Hz, median; below, a kart's motion between samples is lost (contract, section 3)
+SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
-TABLE_SUFFIXES = (".csv", ".csv.gz")
-
-
-@dataclass(frozen=True)
-class SessionFiles:
-    """The files of one session directory. `chosen` is the file a person named, or None for the directory."""
-
-    directory: Path
-    names: tuple[str, ...]
-    chosen: str | None = None
-
-    def find(self, *stems_and_suffixes: tuple[str, tuple[str, ...]]) -> Path | None:
-        """The first file with that stem and one of the suffixes, in any case of letters."""
-        for stem, suffixes in stems_and_suffixes:
-            for suffix in suffixes:
-                for name in self.names:
-                    if name.lower() == stem + suffix:
-                        return self.directory / name
-        return None
+FEWEST_FIXES_FOR_CLOCK = 32
+SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What one format made of a directory, before the settings and the clock."""
+    """What one format made of a directory, before settings and time base. The file names are for sentences."""
 
     gnss: GnssFixes
+    gnss_file: str
     inputs: tuple[str, ...]
     problems: tuple[Problem, ...]
     imu: RawImu | None = None
-    imu_file: str = "imu.csv"
-    gnss_file: str = "gps.csv"
+    imu_file: str = ""
     mag: RawMag | None = None
+    mag_calibration_field: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -67,48 +56,58 @@ def load_raw(path: Path) -> RawSession:
     Flaws that could be lived with are in `problems`. Raises SessionError, one line with file and remedy, where
     nothing usable is left: no known file, no fix, files on clocks that do not overlap; ConfigError for settings.
     """
-    files = _list_files(path)
+    files = list_files(path)
     for form in FORMATS:
         if form.recognises(files):
             return _finish(files, form.read(files))
+    if files.imu_table() is not None:
+        raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     raise SessionError(
-        f"{path}: no recording found; expected out.txt, gps.csv or *.nmea (with imu.csv if there is an IMU)"
+        f"{path}: no recording found; wanted out.txt, or gps.csv or *.nmea (and imu.csv if there is one)"
     )
-
-
-def _list_files(path: Path) -> SessionFiles:
-    if not path.exists():
-        raise SessionError(f"{path}: no such file or directory")
-    directory = path if path.is_dir() else path.parent
-    try:
-        names = tuple(sorted(entry.name for entry in directory.iterdir() if entry.is_file()))
-    except OSError as error:
-        raise SessionError(f"{directory}: cannot be listed ({error.strerror})") from error
-    return SessionFiles(directory, names, None if path.is_dir() else path.name)
 
 
 def _finish(files: SessionFiles, recording: Recording) -> RawSession:
-    settings = files.find(("session", (".toml",)))
+    """Apply session.toml and the clock; see to it that what is left can be used."""
+    settings = files.find("session.toml")
     config = SessionConfig() if settings is None else load_settings(settings)
+    _require_fixes(recording)
     problems = list(recording.problems)
     imu = _usable_imu(recording, problems)
-    _require_overlap(recording, imu)
+    gnss = _with_true_times(recording, problems)
+    if imu is not None:
+        _compare_times(recording, imu, gnss, problems)
     return RawSession(
-        name=_session_name(files),
-        gnss=recording.gnss,
+        name=files.session_name(),
+        gnss=gnss,
         imu=imu,
-        mag=recording.mag,
+        mag=_evened_mag(recording.mag),
+        mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
         problems=tuple(problems),
+        unix_at_zero=_unix_at_zero(gnss),
     )
 
 
-def _session_name(files: SessionFiles) -> str:
-    return files.directory.resolve().name or "session"
+def _unix_at_zero(gnss: GnssFixes) -> float | None:
+    assert gnss.unix_s is not None
+    difference = gnss.unix_s - gnss.t
+    known = np.isfinite(difference)
+    return float(np.median(difference[known])) if np.any(known) else None
+
+
+def _require_fixes(recording: Recording) -> None:
+    if len(recording.gnss) == 0:
+        reasons = "; ".join(p.text.partition(": ")[2] for p in recording.problems if p.code.startswith("gps_"))
+        raise SessionError(
+            f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
+            "the antenna needs a free view of the sky before the start"
+        )
 
 
 def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
+    """The inertial samples on an even time base; None, with the reason in `problems`, if they are of no use."""
     imu, file = recording.imu, recording.imu_file
     if imu is None:
         problems.append(Problem("imu_missing", "no IMU recorded: smoothed from GPS alone"))
@@ -117,64 +116,105 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
         text = f"{file}: only {imu.t.size} usable samples: smoothed from GPS alone"
         problems.append(Problem("imu_missing", text))
         return None
-    rate = 1.0 / float(np.median(np.diff(imu.t)))
+    base = regularize(imu.t)
+    rate = 1.0 / base.period
     if rate < SLOWEST_IMU:
-        text = f"{file}: {rate:.1f} samples a second are too slow for a kart's motion (at least {SLOWEST_IMU:.0f})"
+        text = f"{file}: {rate:.1f} samples a second are too few for a kart's motion (at least {SLOWEST_IMU:.0f})"
         problems.append(Problem("imu_too_slow", f"{text}: smoothed from GPS alone"))
         return None
-    return imu
+    problems += describe_time_base(base, "imu", file)
+    return replace(imu, t=base.t)
 
 
-def _require_overlap(recording: Recording, imu: RawImu | None) -> None:
+def _evened_mag(mag: RawMag | None) -> RawMag | None:
+    if mag is None or mag.t.size == 0:
+        return None
+    return replace(mag, t=regularize(mag.t).t)
+
+
+def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes:
+    """The fixes at the receiver's own times, by its UTC or else by its steady rate; a constant latency remains."""
     gnss = recording.gnss
-    if len(gnss) == 0:
-        reasons = "; ".join(p.text for p in recording.problems if p.code.startswith("gps_"))
-        raise SessionError(
-            f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
-            "the antenna needs a view of the sky before the start"
-        )
-    if imu is not None and (gnss.t[-1] < imu.t[0] or imu.t[-1] < gnss.t[0]):
+    assert gnss.unix_s is not None
+    t, by_utc = true_fix_times(gnss.t, gnss.unix_s)
+    if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
+        t = regularize(gnss.t).t
+    steps = np.diff(t)
+    if steps.size:
+        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * float(np.median(steps)))]
+        if gaps.size:
+            text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {gaps.max():.1f} s"
+            problems.append(Problem("gps_gap", text, int(gaps.size)))
+    return replace(gnss, t=t)
+
+
+def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:
+    """Raise SessionError if IMU and fixes never run together; say how many fixes have no IMU."""
+    if gnss.t[-1] < imu.t[0] or imu.t[-1] < gnss.t[0]:
         raise SessionError(
             f"{recording.imu_file} ({imu.t[0]:.1f} to {imu.t[-1]:.1f} s) and {recording.gnss_file} "
             f"({gnss.t[0]:.1f} to {gnss.t[-1]:.1f} s) do not overlap in time; t_s must be one clock in both"
         )
+    outside = int(np.count_nonzero((gnss.t < imu.t[0]) | (gnss.t > imu.t[-1])))
+    if outside > 0.01 * len(gnss):
+        text = f"{recording.gnss_file}: {outside} of {len(gnss)} fixes lie before or after the IMU's recording"
+        problems.append(Problem("gps_outside_imu", text, outside))
 
 
-def _has_tables(files: SessionFiles) -> bool:
-    return _fix_table(files) is not None
+def _read_thesis(files: SessionFiles) -> Recording:
+    out_file = files.out_file()
+    assert out_file is not None
+    out = read_out(out_file)
+    inputs, problems, field = [out_file.name], list(out.problems), None
+    if (magcalib := files.find("magcalib.txt", "mag_calib.txt")) is not None:
+        field, magcalib_problems = read_magcalib(magcalib)
+        inputs.append(magcalib.name)
+        problems += magcalib_problems
+    return Recording(out.gnss, out_file.name, tuple(inputs), tuple(problems), out.imu, out_file.name, out.mag, field)
 
 
-def _fix_table(files: SessionFiles) -> Path | None:
-    if files.chosen is not None and files.chosen.lower().endswith(TABLE_SUFFIXES):
-        path = files.directory / files.chosen
-        if "lat_deg" in read_header(path):
-            return path
-    return files.find(("gps", TABLE_SUFFIXES))
-
-
-def _read_tables(files: SessionFiles) -> Recording:
-    fix_table = _fix_table(files)
-    assert fix_table is not None
-    gnss, problems = read_fixes(fix_table)
-    inputs = [fix_table.name]
+def _read_columns(files: SessionFiles) -> Recording:
+    """The CSV form, with fixes from gps.csv or from sentences."""
+    imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
+    gnss, gnss_file, problems = _read_any_fixes(files, imu_table is not None)
     imu, mag = None, None
-    if (imu_table := files.find(("imu", TABLE_SUFFIXES))) is not None:
+    if imu_table is not None:
         imu, imu_problems = read_imu(imu_table)
-        problems += imu_problems
-        inputs.insert(0, imu_table.name)
-    if (mag_table := files.find(("mag", TABLE_SUFFIXES))) is not None:
-        mag, mag_problems = read_mag(mag_table)
-        problems += mag_problems
-        inputs.append(mag_table.name)
+        problems = imu_problems + problems
+    if mag_table is not None:
+        try:
+            mag, mag_problems = read_mag(mag_table)
+            problems += mag_problems
+        except SessionError as error:  # a session is complete without it
+            problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
+    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table) if file is not None)
     return Recording(
-        gnss,
-        tuple(inputs),
-        tuple(problems),
-        imu,
-        imu_table.name if imu_table else "imu.csv",
-        fix_table.name,
-        mag,
+        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_table.name if imu_table is not None else "", mag
     )
 
 
-FORMATS: tuple[Format, ...] = (Format("CSV", _has_tables, _read_tables),)
+def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path, list[Problem]]:
+    table, logs = files.fix_table(), files.sentence_logs()
+    if table is not None:
+        gnss, problems = read_fixes(table)
+        if logs and files.chosen is None:
+            names = ", ".join(log.name for log in logs)
+            problems.append(Problem("gps_csv_preferred", f"{table.name} is used, not {names}"))
+        return gnss, table, problems
+    log = logs[0]
+    reading = read_nmea(log)
+    problems = list(reading.problems)
+    if len(logs) > 1:
+        others = ", ".join(other.name for other in logs[1:])
+        text = f"{log.name}, the largest log, is used, not {others}; name a file to have that one"
+        problems.append(Problem("gps_other_logs", text, len(logs) - 1))
+    if has_imu and not reading.has_receive_times:
+        text = f"{log.name}: no receive times before the sentences; taken to start together with the IMU"
+        problems.append(Problem("gps_clock_assumed", text))
+    return reading.gnss, log, problems
+
+
+FORMATS: tuple[Format, ...] = (
+    Format("thesis", lambda files: files.out_file() is not None, _read_thesis),
+    Format("columns", lambda files: files.fix_table() is not None or bool(files.sentence_logs()), _read_columns),
+)

@@ -36,15 +36,16 @@ class RowFilter:
         count = int(np.count_nonzero(bad & self.keep))
         if count:
             self.keep = self.keep & ~bad
-            self.say(code, f"{_rows(count)} {reason}; dropped", count)
+            self.say(code, f"{counted(count, 'row')} {reason}; dropped", count)
 
     def say(self, code: str, sentence: str, count: int) -> None:
         """Report without dropping."""
         self.problems.append(Problem(f"{self.prefix}_{code}", f"{self.file}: {sentence}", count))
 
 
-def _rows(count: int) -> str:
-    return "1 row" if count == 1 else f"{count} rows"
+def counted(count: int, noun: str) -> str:
+    """Return '1 row' or '2 rows'."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
@@ -133,7 +134,7 @@ def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntAr
     order = np.argsort(t, kind="stable")
     if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE:
         moved = int(np.count_nonzero(order != np.arange(t.size)))
-        rows.say("reordered", f"{_rows(moved)} stood slightly out of order; sorted by time", moved)
+        rows.say("reordered", f"{counted(moved, 'row')} stood slightly out of order; sorted by time", moved)
         return index[order], t[order]
     return _longest_piece(rows, index, t)
 

@@ -1,0 +1,280 @@
+"""The time base of a recording: even out the jitter of stamps, keep real gaps, tie receive times to the receiver's UTC.
+
+A sensor samples evenly; the logger that stamps its samples is late now and then, and its own clock runs a little fast
+or slow. The stamps are therefore a straight line in the sample number, with a slowly changing slope, plus jitter, plus
+steps where samples were lost. What is none of that (a logger that samples when it finds the time) is left alone.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import stats
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.samples import Problem
+from smoother.session.rows import counted
+
+FEWEST_SAMPLES = 32
+PERIOD_WINDOW = 128  # samples over which a period is measured: longer than the bursts in which samples may arrive
+LOSSY_SHARE = 0.15  # up to this share of long intervals they are lost samples, above it is how samples arrive
+WHOLE = 0.2  # periods; how near to a whole number of periods lost samples leave an interval
+STEP_WINDOWS = (1, 4, 16, 64)  # samples on either side of a step; wide ones see single lost samples through jitter
+BURST_HASTE = (
+    0.2  # periods; if most intervals are shorter by more, samples arrive in bursts: only wide windows see steps
+)
+STEP_SIGMAS = 5.0
+SMALLEST_STEP = 0.5  # periods
+STAYING_SHARE = 0.6  # of a step's height that the least lags before and after must differ by
+UNSTEADY_GAP = 4.0  # periods
+ENVELOPE_WINDOW = 256  # samples; late samples are made up for within it, lost ones never
+EVEN_ENOUGH = 1e-3  # periods; stamps with less jitter are left as they are
+BLOCK_JITTER = 0.05  # periods; blocks are long enough for their mean to be this good ...
+SHORTEST_BLOCK = 32  # samples
+LONGEST_BLOCK = 10.0  # s; ... but the drift of a clock that warms up is followed
+IRREGULAR_GROWTH = 5.5  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
+TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the jitter; the others are gaps
+
+FEWEST_FIXES = 20
+ENVELOPE_PERCENTILE = 10.0  # of the delays in a bin: the least delay is the steady one, single values may be odd
+FIXES_PER_BIN = 20
+SHORTEST_BIN = 30.0  # s
+LARGEST_DRIFT = 2e-3  # of one clock against the other; more is not a clock
+WORST_ENVELOPE = 0.02  # s; how far the least delays may lie off the line
+ODD_UTC = 1.0  # s; a fix whose UTC is off by more (leap seconds not yet known) keeps its receive time
+
+
+@dataclass(frozen=True, eq=False)
+class TimeBase:
+    """Evened stamps t (N,) s, strictly increasing; the sampling period and the rms of what was removed, s.
+
+    is_steady : the samples follow a clock, so that an interval longer than a period means lost ones.
+    """
+
+    t: Array
+    period: float
+    jitter: float = 0.0
+    is_steady: bool = True
+
+
+def regularize(t: Array) -> TimeBase:
+    """Even out the stamps t (N,) s, strictly increasing, of samples taken at a steady rate.
+
+    Lost samples stay gaps, a rate that changes slowly is followed. Stamps that are even already, too few, or of a
+    sampling that is itself irregular come back unchanged (jitter 0).
+    """
+    period = float(np.median(np.diff(t))) if t.size > 1 else np.nan
+    if t.size < FEWEST_SAMPLES:
+        return TimeBase(t, period)
+    period = _period(t)
+    lag = t - t[0] - period * np.arange(t.size)
+    steps = _steps(lag, period)
+    if _is_irregular(lag - _step_heights(lag, steps), period):
+        return TimeBase(t, period, is_steady=False)
+    noise = _typical_rms(np.concatenate([_roughness(piece) for piece in np.split(lag, steps)]))
+    if noise < EVEN_ENOUGH * period:
+        return TimeBase(t, period)
+    even = _even(t, lag, steps, _block_length(noise, period))
+    if even is None:
+        return TimeBase(t, period, is_steady=False)
+    return TimeBase(even, period, float(np.sqrt(np.mean(np.square(even - t)))))
+
+
+def _even(t: Array, lag: Array, steps: IntArray, block: int) -> Array | None:
+    """Stamps with the lag smoothed between the steps; None if they are not increasing.
+
+    A step whose sides would overlap is none (late samples that were made up for) and is given up.
+    """
+    while True:
+        even = t - lag + np.concatenate([_smooth(piece, block) for piece in np.split(lag, steps)])
+        folded = np.flatnonzero(np.diff(even) <= 0.0) + 1
+        if folded.size == 0:
+            return np.asarray(even)
+        kept = np.setdiff1d(steps, folded)
+        if kept.size == steps.size:
+            return None
+        steps = kept
+
+
+def find_gaps(base: TimeBase) -> BoolArray:
+    """Mask (N-1,) of the intervals that hold lost samples: at least one where sampling is steady, else several."""
+    return np.asarray(np.diff(base.t) > (1.0 + SMALLEST_STEP if base.is_steady else UNSTEADY_GAP) * base.period)
+
+
+def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
+    """What a person should know of the stamps of a file: gaps and jitter. The codes start with `prefix`."""
+    problems = []
+    steps = np.diff(base.t)
+    gaps = steps[find_gaps(base)]
+    if gaps.size:
+        gap_count = counted(gaps.size, "gap")
+        text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.2f} s, {gaps.sum():.1f} s in all"
+        problems.append(Problem(f"{prefix}_gap", text, int(gaps.size)))
+    if base.jitter > BLOCK_JITTER * base.period:
+        text = f"{file}: stamps jitter by {1e3 * base.jitter:.1f} ms rms; evened out"
+        problems.append(Problem(f"{prefix}_jitter", text))
+    return problems
+
+
+def _period(t: Array) -> float:
+    """Sampling period: the median over windows, not misled by bursts, nor by lost samples where they are plain."""
+    interval = np.diff(t)
+    typical = np.median(interval)
+    multiple = np.round(interval / typical)
+    long = multiple > 1.0
+    whole = np.abs(interval / typical - multiple) < WHOLE
+    plain = np.mean(long) < LOSSY_SHARE and np.count_nonzero(long & whole) > 0.5 * np.count_nonzero(long)
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(multiple, 1.0) if plain else np.ones(interval.size))])
+    window = min(PERIOD_WINDOW, t.size // 4)
+    return float(np.median((t[window:] - t[:-window]) / (number[window:] - number[:-window])))
+
+
+def _is_irregular(lag: Array, period: float) -> bool:
+    """Whether intervals add up like a random walk: then it is the sampling that is uneven, not its stamps."""
+    window = min(64, lag.size // 4)
+    one, many = _typical_rms(np.diff(lag)), _typical_rms(lag[window:] - lag[:-window])
+    return one > EVEN_ENOUGH * period and many > IRREGULAR_GROWTH * one
+
+
+def _typical_rms(values: Array) -> float:
+    size = np.abs(values)
+    return float(np.sqrt(np.mean(np.square(size[size <= np.percentile(size, TYPICAL_SHARE)])))) if size.size else 0.0
+
+
+def _roughness(lag: Array) -> Array:
+    """Deviation of each lag from the mean of its neighbourhood, that is the jitter without the drift."""
+    window = min(64, lag.size)
+    mean = np.convolve(lag, np.ones(window) / window, mode="valid")
+    start = window // 2
+    return np.asarray(lag[start : start + mean.size] - mean)
+
+
+def _steps(lag: Array, period: float) -> IntArray:
+    """Sample numbers at which the lag (N,) steps up for good: where samples were lost. Ascending."""
+    found: set[int] = set()
+    arrives_in_bursts = np.median(np.diff(lag)) < -BURST_HASTE * period
+    for window in STEP_WINDOWS[-1:] if arrives_in_bursts else STEP_WINDOWS:
+        rest = lag - _step_heights(lag, np.array(sorted(found), dtype=np.int64))
+        found.update(_steps_at_scale(rest, window, period))
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _step_heights(lag: Array, steps: IntArray) -> Array:
+    """Sum (N,) of the steps so far, each measured on the interval itself."""
+    rise = np.zeros(lag.size)
+    rise[steps] = lag[steps] - lag[steps - 1]
+    return np.asarray(np.cumsum(rise))
+
+
+def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
+    if lag.size < 2 * window:
+        return []
+    total = np.concatenate([[0.0], np.cumsum(lag)])
+    first = np.arange(window, lag.size - window + 1)  # the sample a step may come before
+    height = (total[first + window] - 2.0 * total[first] + total[first - window]) / window
+    noise = 1.4826 * float(np.median(np.abs(height - np.median(height))))
+    high = height > max(SMALLEST_STEP * period, STEP_SIGMAS * noise)
+    if window == 1:
+        starts = np.flatnonzero(high)  # neighbours are steps of their own
+        ends = starts + 1
+    else:
+        edge = np.diff(np.concatenate([[False], high, [False]]).astype(np.int8))
+        starts, ends = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+    steps = []
+    for i, j in zip(starts, ends, strict=True):
+        top = int(first[i + np.argmax(height[i:j])])
+        near = np.arange(max(1, top - window // 2), min(lag.size, top + window // 2 + 1))
+        step = int(near[np.argmax(lag[near] - lag[near - 1])])
+        if _stays(lag, step, height[i:j].max(), period):
+            steps.append(step)
+    return steps
+
+
+def _stays(lag: Array, step: int, height: float, period: float) -> bool:
+    """Whether the lag never falls back to what it was: samples that only arrived late are made up for."""
+    jump = lag[step] - lag[step - 1]
+    before = np.min(lag[max(0, step - ENVELOPE_WINDOW) : step])
+    after = np.min(lag[step : step + ENVELOPE_WINDOW])
+    return bool(after - before > max(SMALLEST_STEP * period, STAYING_SHARE * height) and jump > 0.5 * height)
+
+
+def _block_length(noise: float, period: float) -> int:
+    wanted = int(np.ceil(3.0 * (noise / (BLOCK_JITTER * period)) ** 2))  # 3: jitter of neighbours is alike
+    return int(np.clip(wanted, SHORTEST_BLOCK, max(SHORTEST_BLOCK, LONGEST_BLOCK / period)))
+
+
+def _smooth(lag: Array, block: int) -> Array:
+    """Lag (N,) of a piece without steps, smoothed: a line through the means of blocks, extended at the ends."""
+    count = lag.size // block
+    if count < 2:
+        return np.full(lag.size, np.mean(lag)) if lag.size < SHORTEST_BLOCK else _line(lag)
+    bounds = np.linspace(0, lag.size, count + 1).round().astype(np.int64)
+    means = np.array([_trimmed_mean(lag[i:j]) for i, j in pairwise(bounds)])
+    centres = 0.5 * (bounds[:-1] + bounds[1:] - 1)
+    number = np.arange(lag.size)
+    smooth = np.interp(number, centres, means)
+    for ends, a, b in ((number < centres[0], 0, 1), (number > centres[-1], -1, -2)):
+        slope = (means[b] - means[a]) / (centres[b] - centres[a])
+        smooth[ends] = means[a] + slope * (number[ends] - centres[a])
+    return np.asarray(smooth)
+
+
+def _trimmed_mean(values: Array) -> float:
+    """Mean without the tenth at either end; scipy's trim_mean is 50 times slower on short arrays."""
+    cut = values.size // 10
+    return float(np.mean(np.sort(values)[cut : values.size - cut]))
+
+
+def _line(lag: Array) -> Array:
+    number = np.arange(lag.size)
+    slope, offset = np.polyfit(number, lag, 1)
+    return np.asarray(offset + slope * number)
+
+
+def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
+    """Replace the receive times of fixes by the receiver's own times, on the clock of the receive times.
+
+    t_receive (N,) s, strictly increasing; unix_s (N,) the UTC in each fix, NaN where unknown. The least delays follow
+    a line (two clocks and a constant latency); a fix that came later than that keeps only the line. Returns times
+    (N,) s with that constant latency still in them, and whether anything was changed: not without UTC, with too few
+    fixes, or where the two do not behave like two clocks.
+    """
+    known = np.isfinite(unix_s)
+    if np.count_nonzero(known) < FEWEST_FIXES:
+        return t_receive, False
+    utc = unix_s - unix_s[known][0]
+    delay = t_receive - utc
+    odd = ~(np.abs(delay - np.median(delay[known])) < ODD_UTC)
+    if np.mean(odd) > 0.5:
+        return t_receive, False
+    envelope = _envelope(utc[~odd], delay[~odd])
+    if envelope is None:
+        return t_receive, False
+    t = np.array(t_receive)
+    t[~odd] = utc[~odd] + np.interp(utc[~odd], *envelope)
+    t[odd] = _moved_alike(t_receive[odd], t_receive[~odd], t[~odd])
+    if not np.all(np.diff(t) > 0.0):
+        return t_receive, False
+    return t, True
+
+
+def _moved_alike(t: Array, before: Array, after: Array) -> Array:
+    """Move times t as the times `before` next to them were moved to `after`; the order is kept."""
+    return np.asarray(t + np.interp(t, before, after - before))
+
+
+def _envelope(utc: Array, delay: Array) -> tuple[Array, Array] | None:
+    """Times and values of a line through the least delays, None if it is none."""
+    span = float(utc[-1] - utc[0])
+    bins = int(max(2, min(utc.size // FIXES_PER_BIN, span // SHORTEST_BIN)))
+    member = np.minimum(((utc - utc[0]) / span * bins).astype(np.int64), bins - 1)
+    filled = [k for k in range(bins) if np.count_nonzero(member == k) >= 5]
+    if len(filled) < 2:
+        return None
+    centre = np.array([np.mean(utc[member == k]) for k in filled])
+    low = np.array([np.percentile(delay[member == k], ENVELOPE_PERCENTILE) for k in filled])
+    slope, offset, _, _ = stats.theilslopes(low, centre)
+    if abs(slope) > LARGEST_DRIFT or np.median(np.abs(low - offset - slope * centre)) > WORST_ENVELOPE:
+        return None
+    ends = np.array([utc[0], utc[-1]])
+    return ends, offset + slope * ends

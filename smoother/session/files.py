@@ -1,0 +1,102 @@
+"""Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from smoother.errors import SessionError
+from smoother.session.tables import read_header
+
+Role = Literal["out", "fixes", "imu", "sentences"]
+OUT_NAME = "out.txt"
+HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class SessionFiles:
+    """The files of one session. `chosen` is the one a person named and the part it plays, None for a directory."""
+
+    directory: Path
+    names: tuple[str, ...]
+    chosen: tuple[Path, Role] | None = None
+
+    def find(self, *wanted: str) -> Path | None:
+        """The first of the wanted names that is there, in any case of letters (cards often write capitals)."""
+        for want in wanted:
+            for name in self.names:
+                if name.lower() == want:
+                    return self.directory / name
+        return None
+
+    def _chosen_as(self, role: Role) -> Path | None:
+        return self.chosen[0] if self.chosen is not None and self.chosen[1] == role else None
+
+    def out_file(self) -> Path | None:
+        """The thesis' out.txt, unless a person pointed at another recording in the same place."""
+        if self.chosen is not None:
+            return self._chosen_as("out")
+        return self.find(OUT_NAME)
+
+    def imu_table(self) -> Path | None:
+        """imu.csv, or the IMU table that was named."""
+        return self._chosen_as("imu") or self.find("imu.csv", "imu.csv.gz")
+
+    def fix_table(self) -> Path | None:
+        """gps.csv, or the table of fixes that was named; none if a log of sentences was."""
+        if self._chosen_as("sentences"):
+            return None
+        return self._chosen_as("fixes") or self.find("gps.csv", "gps.csv.gz")
+
+    def sentence_logs(self) -> list[Path]:
+        """The logs of NMEA sentences, largest first; only the one that was named, if any."""
+        if (log := self._chosen_as("sentences")) is not None:
+            return [log]
+        logs = [self.directory / name for name in self.names if name.lower().endswith(".nmea")]
+        return sorted(logs, key=lambda log: (-log.stat().st_size, log.name))
+
+    def session_name(self) -> str:
+        """Name of the directory, or of the file where one of several recordings in it was named."""
+        own_names = {"imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME}
+        if self.chosen is not None and self.chosen[0].name.lower() not in own_names:
+            return self.chosen[0].name.partition(".")[0] or "session"
+        return self.directory.resolve().name or "session"
+
+
+def list_files(path: Path) -> SessionFiles:
+    """List the session at `path`, a directory or one file of it. Raises SessionError if there is none."""
+    if not path.exists():
+        raise SessionError(f"{path}: no such file or directory")
+    directory = path if path.is_dir() else path.parent
+    try:
+        names = tuple(sorted(entry.name for entry in directory.iterdir() if entry.is_file()))
+        role = None if path.is_dir() else _role(path)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return SessionFiles(directory, names, None if role is None else (path, role))
+
+
+def _role(path: Path) -> Role | None:
+    """The part a named file plays; None for one that only belongs to its session, as session.toml or mag.csv."""
+    name = path.name.lower()
+    if name.endswith((".csv", ".csv.gz")):
+        return _table_role(path)
+    if name.endswith(".nmea"):
+        return "sentences"
+    if name.endswith(".toml") or name in ("magcalib.txt", "mag_calib.txt"):
+        return None
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    if name == OUT_NAME or head.startswith(b"YY"):
+        return "out"
+    if b"$G" in head:
+        return "sentences"
+    raise SessionError(f"{path}: no known kind of recording; wanted a directory, out.txt, a .csv table or a .nmea log")
+
+
+def _table_role(path: Path) -> Role | None:
+    header = read_header(path)
+    if "lat_deg" in header or path.name.lower().startswith("gps.csv"):
+        return "fixes"
+    if {"ax", "gx"} <= set(header) or path.name.lower().startswith("imu.csv"):
+        return "imu"
+    return None
