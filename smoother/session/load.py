@@ -3,7 +3,7 @@
 A format is one entry of `FORMATS`; the first that recognises what lies in the directory reads it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +23,8 @@ from smoother.session.thesis import read_magcalib, read_out
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
+PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
+PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 
@@ -112,18 +114,27 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
     if imu is None:
         problems.append(Problem("imu_missing", "no IMU recorded: smoothed from GPS alone"))
         return None
-    if imu.t.size < FEWEST_IMU_SAMPLES:
-        text = f"{file}: only {imu.t.size} usable samples: smoothed from GPS alone"
-        problems.append(Problem("imu_missing", text))
-        return None
     base = regularize(imu.t)
-    rate = 1.0 / base.period
-    if rate < SLOWEST_IMU:
-        text = f"{file}: {rate:.1f} samples a second are too few for a kart's motion (at least {SLOWEST_IMU:.0f})"
-        problems.append(Problem("imu_too_slow", f"{text}: smoothed from GPS alone"))
+    for code, reason in _reasons_against(imu, base.period):
+        problems.append(Problem(code, f"{file}: {reason}: smoothed from GPS alone"))
         return None
     problems += describe_time_base(base, "imu", file)
     return replace(imu, t=base.t)
+
+
+def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
+    """Problem codes and reasons why the inertial samples cannot be used at all."""
+    if imu.t.size < FEWEST_IMU_SAMPLES:
+        yield "imu_missing", f"only {counted(imu.t.size, 'usable sample')}"
+        return
+    if period * SLOWEST_IMU > 1.0:
+        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f})"
+    force = float(np.median(np.linalg.norm(imu.accel, axis=1))) * imu.accel_scale
+    if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
+        yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
+    rate = float(np.median(np.linalg.norm(imu.gyro, axis=1))) * imu.gyro_scale
+    if rate > PLAUSIBLE_RATE:
+        yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
 
 
 def _evened_mag(mag: RawMag | None) -> RawMag | None:

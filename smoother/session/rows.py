@@ -13,6 +13,7 @@ MILLISECOND_WRAP = 2.0**32 * 1e-3  # s; millis() after 49.7 days
 WRAP_TOLERANCE = 60.0  # s; longest silence across a wrap that is still recognised as one
 GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has a cause of its own
 GLITCH_ROWS = 10
+COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
 STRAY_GAP = 600.0  # s; see _stray_ends
@@ -67,6 +68,32 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     stray = _stray_ends(time)
     rows.drop(_mask(rows, index[stray]), "stray_time", "stand far outside the time of the recording")
     return time[~stray], index[~stray]
+
+
+def spread_coarse_times(rows: RowFilter, t: Array, values: Array) -> Array:
+    """Times (N,) s in which rows that share a stamp but not their values (N, M) are spread up to the next stamp.
+
+    Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
+    as repeated would thin the recording. A few equal stamps are left to be dropped.
+    """
+    index = np.flatnonzero(rows.keep)
+    time = t[index]
+    if np.all(np.diff(time) != 0.0):
+        return t
+    shares = (np.diff(time) == 0.0) & np.any(np.diff(values[index], axis=0) != 0.0, axis=1)
+    if np.count_nonzero(shares) < COARSE_SHARE * index.size:
+        return t
+    group = np.cumsum(np.append(True, ~shares)) - 1
+    first = np.flatnonzero(np.append(True, ~shares))
+    size = np.diff(np.append(first, index.size))
+    room = np.diff(time[first], append=np.nan)
+    typical = float(np.median(room[room > 0.0])) if np.any(room > 0.0) else 0.0
+    room = np.clip(np.where(np.isfinite(room), room, typical), 0.0, typical)  # a gap behind a group is no room for it
+    spread = t.copy()
+    spread[index] = time + (np.arange(index.size) - first[group]) * (room / size)[group]
+    count = int(np.count_nonzero(shares))
+    rows.say("coarse_time", f"{counted(count, 'row')} share a time with the row before; spread evenly", count)
+    return spread
 
 
 def unwrap(t: Array) -> tuple[Array, int]:
