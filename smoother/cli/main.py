@@ -57,7 +57,7 @@ def _is_lone_session(arguments: list[str]) -> bool:
     if "--help" in arguments:
         return False
     try:
-        _, positional, _ = smooth.make_parser(click.Context(smooth)).parse_args(list(arguments))
+        values, _, _ = smooth.make_parser(click.Context(smooth)).parse_args(list(arguments))
     except click.UsageError:
         return False
-    return len(positional) == 1
+    return len(values["sessions"]) == 1

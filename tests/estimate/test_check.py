@@ -1,0 +1,137 @@
+"""`check` on simulated recordings, sound ones and ones with a single known flaw."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from smoother.estimate.check import Check, check
+from smoother.samples import GnssFixes, Problem, RawImu, RawSession
+from smoother.sim.simulation import simulate_preset
+from smoother.units import DEG, STANDARD_GRAVITY
+
+
+@pytest.fixture(scope="module")
+def kart() -> RawSession:
+    return simulate_preset("kart", 4, duration=90.0).raw
+
+
+def changed(raw: RawSession, **parts: object) -> RawSession:
+    return dataclasses.replace(raw, **parts)  # type: ignore[arg-type]
+
+
+def with_imu(raw: RawSession, **columns: object) -> RawSession:
+    assert raw.imu is not None
+    return changed(raw, imu=dataclasses.replace(raw.imu, **columns))  # type: ignore[arg-type]
+
+
+def texts(result: Check, level: str) -> str:
+    return "; ".join(finding.text for finding in result.findings if finding.level == level)
+
+
+@pytest.mark.parametrize("preset", ["white", "kart", "kart_harsh"])
+def test_a_simulated_kart_is_good_to_drive(preset: str) -> None:
+    result = check(simulate_preset(preset, 3, duration=300.0).raw)
+    assert result.is_good, result.reasons
+    assert result.measures["imu_rate_hz"] == pytest.approx(200.0, rel=0.05)
+    assert result.measures["fix_rate_hz"] == pytest.approx(5.0, rel=0.01)
+
+
+def test_one_outage_is_a_warning_with_its_length(kart: RawSession) -> None:
+    result = check(kart)
+    assert "1 gap, the longest 5" in texts(result, "warning")
+    assert result.measures["fix_gap_longest_s"] == pytest.approx(5.2, abs=0.3)  # 5 s and the step around it
+
+
+def test_a_recording_without_fixes_is_not_good(kart: RawSession) -> None:
+    none = changed(kart, gnss=kart.gnss.select(np.zeros(len(kart.gnss), dtype=bool)))
+    assert "no GPS fix" in texts(check(none), "stop")
+
+
+def test_fixes_lost_for_most_of_the_time_are_not_good(kart: RawSession) -> None:
+    holes = changed(kart, gnss=kart.gnss.select(np.floor(kart.gnss.t / 10.0) % 3 == 0))
+    assert "free view of the sky" in texts(check(holes), "stop")
+
+
+def test_an_inaccurate_receiver_is_not_good(kart: RawSession) -> None:
+    poor = dataclasses.replace(kart.gnss, sigma_horizontal=np.full(len(kart.gnss), 40.0))
+    assert "accuracy of 40.0 m" in texts(check(changed(kart, gnss=poor)), "stop")
+
+
+def test_fixes_without_speed_are_a_warning(kart: RawSession) -> None:
+    n = len(kart.gnss)
+    blank = dataclasses.replace(kart.gnss, velocity_n=np.full((n, 3), np.nan))
+    assert "no speed and course" in texts(check(changed(kart, gnss=blank)), "warning")
+
+
+def test_no_motion_sensor_is_not_good(kart: RawSession) -> None:
+    assert "no usable motion sensor" in texts(check(changed(kart, imu=None)), "stop")
+
+
+def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
+    assert kart.imu is not None
+    limit = 1.0 * STANDARD_GRAVITY
+    clipped = np.clip(kart.imu.accel * kart.imu.accel_scale, -limit, limit)
+    result = check(with_imu(kart, accel=clipped, accel_scale=1.0, accel_full_scale=limit))
+    assert "acceleration samples are clipped" in texts(result, "stop")
+
+
+def test_clipping_is_found_without_a_stated_range(kart: RawSession) -> None:
+    assert kart.imu is not None
+    limit = 250.0 * DEG
+    turn = np.clip(kart.imu.gyro * kart.imu.gyro_scale * 8.0, -limit, limit)
+    result = check(with_imu(kart, gyro=turn, gyro_scale=1.0, gyro_full_scale=None))
+    assert result.measures["gyro_clipped_share"] > 0.001
+    assert "turn rate samples are clipped" in texts(result, "warning") + texts(result, "stop")
+
+
+def test_a_coarsely_rounded_sensor_at_rest_does_not_clip() -> None:
+    t = np.arange(0.0, 30.0, 0.01)
+    rng = np.random.default_rng(1)
+    accel = np.round(rng.normal([0.0, 0.0, 9.8], 0.02, (len(t), 3)) / 0.05) * 0.05
+    gyro = np.round(rng.normal(0.0, 0.005, (len(t), 3)) / 0.01) * 0.01
+    fixes = GnssFixes(np.arange(0.0, 30.0, 0.2), *np.zeros((3, 150)), np.zeros((150, 3)))
+    result = check(RawSession("rest", fixes, RawImu(t, accel, gyro)))
+    assert result.measures["accel_clipped_share"] == result.measures["gyro_clipped_share"] == 0.0
+
+
+def test_an_accelerometer_in_g_and_a_gyroscope_in_degrees_are_found(kart: RawSession) -> None:
+    assert kart.imu is not None
+    in_g = with_imu(kart, accel_scale=kart.imu.accel_scale / STANDARD_GRAVITY, accel_full_scale=None)
+    assert "another unit" in texts(check(in_g), "stop")
+    in_degrees = with_imu(kart, gyro_scale=kart.imu.gyro_scale / DEG, gyro_full_scale=None)
+    assert "in deg/s instead of rad/s" in texts(check(in_degrees), "stop")
+
+
+def test_a_dead_axis_is_named(kart: RawSession) -> None:
+    assert kart.imu is not None
+    assert "z axis of the gyroscope" in texts(check(with_imu(kart, gyro=kart.imu.gyro * [1.0, 1.0, 0.0])), "stop")
+
+
+def test_a_recorder_that_loses_samples_is_not_good(kart: RawSession) -> None:
+    assert kart.imu is not None
+    keep = np.floor(kart.imu.t / 0.5) % 4 != 0
+    lossy = RawImu(
+        kart.imu.t[keep], kart.imu.accel[keep], kart.imu.gyro[keep], kart.imu.accel_scale, kart.imu.gyro_scale
+    )
+    assert "try another card" in texts(check(changed(kart, imu=lossy)), "stop")
+
+
+def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) -> None:
+    assert kart.imu is not None
+    shaken = kart.imu.accel + np.random.default_rng(1).normal(0.0, 8.0 / kart.imu.accel_scale, kart.imu.accel.shape)
+    assert "mount the box to the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
+
+
+def test_a_motion_sensor_that_ran_for_half_the_drive_is_not_good(kart: RawSession) -> None:
+    assert kart.imu is not None
+    early = kart.imu.t < 30.0
+    short = RawImu(
+        kart.imu.t[early], kart.imu.accel[early], kart.imu.gyro[early], kart.imu.accel_scale, kart.imu.gyro_scale
+    )
+    assert "covers only" in texts(check(changed(kart, imu=short)), "stop")
+
+
+def test_what_the_reader_found_is_passed_on(kart: RawSession) -> None:
+    flawed = changed(kart, problems=(Problem("x", "imu.csv: 3 rows dropped", 3),))
+    assert "3 rows dropped" in texts(check(flawed), "warning")

@@ -1,0 +1,93 @@
+"""The quality gate: passes what is honest, however poor, and stops what is wrong."""
+
+import numpy as np
+import pytest
+
+from smoother.estimate.quality import QualityLimits, assess
+from smoother.frames import Origin, nwu_to_geodetic
+from smoother.samples import GnssFixes, Session
+from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
+
+ORIGIN = Origin(45.0, 12.0, 30.0)
+SPEED = 20.0  # m/s along north
+SECONDS = 200.0
+
+
+def session(error_n: np.ndarray | None = None, hacc: float = 2.0, latency: float = 0.0) -> Session:
+    t = np.arange(0.0, SECONDS, 0.2)
+    position = np.stack([SPEED * (t - latency), 0 * t, 0 * t], axis=1) + (0.0 if error_n is None else error_n)
+    lat, lon, alt = nwu_to_geodetic(position, ORIGIN)
+    fixes = GnssFixes(t, lat, lon, alt, np.full((len(t), 3), np.nan), sigma_horizontal=np.full(len(t), hacc))
+    return Session("straight", fixes, ORIGIN)
+
+
+def estimate(sigma: float = 1.0, report: EstimateReport | None = None, factor: float = 1.0) -> Trajectory:
+    t = np.arange(0.0, SECONDS - 0.2, 0.02)
+    n = len(t)
+    sigmas = Sigmas(np.full((n, 3), sigma), np.ones((n, 3)), np.ones(n), np.ones((n, 3)), np.ones(n))
+    zero = np.zeros((n, 3))
+    velocity = np.tile([SPEED * factor, 0.0, 0.0], (n, 1))
+    report = EstimateReport() if report is None else report
+    return Trajectory(t, velocity * t[:, None], velocity, np.tile(np.eye(3), (n, 1, 1)), zero, zero, sigmas, report)
+
+
+def shifted_rows(first: int, last: int, north: float) -> np.ndarray:
+    error = np.zeros((round(SECONDS / 0.2), 3))
+    error[first:last, 0] = north
+    return error
+
+
+def test_a_trajectory_along_its_fixes_passes() -> None:
+    quality = assess(session(), estimate())
+    assert quality.passed
+    assert quality.reasons == ()
+    assert quality.measures["far_fix_share"] == 0.0
+    assert quality.measures["top_speed_mps"] == pytest.approx(SPEED)
+
+
+def test_wide_sigmas_and_bad_fixes_are_honest_not_wrong() -> None:
+    noise = np.random.default_rng(2).normal(0.0, 10.0, (round(SECONDS / 0.2), 3))
+    assert assess(session(noise, hacc=15.0), estimate(sigma=20.0)).passed
+
+
+def test_a_known_latency_is_no_distance() -> None:
+    late = session(latency=0.4)  # 8 m along the track
+    told = EstimateReport(identified={"gps_position_latency": Identified(0.4, 0.01, "s", True, "identified")})
+    assert assess(late, estimate(report=told)).measures["median_fix_distance_m"] == pytest.approx(0.0, abs=1e-3)
+    assert not assess(late, estimate(), QualityLimits()).passed
+
+
+def test_some_jumps_of_the_fixes_are_lived_with() -> None:
+    assert assess(session(shifted_rows(100, 150, 40.0)), estimate()).passed  # 10 s of 200 s, refused by the smoother
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: assess(session(shifted_rows(0, 150, 40.0)), estimate()), "15 % of the fixes lie far"),
+        (lambda: assess(session(shifted_rows(100, 190, 40.0)), estimate()), "leaves the fixes for 18 s"),
+        (lambda: assess(session(), estimate(sigma=60.0)), "horizontal sigma is 85 m"),
+        (lambda: assess(session(), estimate(sigma=float("nan"))), "horizontal sigma is nan"),
+        (lambda: assess(session(), estimate(factor=6.0)), "432 km/h is not a kart's"),
+        (lambda: assess(session(), estimate(factor=float("nan"))), "no position or velocity"),
+    ],
+)
+def test_what_is_wrong_is_stopped_with_its_reason(made: object, words: str) -> None:
+    quality = made()  # type: ignore[operator]
+    assert not quality.passed
+    assert any(words in reason for reason in quality.reasons), quality.reasons
+
+
+@pytest.mark.parametrize(
+    ("residual", "words"),
+    [
+        (ResidualStatistics("m", 500, 0.0, 9.0, 9.0, 0), "residuals of gps position are 9.0 times their sigma"),
+        (ResidualStatistics("m", 500, 0.0, 1.0, 1.0, 200), "40 % of gps position was rejected"),
+        (ResidualStatistics("m", 5, 0.0, 9.0, 9.0, 5), ""),
+        (ResidualStatistics("m", 500, 0.0, 1.0, 1.3, 20), ""),
+    ],
+)
+def test_residuals_far_from_their_sigma_are_stopped(residual: ResidualStatistics, words: str) -> None:
+    quality = assess(session(), estimate(report=EstimateReport(residuals={"gps_position": residual})))
+    assert quality.passed == (words == "")
+    assert words in "; ".join(quality.reasons)
