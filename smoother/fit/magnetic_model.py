@@ -5,7 +5,7 @@ positive towards east and n is North-West-Up, so it is minus that.
 """
 
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pygeomag import GeoMag, calculate_decimal_year
@@ -65,12 +65,18 @@ def field_n(declination: float, inclination: float, strength: float = 1.0) -> Ar
 
 
 def session_declination(session: Session) -> tuple[float, tuple[Problem, ...]]:
-    """Declination (rad, east positive) for a session: as configured, else from the model at its place and date.
+    """Declination (rad, east positive) for a session; see :func:`session_field`."""
+    if session.config.magnetometer.declination_deg is not None:
+        return session.config.magnetometer.declination_deg * DEG, ()
+    field, problems = session_field(session)
+    return field.declination, problems
+
+
+def session_field(session: Session) -> tuple[EarthField, tuple[Problem, ...]]:
+    """Earth's field for a session, from the model at its place and date; a configured declination wins.
 
     The date comes from the fixes, else from the settings; what had to be assumed is returned as problems.
     """
-    if session.config.magnetometer.declination_deg is not None:
-        return session.config.magnetometer.declination_deg * DEG, ()
     problems = []
     date = session_date(session)
     if date is None:
@@ -80,7 +86,11 @@ def session_declination(session: Session) -> tuple[float, tuple[Problem, ...]]:
     field = earth_field(session.origin, date)
     if field.note:
         problems.append(Problem("magnetic_model", field.note))
-    return field.declination, tuple(problems)
+    stated = session.config.magnetometer.declination_deg
+    if stated is not None:
+        turned = field_n(stated * DEG, field.inclination, field.strength)
+        field = replace(field, declination=stated * DEG, field_n=turned)
+    return field, tuple(problems)
 
 
 def session_date(session: Session) -> datetime.date | None:

@@ -1,0 +1,187 @@
+"""Attitude to start from: for any mounting of the box, with or without a standstill.
+
+While a kart drives, its nose points nearly along its path and its floor is nearly level. So, in axes of the path
+(forward, left, up), rate and specific force are known from the fixes: the rate is the course's rate about up, the force
+is the path's acceleration plus g upwards. Both are linear in what the box measures,
+
+    angular_rate_s   = R_sb (0, 0, yaw_rate)          + gyro_bias,
+    specific_force_s = R_sb (a_forward, a_left, g)    + accel_bias,
+
+and a least-squares fit over the whole session averages vibration away. The slopes are directions of the kart's axes in
+the box: together they give the mounting by Wahba's problem, the intercept of the first line is the gyro bias, even one
+of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A kart at rest, or one that never turns,
+leaves less; then gravity alone levels, and what is unknown is said.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.frames import rotation_from_euler, wrap_angle
+from smoother.samples import ImuSamples
+from smoother.units import STANDARD_GRAVITY
+
+MIN_SPEED = 3.0  # m/s below which a course says little about the nose
+WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
+LAGS = np.arange(-0.2, 0.81, 0.02)  # s tried for the delay of the fixes
+
+
+@dataclass(frozen=True, eq=False)
+class PathMotion:
+    """Motion of the kart from the fixes. t (N,) s; velocity_n, acceleration_n (N, 3), Up may be NaN."""
+
+    t: Array
+    velocity_n: Array
+    acceleration_n: Array
+
+    @property
+    def speed(self) -> Array:
+        """Horizontal speed, (N,) m/s."""
+        return np.asarray(np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1]))
+
+    @property
+    def yaw(self) -> Array:
+        """Direction of travel, anticlockwise from north, (N,) rad."""
+        return np.arctan2(self.velocity_n[:, 1], self.velocity_n[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """R_bs (3, 3) rough mounting; gyro_bias_s (3,) rad/s; lag, s, of the fixes behind the IMU.
+
+    share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
+    is_level_only: the heading of the box in the kart could not be found, because the kart hardly moved.
+    """
+
+    R_bs: Array
+    gyro_bias_s: Array
+    lag: float
+    share_explained: float
+    is_level_only: bool
+
+
+def align(imu: ImuSamples, path: PathMotion, lags: Array = LAGS) -> Alignment:
+    """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
+    moving = path.speed > MIN_SPEED
+    inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
+    use = moving & inside
+    if np.count_nonzero(use) < 30:
+        return _level_only(imu)
+    averages = _Averages(imu)
+    fits = [_fit(averages, path, use, lag) for lag in lags]
+    best = max(fits, key=lambda fit: fit.share_explained)
+    return best
+
+
+class _Averages:
+    """Mean force and rate over windows, from cumulative sums."""
+
+    def __init__(self, imu: ImuSamples) -> None:
+        self._t = imu.t
+        step = np.diff(imu.t, prepend=imu.t[0])
+        self._force = np.cumsum(imu.specific_force_s * step[:, None], axis=0)
+        self._rate = np.cumsum(imu.angular_rate_s * step[:, None], axis=0)
+
+    def around(self, t: Array, width: float) -> tuple[Array, Array]:
+        """Mean force and rate, each (N, 3), over `width` seconds around t (N,)."""
+        ends = []
+        for cumulative in (self._force, self._rate):
+            high = _interpolate(t + 0.5 * width, self._t, cumulative)
+            low = _interpolate(t - 0.5 * width, self._t, cumulative)
+            ends.append((high - low) / width)
+        return ends[0], ends[1]
+
+
+def _fit(averages: _Averages, path: PathMotion, use: Array, lag: float) -> Alignment:
+    force, rate = averages.around(path.t[use] - lag, WINDOW)
+    forward, left, yaw_rate = _path_axes(path)
+    forward, left, yaw_rate = forward[use], left[use], yaw_rate[use]
+    one = np.ones(forward.size)
+    rate_fit, rate_share = _robust_lines(np.stack([yaw_rate, one], axis=1), rate)
+    force_fit, force_share = _robust_lines(np.stack([forward, left, one], axis=1), force)
+    # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
+    directions_s = np.stack([force_fit[0], force_fit[1], force_fit[2] / STANDARD_GRAVITY, rate_fit[0]])
+    directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])
+    weights = np.array([np.std(forward), np.std(left), STANDARD_GRAVITY, 10.0 * np.std(yaw_rate)])
+    R_bs = so3.normalized(np.einsum("i,ij,ik->jk", weights, directions_b, directions_s))
+    return Alignment(R_bs, rate_fit[1], float(lag), 0.5 * (rate_share + force_share), False)
+
+
+def _path_axes(path: PathMotion) -> tuple[Array, Array, Array]:
+    """Forward and left acceleration m/s^2 and yaw rate rad/s of the path, each (N,), averaged over WINDOW."""
+    t, dt = path.t, WINDOW / 2.0
+    before = np.stack([np.interp(t - dt, t, path.velocity_n[:, i]) for i in range(2)], axis=1)
+    after = np.stack([np.interp(t + dt, t, path.velocity_n[:, i]) for i in range(2)], axis=1)
+    acceleration = (after - before) / WINDOW
+    yaw = path.yaw
+    forward = acceleration[:, 0] * np.cos(yaw) + acceleration[:, 1] * np.sin(yaw)
+    left = -acceleration[:, 0] * np.sin(yaw) + acceleration[:, 1] * np.cos(yaw)
+    turn = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
+    return forward, left, wrap_angle(turn) / WINDOW
+
+
+def _robust_lines(design: Array, measured: Array) -> tuple[Array, float]:
+    """Least squares with Cauchy weights. design (N, p), measured (N, 3). Returns (p, 3) and the share explained."""
+    weight = np.ones(len(design))
+    for _ in range(6):
+        w = weight[:, None]
+        solution = np.linalg.lstsq(design * np.sqrt(w), measured * np.sqrt(w), rcond=None)[0]
+        distance = np.linalg.norm(measured - design @ solution, axis=1)
+        scale = np.median(distance) + 1e-9
+        weight = 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2)
+    mean = np.average(measured, axis=0, weights=weight)
+    unexplained = np.average(np.sum((measured - design @ solution) ** 2, axis=1), weights=weight)
+    spread = np.average(np.sum((measured - mean) ** 2, axis=1), weights=weight)
+    return solution, float(1.0 - unexplained / max(spread, 1e-12))
+
+
+def _level_only(imu: ImuSamples) -> Alignment:
+    up_s = np.median(imu.specific_force_s, axis=0)
+    up_s = up_s / max(float(np.linalg.norm(up_s)), 1e-9)
+    return Alignment(rotation_to_up(up_s), np.median(imu.angular_rate_s, axis=0), 0.0, 0.0, True)
+
+
+def rotation_to_up(up_s: Array) -> Array:
+    """Return the smallest rotation that takes the unit vector up_s (3,) to (0, 0, 1). Returns (3, 3)."""
+    up = np.array([0.0, 0.0, 1.0])
+    axis = np.cross(up_s, up)
+    sine, cosine = float(np.linalg.norm(axis)), float(up_s @ up)
+    if sine < 1e-9:
+        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
+    return so3.exp(axis / sine * np.arctan2(sine, cosine))
+
+
+def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Array:
+    """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
+
+    The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
+    added to the gyro's yaw, and held over standstills.
+    """
+    rate_up = (imu.angular_rate_s - alignment.gyro_bias_s) @ alignment.R_bs[2]
+    step = np.clip(np.diff(imu.t, prepend=imu.t[0]), 0.0, 0.5)
+    gyro_yaw = np.cumsum(rate_up * step)
+    times = path.t - alignment.lag
+    moving = path.speed > MIN_SPEED
+    if alignment.is_level_only or not np.any(moving):
+        yaw = np.interp(t, imu.t, gyro_yaw)
+    else:
+        difference = np.unwrap(path.yaw[moving] - np.interp(times[moving], imu.t, gyro_yaw))
+        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving], difference, 3.0)
+    level = np.zeros(len(t))
+    return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:
+    """Mean of `values` over `width` seconds around t, the nearest ones where none fall into the window."""
+    cumulative = np.concatenate([[0.0], np.cumsum(values)])
+    i = np.searchsorted(times, t - 0.5 * width)
+    j = np.searchsorted(times, t + 0.5 * width)
+    empty = i >= j
+    mean = (cumulative[j] - cumulative[i]) / np.maximum(j - i, 1)
+    return np.where(empty, np.interp(t, times, values), mean)
+
+
+def _interpolate(t: Array, times: Array, values: Array) -> Array:
+    return np.stack([np.interp(t, times, values[:, i]) for i in range(values.shape[1])], axis=1)

@@ -1,0 +1,256 @@
+"""Batch solution of the graph: Gauss-Newton with robust weights, and the noise of the session estimated on the way.
+
+GTSAM holds the inertial factors, preintegrates and linearises them; rows.py linearises the rest; chain.py solves the
+whole chain and returns the covariance of every keyframe in the same sweep.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.graph import rows as rw
+from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
+from smoother.estimate.graph.imu import (
+    BinnedImu,
+    DensePath,
+    InertialNoise,
+    dense_path,
+    interval_noise,
+    preintegrate,
+    reading_path,
+)
+from smoother.estimate.graph.inertial import (
+    LinearInertial,
+    ValuesFactory,
+    add_inertial,
+    empty_system,
+    inertial_after_step,
+    inertial_graph,
+    inertial_residuals,
+    linearize_inertial,
+)
+from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, ChainState
+
+ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
+CONVERGED = ((ROTATION, 2e-4), (TRANSLATION, 2e-3), (VELOCITY, 2e-3))  # rad, m, m/s: far below any sigma
+RELATIVE_FLOOR = 1e-3  # of the square root of a variance ratio: noise is known to some per cent at best
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Everything the graph assumes about noise. Sigmas per axis of n (3,): m for positions, m/s for velocities.
+
+    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes.
+    """
+
+    inertial: InertialNoise
+    position: Array
+    velocity: Array
+    offset_sigma: Array
+    offset_tau: float
+
+    @property
+    def offset_q(self) -> Array:
+        """Driving noise of the offset, (3,) m^2/s."""
+        return 2.0 * self.offset_sigma**2 / self.offset_tau
+
+    def change(self, other: "Noise") -> float:
+        """Largest relative difference of any sigma or density to those of `other`."""
+        return float(np.max(np.abs(np.log(self._levels() / other._levels()))))
+
+    def _levels(self) -> Array:
+        return np.concatenate([[self.inertial.accel, self.inertial.gyro], self.position, self.velocity])
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (6,)."""
+
+    accel_bias: float
+    gyro_bias: float
+    gyro_bias_mean: Array
+    constants: Array
+    constants_sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
+
+    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest.
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    position_scale: Array
+    velocity_scale: Array
+    still: np.ndarray
+    extra: tuple[Callable[[ChainState, Noise], rw.Rows], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A linearised, solved graph at `state`: the state itself, its covariances and the rows they came from."""
+
+    state: ChainState
+    solution: ChainSolution
+    inertial: LinearInertial
+    rows: dict[str, rw.Rows]
+
+
+class Batch:
+    """One session's graph. Data and inertial bins are fixed; states and noise go in and come out."""
+
+    def __init__(self, data: Data, binned: BinnedImu, priors: Priors) -> None:
+        self._data = data
+        self._binned = binned
+        self._priors = priors
+        self._factory = ValuesFactory(len(binned.t))
+
+    def graph(self, state: ChainState, noise: Noise) -> gtsam.NonlinearFactorGraph:
+        """Preintegrate the inertial samples about the biases of `state` and return their factors."""
+        biases = state.accel_bias_s[:-1], state.gyro_bias_s[:-1]
+        return inertial_graph(preintegrate(self._binned, noise.inertial, *biases))
+
+    def converge(
+        self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise, iterations: int
+    ) -> ChainState:
+        """Gauss-Newton from `state`, at most `iterations` steps."""
+        for _ in range(iterations):
+            system, _, _ = self._linearize(graph, state, noise)
+            step = solve_chain(system, with_covariance=False)
+            state = state.retract(step.x, step.constants)
+            if all(np.max(np.abs(step.x[:, part])) < limit for part, limit in CONVERGED):
+                break
+        return state
+
+    def step(self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise) -> Solved:
+        """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it."""
+        system, inertial, rows = self._linearize(graph, state, noise)
+        solution = solve_chain(system)
+        return Solved(
+            state.retract(solution.x, solution.constants),
+            solution,
+            inertial_after_step(inertial, solution.x),
+            {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
+        )
+
+    def path(self, state: ChainState) -> DensePath:
+        """Dense path through the keyframes of `state`."""
+        return dense_path(
+            self._binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
+        )
+
+    def _linearize(
+        self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise
+    ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
+        inertial = linearize_inertial(graph, self._factory.values(state))
+        rows = {r.name: r for r in self._rows(state, noise)}
+        system = empty_system(len(state.t))
+        add_inertial(system, inertial)
+        for r in rows.values():
+            rw.add_rows(system, r)
+        return system, inertial, rows
+
+    def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:
+        d, prior = self._data, self._priors
+        path = reading_path(self._binned, self.path(state), noise.inertial.accel)
+        position = rw.position_rows(
+            state, path, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
+        )
+        velocity = rw.velocity_rows(state, path, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
+        out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
+        bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
+        sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
+        out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
+        out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
+        out.append(rw.constants_prior_row(state.constants.as_vector() - prior.constants, prior.constants_sigma))
+        if len(d.still):
+            out.append(rw.standstill_rows(state, d.still, 0.03, 2e-3))
+        out.extend(make(state, noise) for make in d.extra)
+        return out
+
+
+def _robust(rows: rw.Rows) -> rw.Rows:
+    finite = np.isfinite(rows.sigma)
+    squared = np.where(finite, (rows.residual / np.where(finite, rows.sigma, 1.0)) ** 2, 0.0)
+    dimension = np.maximum(finite.sum(axis=1), 1)
+    distance = np.sqrt(squared.sum(axis=1) / dimension * 2.0)  # as if of two components
+    weight = np.minimum(1.0, (ROBUST_LIMIT / np.maximum(distance, 1e-9)) ** 2)
+    return replace(rows, weight=weight)
+
+
+def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
+    """Variance (N, r) that the solution leaves in the prediction of `rows`."""
+    k = rows.interval
+    P = solution.covariance
+    left, right, constants = rows.left, rows.right, rows.constants
+
+    def quadratic(A: Array, M: Array, B: Array) -> Array:
+        return np.asarray(np.einsum("nri,nri->nr", A @ M, B))
+
+    out = quadratic(left, P[k], left) + quadratic(right, P[k + 1], right)
+    out += 2.0 * quadratic(left, solution.cross[k], right)
+    out += quadratic(
+        constants,
+        np.broadcast_to(solution.constants_covariance, (len(k), *solution.constants_covariance.shape)),
+        constants,
+    )
+    out += 2.0 * quadratic(left, solution.constants_cross[k], constants)
+    out += 2.0 * quadratic(right, solution.constants_cross[k + 1], constants)
+    return out
+
+
+def update_noise(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
+    """One step of variance component estimation: each variance becomes squared residuals over redundancy.
+
+    Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
+    """
+    state, solution = solved.state, solved.solution
+    inertial = inertial_residuals(state, solved.inertial, solution)
+    accel, gyro = interval_noise(binned, noise.inertial)
+    T = state.interval
+    good = (binned.missing == 0.0) & (binned.clipped == 0.0)
+    gyro_ratio = _ratio(inertial, ROTATION, gyro[:, None] ** 2 * T, good)
+    accel_ratio = _ratio(inertial, VELOCITY, accel[:, None] ** 2 * T, good)
+    new = replace(noise.inertial, gyro=noise.inertial.gyro * gyro_ratio, accel=noise.inertial.accel * accel_ratio)
+    position = solved.rows["gps_position"]
+    velocity = solved.rows["gps_velocity"]
+    return replace(
+        noise,
+        inertial=new,
+        position=noise.position * _row_ratio(position, solution, ((0, 1), (2,))),
+        velocity=noise.velocity * _row_ratio(velocity, solution, ((0, 1), (2,))),
+    )
+
+
+def _ratio(inertial: object, part: slice, variance: Array, good: Array) -> float:
+    residual, posterior = inertial.residual[good, part], inertial.posterior_variance[good, part]  # type: ignore[attr-defined]
+    variance = np.broadcast_to(variance, inertial.residual[:, part].shape)[good]  # type: ignore[attr-defined]
+    weight = 1.0 / variance
+    return _bounded(float(np.sum(residual**2 * weight)), float(np.sum(1.0 - posterior * weight)), residual.size)
+
+
+def _row_ratio(rows: rw.Rows, solution: ChainSolution, groups: tuple[tuple[int, ...], ...]) -> Array:
+    posterior = posterior_variance(rows, solution)
+    information = rows.information
+    out = np.ones(rows.residual.shape[1])
+    for group in groups:
+        g = list(group)
+        known = information[:, g] > 0.0
+        if np.count_nonzero(known) < 20:
+            continue
+        chi2 = float(np.sum(rows.residual[:, g] ** 2 * information[:, g]))
+        redundancy = float(np.sum(np.where(known, rows.weight[:, None] - posterior[:, g] * information[:, g], 0.0)))
+        out[g] = _bounded(chi2, redundancy, int(np.count_nonzero(known)))
+    return out
+
+
+def _bounded(chi2: float, redundancy: float, count: int) -> float:
+    """Square root of the variance ratio, at most a factor of three a step; redundancy kept positive."""
+    redundancy = max(redundancy, 0.02 * count)
+    return float(np.clip(np.sqrt(chi2 / redundancy), 1.0 / 3.0, 3.0))

@@ -1,0 +1,81 @@
+"""Magnetic heading: calibrate the field against the attitude of a first solution, and judge whether it is of use.
+
+In a kart the magnetometer sits among iron and currents, and laps show only part of what a calibration needs: the kart
+stays nearly level. What laps do show is fitted here, field_s = A R_sn B_n + h, with the matrix drawn towards a multiple
+of one where the laps are silent. The graph then uses the heading of the corrected field, with an unknown offset of its
+own: relative to itself the field may steady the yaw, but it cannot contradict the course. Where it disagrees with the
+gyro it is left out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.graph.state import ChainState
+from smoother.frames import wrap_angle
+from smoother.samples import MagSamples
+
+USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
+FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
+SPACING = 1.0  # s between heading factors, since the field's errors last
+RIDGE = 0.03  # weight of the prior on the matrix, relative to the data
+
+
+@dataclass(frozen=True, eq=False)
+class Heading:
+    """Heading measurements: intervals (N,), corrected field_s (N, 3), and sigma rad. rms rad of all that agreed."""
+
+    interval: np.ndarray
+    field_s: Array
+    field_yaw: float
+    sigma: float
+
+
+def heading_from_field(mag: MagSamples, state: ChainState, declination: float, inclination: float) -> Heading | None:
+    """Return the usable headings, or None when the field disagrees with the attitude of `state`.
+
+    declination (east positive), inclination (down positive) rad.
+    """
+    step = max(1, round(SPACING / state.interval))
+    at = np.arange(0, len(state.t) - 1, step)
+    inside = (state.t[at] > mag.t[0]) & (state.t[at] < mag.t[-1])
+    at = at[inside]
+    if len(at) < 20:
+        return None
+    measured = np.stack([np.interp(state.t[at], mag.t, mag.field_s[:, i]) for i in range(3)], axis=1)
+    field_n = np.array(
+        [
+            np.cos(inclination) * np.cos(declination),
+            -np.cos(inclination) * np.sin(declination),
+            -np.sin(inclination),
+        ]
+    )
+    expected = np.einsum("kji,j->ki", state.R_ns[at], field_n)
+    matrix, iron, weight = _fit(expected, measured)
+    if np.linalg.cond(matrix) > 20.0:
+        return None
+    corrected = np.linalg.solve(matrix, (measured - iron).T).T
+    turned = np.einsum("kij,kj->ki", state.R_ns[at], corrected)
+    error = wrap_angle(np.arctan2(turned[:, 1], turned[:, 0]) + declination)
+    rms = float(np.sqrt(np.average(error**2, weights=weight)))
+    keep = np.abs(error) < 3.0 * max(rms, FLOOR)
+    if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
+        return None
+    return Heading(at[keep], corrected[keep], -declination, max(rms, FLOOR))
+
+
+def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:
+    """Robust ridge fit of measured = A expected + h. Returns A (3, 3), h (3,), weights (N,)."""
+    centred = measured - np.median(measured, axis=0)
+    scale = np.linalg.norm(centred) / max(np.linalg.norm(expected - expected.mean(axis=0)), 1e-9)
+    design = np.concatenate([expected, np.ones((len(expected), 1))], axis=1)
+    weight = np.ones(len(design))
+    prior = np.diag([RIDGE, RIDGE, RIDGE, 0.0]) * len(design)
+    towards = np.concatenate([scale * np.eye(3), np.zeros((1, 3))])
+    for _ in range(8):
+        normal = (design * weight[:, None]).T @ design + prior
+        solution = np.linalg.solve(normal, (design * weight[:, None]).T @ measured + prior @ towards)
+        distance = np.linalg.norm(measured - design @ solution, axis=1)
+        weight = 1.0 / (1.0 + (distance / (2.0 * np.median(distance) + 1e-12)) ** 2)
+    return solution[:3].T, solution[3], weight

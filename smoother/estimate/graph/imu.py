@@ -1,0 +1,318 @@
+"""Inertial samples between keyframes: rate reduction, GTSAM preintegration, and the dense path they describe.
+
+The samples are first averaged into equal bins, about 50 a second whatever the logger's rate, because GTSAM costs
+microseconds per sample from Python. The average is rotation aware: the force is resolved in the axes of the start of
+its bin (sculling), the rates include coning, so that the bins integrate to the same motion as the samples did; it also
+makes GTSAM's first-order step, which rotates the force with the attitude at the start of the step, exact to second
+order. Axes are s throughout: the graph estimates the attitude of the sensor, R_ns.
+"""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array, BoolArray
+from smoother.frames import GRAVITY_N
+from smoother.samples import ImuSamples
+from smoother.units import STANDARD_GRAVITY
+
+GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
+CLIP_FRACTION = 0.985  # of full scale; the MPU9250's codes saturate at the last count
+
+
+@dataclass(frozen=True, eq=False)
+class BinnedImu:
+    """Inertial measurements averaged into equal bins, n_bins to each of K-1 intervals between keyframes.
+
+    t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
+    its bin's start; missing (K-1,) fraction of the interval without samples; clipped (K-1,) fraction of clipped samples.
+    """
+
+    t: Array
+    dt: float
+    specific_force_s: Array
+    angular_rate_s: Array
+    missing: Array
+    clipped: Array
+
+    @property
+    def n_bins(self) -> int:
+        """Bins in one interval between keyframes."""
+        return int(self.specific_force_s.shape[1])
+
+    @property
+    def edges(self) -> Array:
+        """Times of all bin edges, ((K-1) n_bins + 1,) s."""
+        return self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1)
+
+
+@dataclass(frozen=True)
+class InertialNoise:
+    """Densities of the graph's inertial factors: m/s^2/sqrt(Hz), rad/s/sqrt(Hz), and of the walks of the biases."""
+
+    accel: float
+    gyro: float
+    accel_bias_walk: float  # m/s^2/sqrt(s)
+    gyro_bias_walk: float  # rad/s/sqrt(s)
+
+
+def keyframe_times(start: float, end: float, interval: float) -> Array:
+    """Return equally spaced times (K,) s that cover [start, end], K >= 2."""
+    n = max(1, int(np.ceil((end - start) / interval - 1e-9)))
+    return start + interval * np.arange(n + 1)
+
+
+def clipped_samples(imu: ImuSamples) -> BoolArray:
+    """Mask (N,) of samples at the end of their range; without a stated range nothing counts as clipped."""
+    clipped = np.zeros(len(imu.t), dtype=bool)
+    for values, full_scale in ((imu.specific_force_s, imu.accel_full_scale), (imu.angular_rate_s, imu.gyro_full_scale)):
+        if full_scale is not None:
+            clipped |= np.any(np.abs(values) >= CLIP_FRACTION * full_scale, axis=1)
+    return clipped
+
+
+def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:
+    """Average `imu` into n_bins equal bins per interval of the equally spaced keyframe times t (K,).
+
+    The biases (3,), m/s^2 and rad/s, are taken off for the rotations inside a bin and put back, so that the bins are
+    measurements like the samples. Where samples are missing their neighbours are interpolated, and `missing` says so.
+    Source: Savage 1998, coning and sculling, second order.
+    """
+    n_intervals = len(t) - 1
+    n_edges = n_intervals * n_bins + 1
+    dt = (t[-1] - t[0]) / (n_edges - 1)
+    edges = t[0] + dt * np.arange(n_edges)
+    inside = imu.t[(imu.t > edges[0]) & (imu.t < edges[-1])]
+    knots = np.union1d(inside, edges)
+    duration = np.diff(knots)
+    middle = knots[:-1] + 0.5 * duration
+    force, rate, missing, sample = _piecewise_constant(imu, middle)
+    bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_edges - 2)
+
+    rate = rate - gyro_bias
+    step = rate * duration[:, None]
+    turned = np.cumsum(step, axis=0) - step
+    first = np.searchsorted(bin_of, np.arange(n_edges - 1))
+    start = turned - turned[first][bin_of]  # rotation vector since the start of the bin, first order
+    half = start + 0.5 * step
+    turned_force = np.cross(half, force - accel_bias)
+    resolved = force + turned_force + 0.5 * np.cross(half, turned_force)
+    coned = step + 0.5 * np.cross(start, step)
+
+    mean_force = np.add.reduceat(resolved * duration[:, None], first, axis=0) / dt
+    mean_rate = np.add.reduceat(coned, first, axis=0) / dt + gyro_bias
+    clipped = clipped_samples(imu)[sample]
+    shape = (n_intervals, n_bins)
+    return BinnedImu(
+        t,
+        float(dt),
+        mean_force.reshape(*shape, 3),
+        mean_rate.reshape(*shape, 3),
+        np.add.reduceat(missing * duration, first).reshape(shape).sum(axis=1) / (n_bins * dt),
+        np.add.reduceat(clipped * duration, first).reshape(shape).sum(axis=1) / (n_bins * dt),
+    )
+
+
+def _piecewise_constant(imu: ImuSamples, t: Array) -> tuple[Array, Array, BoolArray, np.ndarray]:
+    """Force and rate (M, 3) at t, which of them (M,) were not measured, and the index of the sample used."""
+    nominal = float(np.median(np.diff(imu.t)))
+    after = np.clip(np.searchsorted(imu.t, t), 0, len(imu.t) - 1)
+    before = np.maximum(after - 1, 0)
+    span = imu.t[after] - imu.t[before]
+    missing = (span > GAP_FACTOR * nominal) & (t < imu.t[after] - nominal)
+    missing |= (t > imu.t[-1]) | (t < imu.t[0] - nominal)
+    force, rate = imu.specific_force_s[after], imu.angular_rate_s[after]
+    if np.any(missing):
+        share = np.clip((t - imu.t[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[missing, None]
+        a, b = before[missing], after[missing]
+        force[missing] = (1.0 - share) * imu.specific_force_s[a] + share * imu.specific_force_s[b]
+        rate[missing] = (1.0 - share) * imu.angular_rate_s[a] + share * imu.angular_rate_s[b]
+    return force, rate, missing, after
+
+
+MISSING_ACCEL = 10.0  # m/s^2 rms of what a kart may do unseen
+MISSING_GYRO = 1.0  # rad/s likewise
+CLIPPED_ACCEL = 5.0  # m/s^2 rms of what is beyond the range while clipping
+CLIPPED_GYRO = 1.0  # rad/s likewise
+
+
+def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
+    """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost or clipped.
+
+    An unseen acceleration of rms a over a fraction u of an interval T is worth a density a * u * sqrt(T).
+    """
+    T = np.diff(binned.t)
+    lost, clipped = binned.missing * np.sqrt(T), binned.clipped * np.sqrt(T)
+    accel = np.sqrt(noise.accel**2 + (MISSING_ACCEL * lost) ** 2 + (CLIPPED_ACCEL * clipped) ** 2)
+    gyro = np.sqrt(noise.gyro**2 + (MISSING_GYRO * lost) ** 2 + (CLIPPED_GYRO * clipped) ** 2)
+    return accel, gyro
+
+
+def preintegrate(
+    binned: BinnedImu, noise: InertialNoise, accel_bias: Array, gyro_bias: Array
+) -> list[gtsam.PreintegratedCombinedMeasurements]:
+    """Preintegrate each interval about its own bias. Biases (K-1, 3). Returns K-1 GTSAM measurements."""
+    accel, gyro = interval_noise(binned, noise)
+    # a handful of noise classes: the parameter objects are shared, and 2 % of a sigma is nothing
+    keys = list(zip(np.round(np.log(accel) * 50).tolist(), np.round(np.log(gyro) * 50).tolist(), strict=True))
+    params: dict[tuple[float, float], gtsam.PreintegrationCombinedParams] = {}
+    out = []
+    forces, rates = binned.specific_force_s, binned.angular_rate_s
+    for k, key in enumerate(keys):
+        if key not in params:
+            params[key] = _parameters(float(accel[k]), float(gyro[k]), noise)
+        bias = gtsam.imuBias.ConstantBias(accel_bias[k], gyro_bias[k])
+        measured = gtsam.PreintegratedCombinedMeasurements(params[key], bias)
+        integrate = measured.integrateMeasurement
+        for force, rate in zip(forces[k], rates[k], strict=True):
+            integrate(force, rate, binned.dt)
+        out.append(measured)
+    return out
+
+
+def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(STANDARD_GRAVITY)
+    eye = np.eye(3)
+    params.setAccelerometerCovariance(eye * accel**2)
+    params.setGyroscopeCovariance(eye * gyro**2)
+    params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s^2
+    params.setBiasAccCovariance(eye * noise.accel_bias_walk**2)
+    params.setBiasOmegaCovariance(eye * noise.gyro_bias_walk**2)
+    return params
+
+
+@dataclass(frozen=True, eq=False)
+class DensePath:
+    """Motion at every bin edge, consistent with the keyframes. t (M,); R_ns (M, 3, 3); position_n, velocity_n (M, 3).
+
+    angular_rate_s (M-1, 3) rad/s and acceleration_n (M-1, 3) m/s^2 are means over the bins, biases removed.
+    """
+
+    t: Array
+    R_ns: Array
+    position_n: Array
+    velocity_n: Array
+    angular_rate_s: Array
+    acceleration_n: Array
+
+
+def dense_path(
+    binned: BinnedImu, R_ns: Array, position_n: Array, velocity_n: Array, accel_bias: Array, gyro_bias: Array
+) -> DensePath:
+    """Propagate the bins from each keyframe and spread the mismatch at the next one over the interval.
+
+    R_ns (K, 3, 3), position_n, velocity_n (K, 3), biases (K, 3). The mismatch in position and velocity is spread by
+    cubic Hermite polynomials and that in attitude linearly: the mean of the path given both ends.
+    """
+    n, dt = binned.n_bins, binned.dt
+    T = n * dt
+    force = binned.specific_force_s - accel_bias[:-1, None, :]
+    rate = binned.angular_rate_s - gyro_bias[:-1, None, :]
+    steps = so3.exp(rate * dt)
+    R, p, v = R_ns[:-1], position_n[:-1], velocity_n[:-1]
+    R_path, p_path, v_path = [R], [p], [v]
+    for j in range(n):
+        acceleration = np.einsum("kij,kj->ki", R, force[:, j]) + GRAVITY_N
+        p = p + v * dt + 0.5 * acceleration * dt**2
+        v = v + acceleration * dt
+        R = R @ steps[:, j]
+        R_path.append(R)
+        p_path.append(p)
+        v_path.append(v)
+
+    turn = so3.log(R.transpose(0, 2, 1) @ R_ns[1:])
+    miss_p, miss_v = position_n[1:] - p, velocity_n[1:] - v
+    share = np.arange(n + 1) / n
+    h01, h11 = share**2 * (3.0 - 2.0 * share), share**2 * (share - 1.0)
+    d01, d11 = 6.0 * share * (1.0 - share) / T, share * (3.0 * share - 2.0)
+    p_all = np.stack(p_path, axis=1) + h01[:, None] * miss_p[:, None] + (T * h11)[:, None] * miss_v[:, None]
+    v_all = np.stack(v_path, axis=1) + d01[:, None] * miss_p[:, None] + d11[:, None] * miss_v[:, None]
+    R_all = np.stack(R_path, axis=1) @ so3.exp(share[:, None] * turn[:, None])
+    acceleration_n = np.diff(v_all, axis=1) / dt
+    return DensePath(
+        binned.edges,
+        _flatten(R_all, R_ns[-1]),
+        _flatten(p_all, position_n[-1]),
+        _flatten(v_all, velocity_n[-1]),
+        (rate + (turn / T)[:, None, :]).reshape(-1, 3),
+        acceleration_n.reshape(-1, 3),
+    )
+
+
+def reading_path(binned: BinnedImu, path: DensePath, accel_density: float) -> DensePath:
+    """Return `path` as measurements between keyframes read it: the inertial shape only as far as it is not noise.
+
+    The path leaves the cubic Hermite curve through its keyframes by what the kart did and by the noise of the inertial
+    samples, whose share is known: q T / 16 in the middle of the velocity. The rest of what is observed is motion; its
+    share of the whole is the gain (Wiener). A kart with much vibration is read off the smooth curve.
+    """
+    n, T = binned.n_bins, binned.n_bins * binned.dt
+    share = np.arange(n + 1) / n
+    h01, d01 = share**2 * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / T
+    ends = [a[::n] for a in (path.position_n, path.velocity_n)]
+    p0, v0, p1, v1 = (e[:, None] for e in (ends[0][:-1], ends[1][:-1], ends[0][1:], ends[1][1:]))
+    s = share[:, None]
+    p = p0 + h01[:, None] * (p1 - p0) + T * (s * (1.0 - s) ** 2 * v0 - s**2 * (1.0 - s) * v1)
+    v = d01[:, None] * (p1 - p0) + (1.0 - 4.0 * s + 3.0 * s**2) * v0 + s * (3.0 * s - 2.0) * v1
+    shape_p, shape_v = path.position_n - _flatten(p, ends[0][-1]), path.velocity_n - _flatten(v, ends[1][-1])
+    observed = np.median(np.sum(shape_v.reshape(-1, 3)[n // 2 :: n] ** 2, axis=1)) / 2.37  # of chi-square(3)
+    gain = 0.0 if n == 1 else float(np.clip(1.0 - accel_density**2 * T / 16.0 / max(observed, 1e-12), 0.0, 1.0))
+    velocity_n = path.velocity_n - (1.0 - gain) * shape_v
+    return DensePath(
+        path.t,
+        path.R_ns,
+        path.position_n - (1.0 - gain) * shape_p,
+        velocity_n,
+        path.angular_rate_s,
+        np.diff(velocity_n, axis=0) / binned.dt,
+    )
+
+
+def _flatten(stack: Array, last: Array) -> Array:
+    """(K-1, n+1, ...) with shared ends -> ((K-1) n + 1, ...)."""
+    return np.concatenate([stack[:, :-1].reshape(-1, *stack.shape[2:]), last[None]])
+
+
+@dataclass(frozen=True, eq=False)
+class MotionAt:
+    """Motion at asked-for times: R_ns (N, 3, 3); position_n, velocity_n, acceleration_n, angular_rate_s (N, 3)."""
+
+    R_ns: Array
+    position_n: Array
+    velocity_n: Array
+    acceleration_n: Array
+    angular_rate_s: Array
+
+
+def motion_at(path: DensePath, t: Array) -> MotionAt:
+    """Interpolate the path at t (N,), held at the ends by constant velocity."""
+    dt = path.t[1] - path.t[0]
+    i = np.clip(((t - path.t[0]) / dt).astype(np.int64), 0, len(path.t) - 2)
+    tau = (t - path.t[i])[:, None]
+    beyond = (tau < 0.0) | (tau > dt)
+    acceleration = np.where(beyond, 0.0, path.acceleration_n[i])
+    share = tau / dt
+    # position is cubic between the edges, so that it is consistent with both velocities
+    h01 = share**2 * (3.0 - 2.0 * share)
+    cubic = (
+        path.position_n[i] * (1.0 - h01)
+        + path.position_n[i + 1] * h01
+        + dt * (share * (1.0 - share) ** 2 * path.velocity_n[i] - share**2 * (1.0 - share) * path.velocity_n[i + 1])
+    )
+    end = np.where(tau < 0.0, path.velocity_n[i] * tau, path.velocity_n[i + 1] * (tau - dt))
+    edge = np.where(tau < 0.0, path.position_n[i], path.position_n[i + 1])
+    velocity = np.where(
+        beyond,
+        np.where(tau < 0.0, path.velocity_n[i], path.velocity_n[i + 1]),
+        path.velocity_n[i] + path.acceleration_n[i] * tau,
+    )
+    turn = np.clip(tau, 0.0, dt) * path.angular_rate_s[i]
+    return MotionAt(
+        path.R_ns[i] @ so3.exp(turn),
+        np.where(beyond, edge + end, cubic),
+        velocity,
+        acceleration,
+        np.where(beyond, 0.0, path.angular_rate_s[i]),
+    )

@@ -1,0 +1,137 @@
+"""The inertial part of the graph: GTSAM's CombinedImuFactor over every interval, linearised into the chain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.graph.chain import ChainSolution, ChainSystem
+from smoother.estimate.graph.state import (
+    ACCEL_BIAS,
+    CONSTANTS_SIZE,
+    GYRO_BIAS,
+    KEYFRAME_SIZE,
+    ROTATION,
+    TRANSLATION,
+    VELOCITY,
+    ChainState,
+)
+
+# Columns of a linearised CombinedImuFactor, whose keys are X V X V B B, and where they go in a keyframe's block.
+_LEFT = np.r_[0:6, 6:9, 18:24]
+_RIGHT = np.r_[9:15, 15:18, 24:30]
+_INERTIAL = slice(0, 15)
+
+
+def inertial_graph(measured: Sequence[gtsam.PreintegratedCombinedMeasurements]) -> gtsam.NonlinearFactorGraph:
+    """Return a CombinedImuFactor for each interval between keyframes 0, 1, 2, ..."""
+    graph = gtsam.NonlinearFactorGraph()
+    for k, preintegrated in enumerate(measured):
+        graph.add(gtsam.CombinedImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), B(k + 1), preintegrated))
+    return graph
+
+
+class ValuesFactory:
+    """Turn chain states into GTSAM values. Keeps a set of zero biases, because inserting a bias is slow in Python."""
+
+    def __init__(self, n_keyframes: int) -> None:
+        self._zero_biases = gtsam.Values()
+        zero = gtsam.imuBias.ConstantBias()
+        for k in range(n_keyframes):
+            self._zero_biases.insert(B(k), zero)
+
+    def values(self, state: ChainState) -> gtsam.Values:
+        """Poses T_ns, velocities and biases of all keyframes."""
+        delta = gtsam.VectorValues()
+        for k, bias in enumerate(np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)):
+            delta.insert(B(k), bias)
+        values = self._zero_biases.retract(delta)
+        for k, (R, p, v) in enumerate(zip(state.R_ns, state.position_n, state.velocity_n, strict=True)):
+            values.insert(X(k), gtsam.Pose3(gtsam.Rot3(R), p))
+            values.insert(V(k), v)
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class LinearInertial:
+    """Whitened Jacobians left, right (K-1, 15, 15) by the inertial part of the ends, and residual (K-1, 15)."""
+
+    left: Array
+    right: Array
+    residual: Array
+
+
+def linearize_inertial(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> LinearInertial:
+    """Linearise the graph by GTSAM. Rows: rotation, position, velocity, bias of force, bias of rate; whitened."""
+    linear = graph.linearize(values)
+    blocks = np.array([linear.at(k).augmentedJacobian() for k in range(linear.size())])
+    return LinearInertial(blocks[:, :, _LEFT], blocks[:, :, _RIGHT], -blocks[:, :, -1])
+
+
+def inertial_after_step(linear: LinearInertial, step: Array) -> LinearInertial:
+    """Return the factors with the residual that the linear model predicts after a step (K, 18)."""
+    moved = np.einsum("kri,ki->kr", linear.left, step[:-1, _INERTIAL])
+    moved += np.einsum("kri,ki->kr", linear.right, step[1:, _INERTIAL])
+    return LinearInertial(linear.left, linear.right, linear.residual + moved)
+
+
+def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
+    """Add the normal equations of the inertial factors to the system, in place."""
+    left_t, right_t = linear.left.transpose(0, 2, 1), linear.right.transpose(0, 2, 1)
+    residual = linear.residual[:, :, None]
+    system.diagonal[:-1, _INERTIAL, _INERTIAL] += left_t @ linear.left
+    system.diagonal[1:, _INERTIAL, _INERTIAL] += right_t @ linear.right
+    system.upper[:, _INERTIAL, _INERTIAL] += left_t @ linear.right
+    system.rhs[:-1, _INERTIAL] -= (left_t @ residual)[:, :, 0]
+    system.rhs[1:, _INERTIAL] -= (right_t @ residual)[:, :, 0]
+
+
+def empty_system(n_keyframes: int) -> ChainSystem:
+    """Return normal equations without any factor."""
+    n, m = KEYFRAME_SIZE, CONSTANTS_SIZE
+    return ChainSystem(
+        np.zeros((n_keyframes, n, n)),
+        np.zeros((n_keyframes - 1, n, n)),
+        np.zeros((n_keyframes, n, m)),
+        np.zeros((m, m)),
+        np.zeros((n_keyframes, n)),
+        np.zeros(m),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class InertialResiduals:
+    """Unwhitened residuals (K-1, 15) of the inertial factors and the variance (K-1, 15) the solution leaves in them."""
+
+    residual: Array
+    posterior_variance: Array
+
+
+def inertial_residuals(state: ChainState, linear: LinearInertial, solution: ChainSolution) -> InertialResiduals:
+    """Undo the whitening: in the rows, the Jacobians by the right keyframe are known matrices.
+
+    A row block of the unwhitened factor is Jr^-1 for rotation, R_i^T R_j for translation, R_i^T for velocity and one
+    for the biases; the whitened Jacobian divided by it is the square-root information itself.
+    """
+    R_i, R_j = state.R_ns[:-1], state.R_ns[1:]
+    relative = R_i.transpose(0, 2, 1) @ R_j
+    root = np.empty_like(linear.right)
+    root[:, :, ROTATION] = linear.right[:, :, ROTATION]  # Jr^-1 is one to first order in the residual
+    root[:, :, TRANSLATION] = linear.right[:, :, TRANSLATION] @ relative.transpose(0, 2, 1)
+    root[:, :, VELOCITY] = linear.right[:, :, VELOCITY] @ R_i
+    root[:, :, ACCEL_BIAS] = linear.right[:, :, ACCEL_BIAS]
+    root[:, :, GYRO_BIAS] = linear.right[:, :, GYRO_BIAS]
+    stacked = np.concatenate([linear.left, linear.right, linear.residual[:, :, None]], axis=2)
+    plain = np.linalg.solve(root, stacked)
+    left, right, residual = plain[:, :, :15], plain[:, :, 15:30], plain[:, :, 30]
+    P, cross = solution.covariance[:, _INERTIAL, _INERTIAL], solution.cross[:, _INERTIAL, _INERTIAL]
+    variance = (
+        np.einsum("kri,kri->kr", left @ P[:-1], left)
+        + np.einsum("kri,kri->kr", right @ P[1:], right)
+        + 2.0 * np.einsum("kri,kri->kr", left @ cross, right)
+    )
+    return InertialResiduals(residual, variance)

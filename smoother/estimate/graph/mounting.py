@@ -1,0 +1,70 @@
+"""How the box sits in the kart, from the path itself: where the nose points, and which way is up, on average.
+
+A kart that neither slides nor leans points along its path and stands level. It does both in proportion to its
+acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
+and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
+with more turns to one side. (Over closed laps the slopes of the road cancel.)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.align import MIN_SPEED
+from smoother.estimate.graph.state import ChainState
+
+CORRELATION_TIME = 2.0  # s; slip and lean last about as long as a corner does
+MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMounting:
+    """R_bs (3, 3), sigma (3,) rad about the axes of b, and whether the drive determined it."""
+
+    R_bs: Array
+    sigma: Array
+    is_observable: bool
+
+
+def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
+    """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed."""
+    speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+    use = speed > 1.5 * MIN_SPEED
+    if np.count_nonzero(use) < MIN_KEYFRAMES:
+        return FittedMounting(rough_R_bs, np.full(3, np.pi / 4.0), False)
+    acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
+    R_sn = state.R_ns[use].transpose(0, 2, 1)
+    velocity_s = np.einsum("kij,kj->ki", R_sn, state.velocity_n[use] * [1.0, 1.0, 0.0])
+    up_s, acceleration_s = R_sn[:, :, 2], np.einsum("kij,kj->ki", R_sn, acceleration_n)
+    R_bs, sigma = rough_R_bs, np.zeros(3)
+    for _ in range(4):  # small angles: a turn of the mounting changes what counts as forward and left
+        velocity_b, up_b, acceleration_b = (x @ R_bs.T for x in (velocity_s, up_s, acceleration_s))
+        one = np.ones(len(velocity_b))
+        lateral = np.stack([one, acceleration_b[:, 1]], axis=1)
+        forward = np.stack([one, acceleration_b[:, 0]], axis=1)
+        # turning the body axes by w about b moves a vector v in b by -w x v
+        fits = [
+            _intercept(lateral, up_b[:, 1]),
+            _intercept(forward, -up_b[:, 0]),
+            _intercept(lateral, np.arctan2(velocity_b[:, 1], velocity_b[:, 0])),
+        ]
+        turn = np.array([fit[0] for fit in fits])
+        sigma = np.array([fit[1] for fit in fits])
+        R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
+    sigma *= np.sqrt(max(1.0, CORRELATION_TIME / state.interval))
+    return FittedMounting(R_bs, sigma, True)
+
+
+def _intercept(design: Array, angle: Array) -> tuple[float, float]:
+    """Intercept of a line with Cauchy weights, and its sigma for independent samples. design (N, 2), angle (N,)."""
+    weight = np.ones(len(angle))
+    for _ in range(8):
+        normal = (design * weight[:, None]).T @ design
+        line = np.linalg.solve(normal, (design * weight[:, None]).T @ angle)
+        residual = angle - design @ line
+        scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
+    variance = scale**2 * np.linalg.inv(normal)[0, 0]
+    return float(line[0]), float(np.sqrt(variance))

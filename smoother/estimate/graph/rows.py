@@ -1,0 +1,277 @@
+"""Residuals and Jacobians of everything that is not inertial, on the whole session at once.
+
+A measurement may fall anywhere between two keyframes. Given both ends, the path between them is a cubic Hermite curve
+plus a small shape of its own, which the inertial samples supply as far as it stands out of their noise
+(`imu.reading_path`). So a measurement touches the two keyframes around it and the session's constants, and a latency is
+only a shift of the time at which the path is read.
+
+Residuals are prediction minus measurement, in the unit of the measurement; `sigma` whitens them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.graph.chain import ChainSystem
+from smoother.estimate.graph.imu import DensePath, motion_at
+from smoother.estimate.graph.state import (
+    CONSTANTS_SIZE,
+    HEADING_OFFSET,
+    KEYFRAME_SIZE,
+    LEVER_ARM,
+    OFFSET,
+    POSITION_LATENCY,
+    ROTATION,
+    TRANSLATION,
+    VELOCITY,
+    VELOCITY_LATENCY,
+    ChainState,
+)
+
+from smoother.frames import wrap_angle
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
+
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 6). A component that
+    was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
+    """
+
+    name: str
+    interval: np.ndarray
+    residual: Array
+    sigma: Array
+    left: Array
+    right: Array
+    constants: Array
+    weight: Array
+
+    @property
+    def information(self) -> Array:
+        """Weight of each component, (N, r): robust weight over variance."""
+        return self.weight[:, None] / self.sigma**2
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket:
+    """Where times fall in the chain: interval (N,), share (N,) of it gone by, and its length T, s."""
+
+    interval: np.ndarray
+    share: Array
+    length: float
+
+
+def bracket(state: ChainState, t: Array) -> Bracket:
+    """Return the intervals that hold the times t (N,); times beyond the chain count to its first or last interval."""
+    T = state.interval
+    u = (t - state.t[0]) / T
+    interval = np.clip(np.floor(u).astype(np.int64), 0, len(state.t) - 2)
+    return Bracket(interval, np.clip(u - interval, 0.0, 1.0), T)
+
+
+def hermite_position(b: Bracket) -> tuple[Array, Array, Array, Array]:
+    """Weights (N,) of left position, left velocity, right position, right velocity in the position between."""
+    s, T = b.share, b.length
+    h01 = s**2 * (3.0 - 2.0 * s)
+    return 1.0 - h01, T * s * (1.0 - s) ** 2, h01, -T * s**2 * (1.0 - s)
+
+
+def hermite_velocity(b: Bracket) -> tuple[Array, Array, Array, Array]:
+    """Weights (N,) of left position, left velocity, right position, right velocity in the velocity between."""
+    s, T = b.share, b.length
+    d01 = 6.0 * s * (1.0 - s) / T
+    return -d01, 1.0 - 4.0 * s + 3.0 * s**2, d01, s * (3.0 * s - 2.0)
+
+
+def position_rows(
+    state: ChainState, path: DensePath, t: Array, measured_n: Array, sigma: Array, offset_latency: float
+) -> Rows:
+    """GPS position: antenna position plus slow offset. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m.
+
+    The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
+    (Reading that rough process at a moving time would make the fit of the latency overshoot.)
+    """
+    at = t - state.constants.position_latency
+    b, motion = bracket(state, at), motion_at(path, at)
+    stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
+    stamp = Bracket(b.interval, stamp_share, b.length)
+    rate = mean_rate(state, b)
+    arm_n = np.einsum("nij,j->ni", motion.R_ns, state.constants.lever_arm_s)
+    swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, state.constants.lever_arm_s))
+    residual = motion.position_n + arm_n + _between(stamp, state.offset_n) - measured_n
+    left, right, constants = _empty(len(t), 3)
+    _put_curve(left, right, state, b, hermite_position(b))
+    _put_turn(left, right, state, b, -so3.skew(arm_n))
+    left[:, :, OFFSET] = (1.0 - stamp_share)[:, None, None] * np.eye(3)
+    right[:, :, OFFSET] = stamp_share[:, None, None] * np.eye(3)
+    constants[:, :, POSITION_LATENCY] = -(motion.velocity_n + swing_n)[:, :, None]
+    constants[:, :, LEVER_ARM] = motion.R_ns
+    return _rows("gps_position", b, residual, sigma, left, right, constants)
+
+
+def velocity_rows(state: ChainState, path: DensePath, t: Array, measured_n: Array, sigma: Array) -> Rows:
+    """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s."""
+    at = t - state.constants.velocity_latency
+    b, motion, rate = bracket(state, at), motion_at(path, at), mean_rate(state, bracket(state, at))
+    arm = state.constants.lever_arm_s
+    swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, arm))
+    residual = motion.velocity_n + swing_n - measured_n
+    left, right, constants = _empty(len(t), 3)
+    _put_curve(left, right, state, b, hermite_velocity(b))
+    _put_turn(left, right, state, b, -so3.skew(swing_n))
+    # the rate between the keyframes is the turn from one to the other over its time
+    by_rate = -motion.R_ns @ so3.skew(np.broadcast_to(arm, (len(t), 3))) / b.length
+    turn = rate * b.length
+    left[:, :, ROTATION] -= by_rate @ so3.exp(-turn)
+    right[:, :, ROTATION] += by_rate
+    constants[:, :, VELOCITY_LATENCY] = -motion.acceleration_n[:, :, None]
+    constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
+    return _rows("gps_velocity", b, residual, sigma, left, right, constants)
+
+
+def mean_rate(state: ChainState, b: Bracket) -> Array:
+    """Angular rate (N, 3) rad/s in s over the interval: a receiver does not follow vibration."""
+    R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
+    return so3.log(R_left.transpose(0, 2, 1) @ R_right) / b.length
+
+
+def heading_rows(state: ChainState, interval: np.ndarray, field_s: Array, field_yaw: float, sigma: float) -> Rows:
+    """Heading of the magnetic field at the left keyframe of intervals (N,). field_s (N, 3) any unit; yaws rad.
+
+    Only the turn about up is asked for: a disturbed field must never tilt the kart. field_yaw is the direction of the
+    horizontal field in n, minus the declination.
+    """
+    field_n = np.einsum("nij,nj->ni", state.R_ns[interval], field_s)
+    residual = np.arctan2(field_n[:, 1], field_n[:, 0]) - field_yaw - state.constants.heading_offset
+    left, right, constants = _empty(len(interval), 1)
+    left[:, 0, ROTATION] = state.R_ns[interval][:, 2, :]  # the third row of R_ns takes a turn in s to its part about up
+    constants[:, :, HEADING_OFFSET] = -1.0
+    residual = wrap_angle(residual)[:, None]
+    return Rows(
+        "heading", interval, residual, np.full_like(residual, sigma), left, right, constants, np.ones(len(interval))
+    )
+
+
+def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float, sigma_turn: float) -> Rows:
+    """Zero velocity at the left keyframe and no turn to the right one, in the intervals (N,) that stand still."""
+    R_left, R_right = state.R_ns[interval], state.R_ns[interval + 1]
+    turn = R_left.transpose(0, 2, 1) @ R_right
+    left, right, constants = _empty(len(interval), 6)
+    left[:, 0:3, VELOCITY] = np.eye(3)
+    left[:, 3:6, ROTATION] = -turn.transpose(0, 2, 1)
+    right[:, 3:6, ROTATION] = np.eye(3)
+    residual = np.concatenate([state.velocity_n[interval], so3.log(turn)], axis=1)
+    sigma = np.broadcast_to([sigma_speed] * 3 + [sigma_turn] * 3, residual.shape)
+    return Rows("standstill", interval, residual, sigma, left, right, constants, np.ones(len(interval)))
+
+
+def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows]:
+    """First-order Gauss-Markov process of the GPS offset: its start, and its steps. sigma (3,) m, tau s.
+
+    o_{k+1} = phi o_k + w, phi = exp(-T/tau), var w = sigma^2 (1 - phi^2). Source: Gelb 1974, 3.8.
+    """
+    phi = np.exp(-state.interval / tau)
+    n = len(state.t) - 1
+    left, right, constants = _empty(n, 3)
+    left[:, :, OFFSET], right[:, :, OFFSET] = -phi * np.eye(3), np.eye(3)
+    residual = state.offset_n[1:] - phi * state.offset_n[:-1]
+    step = np.broadcast_to(sigma * np.sqrt(1.0 - phi**2), residual.shape)
+    steps = Rows("gps_offset", np.arange(n), residual, step, left, right, constants, np.ones(n))
+    left, right, constants = _empty(1, 3)
+    left[:, :, OFFSET] = np.eye(3)
+    start = Rows(
+        "gps_offset_start", np.zeros(1, int), state.offset_n[:1], sigma[None], left, right, constants, np.ones(1)
+    )
+    return start, steps
+
+
+def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
+    """Prior on one part of the first keyframe. residual, sigma (r,)."""
+    left, right, constants = _empty(1, residual.size)
+    left[0, :, part] = np.eye(residual.size)
+    return Rows(name, np.zeros(1, int), residual[None], sigma[None], left, right, constants, np.ones(1))
+
+
+def constants_prior_row(residual: Array, sigma: Array) -> Rows:
+    """Prior on the session's constants. residual, sigma (6,)."""
+    left, right, constants = _empty(1, CONSTANTS_SIZE)
+    constants[0] = np.eye(CONSTANTS_SIZE)
+    return Rows("constants", np.zeros(1, int), residual[None], sigma[None], left, right, constants, np.ones(1))
+
+
+def add_rows(system: ChainSystem, rows: Rows) -> None:
+    """Add the normal equations of `rows` to the system, in place: the one function here that changes its argument."""
+    information = rows.information[:, :, None]
+    jacobian = np.concatenate([rows.left, rows.right, rows.constants], axis=2)
+    normal = (jacobian * information).transpose(0, 2, 1)
+    total, n = normal @ jacobian, KEYFRAME_SIZE
+    gradient = (normal @ rows.residual[:, :, None])[:, :, 0]
+    i, j, c = slice(0, n), slice(n, 2 * n), slice(2 * n, None)
+    for once in _without_repeats(rows.interval):
+        k, part, slope = rows.interval[once], total[once], gradient[once]
+        system.diagonal[k] += part[:, i, i]
+        system.diagonal[k + 1] += part[:, j, j]
+        system.upper[k] += part[:, i, j]
+        system.border[k] += part[:, i, c]
+        system.border[k + 1] += part[:, j, c]
+        system.rhs[k] -= slope[:, i]
+        system.rhs[k + 1] -= slope[:, j]
+    system.corner[...] += total[:, c, c].sum(axis=0)
+    system.rhs_constants[...] -= gradient[:, c].sum(axis=0)
+
+
+def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
+    """Split row numbers into sets in which no interval comes twice, so that they can be added at once."""
+    order = np.argsort(interval, kind="stable")
+    ordered = interval[order]
+    first = np.searchsorted(ordered, ordered)
+    rank = np.arange(len(interval)) - first
+    return [order[rank == r] for r in range(int(rank.max()) + 1)] if len(interval) else []
+
+
+def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (6,)."""
+    k = rows.interval
+    moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
+    return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step)
+
+
+def _rows(name: str, b: Bracket, residual: Array, sigma: Array, left: Array, right: Array, constants: Array) -> Rows:
+    unknown = ~np.isfinite(residual)
+    return Rows(
+        name,
+        b.interval,
+        np.where(unknown, 0.0, residual),
+        np.where(unknown | ~np.isfinite(sigma), np.inf, sigma),
+        left,
+        right,
+        constants,
+        np.ones(len(residual)),
+    )
+
+
+def _empty(n: int, r: int) -> tuple[Array, Array, Array]:
+    return np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, CONSTANTS_SIZE))
+
+
+def _between(b: Bracket, values: Array) -> Array:
+    share = b.share[:, None]
+    return (1.0 - share) * values[b.interval] + share * values[b.interval + 1]
+
+
+def _put_curve(left: Array, right: Array, state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> None:
+    left_p, left_v, right_p, right_v = (w[:, None, None] for w in weights)
+    left[:, :, TRANSLATION] = left_p * state.R_ns[b.interval]
+    right[:, :, TRANSLATION] = right_p * state.R_ns[b.interval + 1]
+    left[:, :, VELOCITY] = left_v * np.eye(3)
+    right[:, :, VELOCITY] = right_v * np.eye(3)
+
+
+def _put_turn(left: Array, right: Array, state: ChainState, b: Bracket, by_turn_n: Array) -> None:
+    """Jacobian (N, r, 3) by a small turn in n, shared between the ends in proportion to time."""
+    left[:, :, ROTATION] = (1.0 - b.share)[:, None, None] * (by_turn_n @ state.R_ns[b.interval])
+    right[:, :, ROTATION] = b.share[:, None, None] * (by_turn_n @ state.R_ns[b.interval + 1])

@@ -1,0 +1,291 @@
+"""GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
+
+    fixes alone -> align -> first guess -> solve and identify the noise, in turns -> magnetometer -> mounting -> output
+
+When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
+from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, update_noise
+from smoother.estimate.graph.chain import NotPositiveDefiniteError
+from smoother.estimate.graph.heading import heading_from_field
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
+from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
+from smoother.estimate.graph.output import build_trajectory
+from smoother.estimate.graph.rows import heading_rows
+from smoother.estimate.graph.state import ChainState, Constants
+from smoother.fit.magnetic_model import session_field
+from smoother.fit.standstill import detect_standstill
+from smoother.samples import Problem, Session
+from smoother.trajectory import EstimateReport, Trajectory
+from smoother.units import DEG
+
+Progress = Callable[[str, float], None]
+
+DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
+DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
+SETTLED = 0.03  # relative change of the noise densities below which another round changes no digit people read
+MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
+
+
+@dataclass(frozen=True)
+class GraphOptions:
+    """Options of the graph. rate Hz of the output; intervals s; everything else in SI.
+
+    keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
+    samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
+    Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
+    what receivers do. rounds: of solving and identifying.
+    """
+
+    rate: float = 50.0
+    solver: str = "batch"
+    keyframe_interval: float = 0.2
+    bin_interval: float = 0.02
+    accel_bias_sigma: float = 0.5
+    gyro_bias_sigma: float = 2.0 * DEG
+    accel_bias_walk: float = 0.003
+    gyro_bias_walk: float = 0.006 * DEG
+    lever_arm_sigma: float = 0.5
+    latency_sigma: float = 0.25
+    offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
+    offset_tau: float = 60.0
+    rounds: int = 10
+    iterations: int = 5
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """Everything known before the first solve."""
+
+    path: GnssPath
+    alignment: Alignment
+    state: ChainState
+    binned: BinnedImu
+    noise: Noise
+    data: Data
+    priors: Priors
+
+
+@dataclass
+class GraphSmoother:
+    """The factor-graph smoother: an Estimator."""
+
+    options: GraphOptions = field(default_factory=GraphOptions)
+    progress: Progress | None = None
+    name: str = "smoother"
+
+    def estimate(self, session: Session) -> Trajectory:
+        """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified."""
+        if session.imu is None or len(session.gnss) < 10:
+            return self._from_fixes(session, ())
+        watch = _Stopwatch(self.progress)
+        try:
+            return self._from_graph(session, watch)
+        except NotPositiveDefiniteError as error:
+            problem = Problem("graph_failed", f"the inertial solution failed ({error}); smoothed from the fixes alone")
+            return self._from_fixes(session, (problem,))
+
+    def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
+        trajectory = GnssSmoother(GnssOnlyOptions(rate=self.options.rate)).estimate(session)
+        report = replace(trajectory.report, problems=trajectory.report.problems + problems)
+        return replace(trajectory, report=report)
+
+    def _from_graph(self, session: Session, watch: "_Stopwatch") -> Trajectory:
+        options = self.options
+        with watch("align"):
+            start = _start(session, options)
+        with watch("solve"):
+            batch = Batch(start.data, start.binned, start.priors)
+            solved, noise = _identify(batch, start, options, watch)
+            data, problems = _with_heading(session, start.data, solved.state)
+            if data is not start.data:
+                batch = Batch(data, start.binned, start.priors)
+                solved = batch.step(batch.graph(solved.state, noise), solved.state, noise)
+        with watch("output"):
+            mounting = _mounting(session, solved, start.alignment)
+            trajectory = build_trajectory(session, solved, noise, mounting, start.binned, start.priors, options.rate)
+        report: EstimateReport = replace(
+            trajectory.report, timings=watch.seconds, problems=trajectory.report.problems + problems
+        )
+        return replace(trajectory, report=report)
+
+
+class _Stopwatch:
+    """Time of each stage, and progress to whoever wants to see it."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._progress = progress
+        self._stage = ""
+
+    def __call__(self, stage: str) -> "_Stopwatch":
+        self._stage = stage
+        return self
+
+    def __enter__(self) -> None:
+        self._since = time.perf_counter()
+        self.say(0.0)
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self._stage] = time.perf_counter() - self._since
+        self.say(1.0)
+
+    def say(self, fraction: float) -> None:
+        """Report progress of the current stage."""
+        if self._progress is not None:
+            self._progress(self._stage, fraction)
+
+
+def _start(session: Session, options: GraphOptions) -> _Start:
+    assert session.imu is not None
+    path = fit_gnss_path(session)
+    times = session.gnss.t
+    motion = path.at(times)
+    alignment = align(session.imu, PathMotion(times, motion.velocity_n, motion.acceleration_n))
+    t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
+    priors = _priors(session, alignment, path, options)
+    constants = Constants.from_vector(priors.constants)
+    at = path.at(t + constants.position_latency)
+    zeros = np.zeros((len(t), 3))
+    state = ChainState(
+        t,
+        initial_attitude(t, session.imu, PathMotion(times, motion.velocity_n, motion.acceleration_n), alignment),
+        at.position_n,
+        at.velocity_n,
+        zeros,
+        np.tile(alignment.gyro_bias_s, (len(t), 1)),
+        at.offset_n,
+        constants,
+    )
+    n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
+    binned = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    return _Start(
+        path, alignment, state, binned, _first_noise(session, path, binned, options), _data(session, path, t), priors
+    )
+
+
+def _data(session: Session, path: GnssPath, t: Array) -> Data:
+    gnss = session.gnss
+    assert session.imu is not None
+    assert gnss.speed is not None
+    assert gnss.sigma_velocity is not None
+    at_rest = detect_standstill(
+        session.imu.t, session.imu.specific_force_s, session.imu.angular_rate_s, gnss.t, gnss.speed
+    )
+    first, last = np.searchsorted(session.imu.t, [t[:-1], t[1:]])
+    resting = np.concatenate([[0], np.cumsum(at_rest)])
+    still = np.flatnonzero((last > first) & (resting[last] - resting[first] == last - first))
+    return Data(
+        gnss.t,
+        session.fix_position_n,
+        gnss.velocity_n,
+        path.position_scale,
+        _relative(gnss.sigma_velocity),
+        still,
+    )
+
+
+def _relative(reported: Array) -> Array:
+    """Factor (N,) of a reported sigma over the session's usual one, never below 1; 1 where nothing is reported."""
+    if not np.any(np.isfinite(reported)):
+        return np.ones(len(reported))
+    return np.fmax(1.0, np.where(np.isfinite(reported), reported / np.nanmedian(reported), 1.0))
+
+
+def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
+    timing, mounting = session.config.gps, session.config.mounting
+    has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
+    lag = float(np.clip(alignment.lag, 0.0, MAX_LATENCY))
+    position = lag - (path.velocity_lag.value if has_velocity else 0.0)
+    mean = np.array([max(position, 0.0), lag, 0.0, 0.0, 0.0, 0.0])
+    sigma = np.array([options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0])
+    for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
+        if stated is not None:
+            mean[i], sigma[i] = stated, 1e-6
+    if mounting.lever_arm_b is not None:
+        R_bs = alignment.R_bs if mounting.R_bs is None else mounting.R_bs
+        mean[2:5], sigma[2:5] = R_bs.T @ mounting.lever_arm_b, 1e-4
+    return Priors(options.accel_bias_sigma, options.gyro_bias_sigma, alignment.gyro_bias_s, mean, sigma)
+
+
+def _first_noise(session: Session, path: GnssPath, binned: BinnedImu, options: GraphOptions) -> Noise:
+    """Noise to start from: of the fixes from their own smoothing, of the IMU from second differences of its bins."""
+    stated = session.config.imu
+    inertial = InertialNoise(
+        stated.accel_noise or _density(binned.specific_force_s, binned.dt, DATA_SHEET_ACCEL),
+        stated.gyro_noise or _density(binned.angular_rate_s, binned.dt, DATA_SHEET_GYRO),
+        stated.accel_bias_walk or options.accel_bias_walk,
+        stated.gyro_bias_walk or options.gyro_bias_walk,
+    )
+    return Noise(
+        inertial,
+        path.position_sigma,
+        path.velocity_sigma,
+        np.array(options.offset_sigma),
+        options.offset_tau,
+    )
+
+
+def _density(bins: Array, dt: float, floor: float) -> float:
+    """Noise density of binned samples (K, n, 3): second differences of white noise have six times its variance."""
+    flat = bins.reshape(-1, 3)
+    second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
+    sigma = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)
+    return max(floor, sigma * np.sqrt(dt))
+
+
+def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Solved, Noise]:
+    """Converge, then re-estimate the noise after each further step until it stays."""
+    state, noise = start.state, start.noise
+    state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
+    for turn in range(options.rounds):
+        solved = batch.step(batch.graph(state, noise), state, noise)
+        state = solved.state
+        better = update_noise(solved, noise, start.binned)
+        settled = noise.change(better) < SETTLED
+        noise = better
+        watch.say((turn + 1) / options.rounds)
+            print(
+                turn,
+                noise.inertial.accel,
+                np.degrees(noise.inertial.gyro),
+                noise.position,
+                noise.velocity,
+                state.constants,
+            )
+        if settled:
+            break
+    return solved, noise
+
+
+def _with_heading(session: Session, data: Data, state: ChainState) -> tuple[Data, tuple[Problem, ...]]:
+    """Add heading factors where there is a magnetometer that agrees with the attitude found without it."""
+    if session.mag is None or session.config.magnetometer.use is False:
+        return data, ()
+    earth, problems = session_field(session)
+    heading = heading_from_field(session.mag, state, earth.declination, earth.inclination)
+    if heading is None:
+        text = "the magnetometer disagrees with the gyro and the course; it was left out"
+        return data, (*problems, Problem("magnetometer_unused", text))
+
+    def rows(state: ChainState, noise: Noise) -> object:
+        return heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
+
+    return replace(data, extra=(rows,)), problems  # type: ignore[arg-type]
+
+
+def _mounting(session: Session, solved: Solved, alignment: Alignment) -> FittedMounting:
+    stated = session.config.mounting.R_bs
+    if stated is not None:
+        return FittedMounting(stated, np.zeros(3), True)
+    return fit_mounting(solved.state, alignment.R_bs)

@@ -1,0 +1,78 @@
+"""The unknowns of the graph: one block of 18 for each keyframe, and the constants of the session.
+
+Tangent of a keyframe, in this order: rotation (s axes, `R_ns @ exp(w)`) and translation (s axes, `p + R_ns @ d`) as in
+GTSAM's Pose3, velocity in n, bias of force, bias of rate, GPS offset in n. Poses are those of the sensor, T_ns.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+
+ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
+ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
+KEYFRAME_SIZE = 18
+
+POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
+CONSTANTS_SIZE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
+    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large.
+    """
+
+    position_latency: float
+    velocity_latency: float
+    lever_arm_s: Array
+    heading_offset: float = 0.0
+
+    def as_vector(self) -> Array:
+        """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
+        return np.concatenate([[self.position_latency, self.velocity_latency], self.lever_arm_s, [self.heading_offset]])
+
+    @staticmethod
+    def from_vector(x: Array) -> "Constants":
+        """Inverse of :meth:`as_vector`."""
+        return Constants(float(x[0]), float(x[1]), np.array(x[LEVER_ARM]), float(x[5]))
+
+    def retract(self, delta: Array) -> "Constants":
+        """Return the constants moved by delta (CONSTANTS_SIZE,)."""
+        return Constants.from_vector(self.as_vector() + delta)
+
+
+@dataclass(frozen=True, eq=False)
+class ChainState:
+    """Keyframes, K of them: t (K,) s; R_ns (K, 3, 3); position_n of the IMU, velocity_n, accel_bias_s, gyro_bias_s, and
+    offset_n, the slow error of the fixes (fix = position + offset), each (K, 3); constants.
+    """
+
+    t: Array
+    R_ns: Array
+    position_n: Array
+    velocity_n: Array
+    accel_bias_s: Array
+    gyro_bias_s: Array
+    offset_n: Array
+    constants: Constants
+
+    @property
+    def interval(self) -> float:
+        """Time between keyframes, s."""
+        return float(self.t[1] - self.t[0])
+
+    def retract(self, delta: Array, constants_delta: Array) -> "ChainState":
+        """Return the state moved by delta (K, KEYFRAME_SIZE) and constants_delta (CONSTANTS_SIZE,)."""
+        return replace(
+            self,
+            R_ns=self.R_ns @ so3.exp(delta[:, ROTATION]),
+            position_n=self.position_n + np.einsum("kij,kj->ki", self.R_ns, delta[:, TRANSLATION]),
+            velocity_n=self.velocity_n + delta[:, VELOCITY],
+            accel_bias_s=self.accel_bias_s + delta[:, ACCEL_BIAS],
+            gyro_bias_s=self.gyro_bias_s + delta[:, GYRO_BIAS],
+            offset_n=self.offset_n + delta[:, OFFSET],
+            constants=self.constants.retract(constants_delta),
+        )
