@@ -93,8 +93,8 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
     if len(fixes) < 2:
         text = "no GPS fix; wait in the open until the receiver has found its satellites"
         return _Part([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
-    interval, span = float(np.median(np.diff(fixes.t))), float(fixes.t[-1] - fixes.t[0])
-    gaps = _gaps(fixes.t, max(limits.fix_gap, 2.5 * interval))
+    span, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
+    interval, gaps = _interval_and_gaps(fixes.t, limit)
     measures = {
         "duration_s": span,
         "fixes": float(len(fixes)),
@@ -134,8 +134,8 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
 def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
-    interval, span = float(np.median(np.diff(imu.t))), float(imu.t[-1] - imu.t[0])
-    gaps = _gaps(imu.t, max(limits.imu_gap, 5.0 * interval))
+    span, limit = float(imu.t[-1] - imu.t[0]), max(limits.imu_gap, 5.0 * float(np.median(np.diff(imu.t))))
+    interval, gaps = _interval_and_gaps(imu.t, limit)
     force, turn = imu.accel * imu.accel_scale, imu.gyro * imu.gyro_scale
     slow_force, slow_turn = _slow(force, interval), _slow(turn, interval)
     measures = {
@@ -209,10 +209,10 @@ def _counted(count: float, word: str) -> str:
     return f"{count:.0f} {word}" + ("" if count == 1.0 else "s")
 
 
-def _gaps(t: Array, limit: float) -> Array:
-    """Steps longer than `limit` seconds."""
+def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
+    """Mean step (s), and the steps longer than `limit` seconds, which are not in the mean."""
     steps = np.diff(t)
-    return np.asarray(steps[steps > limit])
+    return float(np.mean(steps[steps <= limit])), np.asarray(steps[steps > limit])
 
 
 def _slow(values: Array, interval: float) -> Array:
