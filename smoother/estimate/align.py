@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
@@ -94,7 +94,7 @@ class _Averages:
         return ends[0], ends[1]
 
 
-def _fit(averages: _Averages, path: PathMotion, use: Array, lag: float) -> Alignment:
+def _fit(averages: _Averages, path: PathMotion, use: BoolArray, lag: float) -> Alignment:
     force, rate = averages.around(path.t[use] - lag, WINDOW)
     forward, left, yaw_rate = _path_axes(path)
     forward, left, yaw_rate = forward[use], left[use], yaw_rate[use]
@@ -127,7 +127,8 @@ def _robust_lines(design: Array, measured: Array) -> tuple[Array, float]:
     weight = np.ones(len(design))
     for _ in range(6):
         w = weight[:, None]
-        solution = np.linalg.lstsq(design * np.sqrt(w), measured * np.sqrt(w), rcond=None)[0]
+        fit = np.linalg.lstsq(design * np.sqrt(w), measured * np.sqrt(w), rcond=None)
+        solution = np.asarray(fit[0], dtype=np.float64)
         distance = np.linalg.norm(measured - design @ solution, axis=1)
         scale = np.median(distance) + 1e-9
         weight = 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2)

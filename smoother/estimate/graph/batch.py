@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.imu import (
@@ -23,6 +23,7 @@ from smoother.estimate.graph.imu import (
     reading_path,
 )
 from smoother.estimate.graph.inertial import (
+    InertialResiduals,
     LinearInertial,
     ValuesFactory,
     add_inertial,
@@ -228,9 +229,9 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
     )
 
 
-def _ratio(inertial: object, part: slice, variance: Array, good: Array) -> float:
-    residual, posterior = inertial.residual[good, part], inertial.posterior_variance[good, part]  # type: ignore[attr-defined]
-    variance = np.broadcast_to(variance, inertial.residual[:, part].shape)[good]  # type: ignore[attr-defined]
+def _ratio(inertial: InertialResiduals, part: slice, variance: Array, good: BoolArray) -> float:
+    residual, posterior = inertial.residual[good, part], inertial.posterior_variance[good, part]
+    variance = np.broadcast_to(variance, inertial.residual[:, part].shape)[good]
     weight = 1.0 / variance
     return _bounded(float(np.sum(residual**2 * weight)), float(np.sum(1.0 - posterior * weight)), residual.size)
 

@@ -114,7 +114,7 @@ def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], tu
     while diagonal.shape[0] > 1:
         n_nodes = diagonal.shape[0]
         odd = diagonal[1::2]
-        n_odd, n = odd.shape[:2]
+        n_odd = odd.shape[0]
         left = upper[0::2].transpose(0, 2, 1)  # A(odd, left even)
         right = np.zeros_like(odd)
         right[: upper[1::2].shape[0]] = upper[1::2]  # A(odd, right even)
@@ -178,7 +178,7 @@ def _right_neighbours(x: Array, n_odd: int) -> Array:
 
 def _cholesky(blocks: Array) -> Array:
     try:
-        return np.linalg.cholesky(blocks)
+        return np.asarray(np.linalg.cholesky(blocks), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise NotPositiveDefiniteError("the data does not determine every unknown") from error
 

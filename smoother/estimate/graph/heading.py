@@ -68,7 +68,7 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
 def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:
     """Robust ridge fit of measured = A expected + h. Returns A (3, 3), h (3,), weights (N,)."""
     centred = measured - np.median(measured, axis=0)
-    scale = np.linalg.norm(centred) / max(np.linalg.norm(expected - expected.mean(axis=0)), 1e-9)
+    scale = float(np.linalg.norm(centred)) / max(float(np.linalg.norm(expected - expected.mean(axis=0))), 1e-9)
     design = np.concatenate([expected, np.ones((len(expected), 1))], axis=1)
     weight = np.ones(len(design))
     prior = np.diag([RIDGE, RIDGE, RIDGE, 0.0]) * len(design)

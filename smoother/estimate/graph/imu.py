@@ -27,7 +27,7 @@ class BinnedImu:
     """Inertial measurements averaged into equal bins, n_bins to each of K-1 intervals between keyframes.
 
     t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
-    its bin's start; missing (K-1,) fraction of the interval without samples; clipped (K-1,) fraction of clipped samples.
+    its bin's start; missing, clipped (K-1,) fractions of the interval without samples and with clipped ones.
     """
 
     t: Array
@@ -45,7 +45,7 @@ class BinnedImu:
     @property
     def edges(self) -> Array:
         """Times of all bin edges, ((K-1) n_bins + 1,) s."""
-        return self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1)
+        return np.asarray(self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class InertialNoise:
 def keyframe_times(start: float, end: float, interval: float) -> Array:
     """Return equally spaced times (K,) s that cover [start, end], K >= 2."""
     n = max(1, int(np.ceil((end - start) / interval - 1e-9)))
-    return start + interval * np.arange(n + 1)
+    return np.asarray(start + interval * np.arange(n + 1))
 
 
 def clipped_samples(imu: ImuSamples) -> BoolArray:

@@ -7,7 +7,6 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem
 from smoother.estimate.graph.state import (

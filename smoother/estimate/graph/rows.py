@@ -29,7 +29,6 @@ from smoother.estimate.graph.state import (
     VELOCITY_LATENCY,
     ChainState,
 )
-
 from smoother.frames import wrap_angle
 
 
@@ -260,7 +259,7 @@ def _empty(n: int, r: int) -> tuple[Array, Array, Array]:
 
 def _between(b: Bracket, values: Array) -> Array:
     share = b.share[:, None]
-    return (1.0 - share) * values[b.interval] + share * values[b.interval + 1]
+    return np.asarray((1.0 - share) * values[b.interval] + share * values[b.interval + 1])
 
 
 def _put_curve(left: Array, right: Array, state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> None:

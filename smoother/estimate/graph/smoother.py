@@ -5,6 +5,7 @@
 When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -17,11 +18,11 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, update_noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.heading import heading_from_field
+from smoother.estimate.graph.heading import Heading, heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import build_trajectory
-from smoother.estimate.graph.rows import heading_rows
+from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.fit.standstill import detect_standstill
@@ -240,8 +241,8 @@ def _density(bins: Array, dt: float, floor: float) -> float:
     """Noise density of binned samples (K, n, 3): second differences of white noise have six times its variance."""
     flat = bins.reshape(-1, 3)
     second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
-    sigma = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)
-    return max(floor, sigma * np.sqrt(dt))
+    sigma = 1.4826 * float(np.median(np.abs(second)))
+    return max(floor, sigma * math.sqrt(dt / 6.0))
 
 
 def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Solved, Noise]:
@@ -255,14 +256,6 @@ def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwa
         settled = noise.change(better) < SETTLED
         noise = better
         watch.say((turn + 1) / options.rounds)
-            print(
-                turn,
-                noise.inertial.accel,
-                np.degrees(noise.inertial.gyro),
-                noise.position,
-                noise.velocity,
-                state.constants,
-            )
         if settled:
             break
     return solved, noise
@@ -278,10 +271,10 @@ def _with_heading(session: Session, data: Data, state: ChainState) -> tuple[Data
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
         return data, (*problems, Problem("magnetometer_unused", text))
 
-    def rows(state: ChainState, noise: Noise) -> object:
-        return heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
+    def rows(state: ChainState, noise: Noise, found: Heading = heading) -> Rows:
+        return heading_rows(state, found.interval, found.field_s, found.field_yaw, found.sigma)
 
-    return replace(data, extra=(rows,)), problems  # type: ignore[arg-type]
+    return replace(data, extra=(rows,)), problems
 
 
 def _mounting(session: Session, solved: Solved, alignment: Alignment) -> FittedMounting:
