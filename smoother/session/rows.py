@@ -17,6 +17,7 @@ COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too c
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
 STRAY_GAP = 600.0  # s; see _stray_ends
+LATEST = 1e10  # s; even seconds since 1970 are fewer
 LONGEST_GAP = 86400.0  # s; two parts further apart are not one recording
 
 
@@ -57,7 +58,11 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
     cost a large part of it. After a restart of the clock only the longest piece is kept.
     """
+    with np.errstate(invalid="ignore"):
+        rows.drop(np.abs(t) > LATEST, "absurd_time", "hold a time beyond any clock")
     index = np.flatnonzero(rows.keep)
+    if index.size == 0:
+        return t[index], index
     time, wraps = unwrap(t[index])
     if wraps:
         rows.say("clock_wrapped", f"the 32-bit clock wrapped {wraps} times; unwrapped", wraps)
@@ -167,8 +172,7 @@ def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntAr
 
 
 def _without_repeats(t: Array) -> Array:
-    distinct: Array = t[np.append(True, np.diff(t) != 0.0)]
-    return distinct
+    return np.delete(t, np.flatnonzero(np.diff(t) == 0.0) + 1)
 
 
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:

@@ -40,7 +40,7 @@ def load_settings(path: Path) -> SessionConfig:
 
 
 def rotation_from_axes(axes: str) -> Array:
-    """R_bs (3, 3) of a sensor whose x, y and z axis point to the three body directions named, as "right-back-up".
+    """R_bs (3, 3) of a sensor whose x, y and z axis point to the three body directions named, as "right-forward-up".
 
     Raises ValueError, saying why, unless the three are a right-handed set.
     """

@@ -1,0 +1,145 @@
+"""Choosing rows: what is out of order, repeated, stray or restarted, and what is only late."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smoother.session.rows import (
+    MICROSECOND_WRAP,
+    RowFilter,
+    longest_increasing,
+    put_in_time_order,
+    spread_coarse_times,
+    unwrap,
+)
+
+
+def rows_of(count: int) -> RowFilter:
+    return RowFilter("imu.csv", "imu", np.ones(count, dtype=bool))
+
+
+def codes(rows: RowFilter) -> dict[str, int]:
+    return {problem.code: problem.count for problem in rows.problems}
+
+
+def order(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, RowFilter]:
+    rows = rows_of(len(t))
+    time, index = put_in_time_order(rows, np.asarray(t, dtype=float))
+    return time, index, rows
+
+
+def longest_by_force(t: list[float]) -> int:
+    best = [1] * len(t)
+    for i in range(len(t)):
+        best[i] = 1 + max((best[j] for j in range(i) if t[j] < t[i]), default=0)
+    return max(best, default=0)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.integers(0, 12).map(float), max_size=14))
+def test_the_longest_increasing_subsequence_is_one_and_is_longest(t: list[float]) -> None:
+    keep = longest_increasing(np.array(t, dtype=float))
+    chosen = np.array(t, dtype=float)[keep]
+    assert np.all(np.diff(chosen) > 0)
+    assert chosen.size == longest_by_force(t)
+
+
+def test_rows_in_order_are_all_kept_without_a_word() -> None:
+    time, index, rows = order(np.arange(100) * 0.01)
+    assert index.size == 100 and rows.problems == []
+    np.testing.assert_array_equal(time, np.arange(100) * 0.01)
+
+
+def test_one_far_future_stamp_costs_itself_and_not_all_that_follow() -> None:
+    t = np.arange(1000) * 0.01
+    t[500] = 1e9
+    _, index, rows = order(t)
+    assert codes(rows) == {"imu_out_of_order": 1}
+    assert 500 not in index and index.size == 999
+
+
+@pytest.mark.parametrize("place", [0, -1])
+def test_a_far_stamp_at_either_end_is_in_order_but_dropped(place: int) -> None:
+    t = np.arange(1000) * 0.01
+    t[place] = -1e9 if place == 0 else 1e9
+    _, index, rows = order(t)
+    assert codes(rows) == {"imu_stray_time": 1} and index.size == 999
+
+
+def test_a_long_pause_inside_a_recording_is_a_gap_and_not_stray() -> None:
+    t = np.concatenate([np.arange(2000) * 0.1, 4000.0 + np.arange(500) * 0.1])
+    _, index, rows = order(t)
+    assert index.size == 2500 and rows.problems == []
+
+
+def test_the_first_of_a_repeated_time_is_kept_and_rows_out_of_order_are_counted() -> None:
+    t = np.arange(1000) * 0.01
+    t[10], t[20], t[30] = t[9], t[5], t[28]
+    _, index, rows = order(t)
+    assert codes(rows) == {"imu_repeated_time": 3}  # 20 and 30 repeat other rows' times as well
+    assert {9, 5, 28} <= set(index) and not {10, 20, 30} & set(index)
+    t[40] = 0.1234567
+    assert codes(order(t)[2]) == {"imu_repeated_time": 3, "imu_out_of_order": 1}
+
+
+def test_a_stream_shuffled_in_small_batches_is_sorted_rather_than_halved() -> None:
+    t = np.arange(1000) * 0.01
+    swapped = t.reshape(-1, 2)[:, ::-1].ravel()
+    time, index, rows = order(swapped)
+    np.testing.assert_array_equal(time, t)
+    assert index.size == 1000 and codes(rows) == {"imu_reordered": 1000}
+
+
+def test_after_a_restart_of_the_clock_the_longest_part_is_kept_and_never_a_mixture() -> None:
+    first, second = np.arange(600) * 0.1, np.arange(900) * 0.1
+    _, index, rows = order(np.concatenate([first, second]))
+    assert set(index) == set(range(600, 1500))
+    assert codes(rows) == {"imu_clock_restart": 600}
+
+
+def test_a_restart_is_found_among_stray_stamps() -> None:
+    t = np.concatenate([np.arange(600) * 0.1, np.arange(900) * 0.1])
+    t[[50, 700, 1200]] = [1e7, 1e7, -1e7]
+    _, index, _ = order(t)
+    assert set(index) == set(range(600, 1500)) - {700, 1200}
+
+
+@pytest.mark.parametrize("counts_per_second, limit", [(1e6, 2.0**32), (1e3, 2.0**32)])
+def test_a_32_bit_counter_may_wrap(counts_per_second: float, limit: float) -> None:
+    true = limit / counts_per_second - 5.0 + np.arange(1000) * 0.01
+    wrapped = np.mod(np.round(true * counts_per_second), limit) / counts_per_second
+    time, index, rows = order(wrapped)
+    assert index.size == 1000 and codes(rows) == {"imu_clock_wrapped": 1}
+    np.testing.assert_allclose(time, true, atol=1e-3)
+
+
+def test_a_single_low_stamp_is_not_a_wrap() -> None:
+    t = MICROSECOND_WRAP - 5.0 + np.arange(400) * 0.01
+    t[200] = 0.0
+    np.testing.assert_array_equal(unwrap(t)[0], t)
+
+
+def test_stamps_with_too_few_decimals_are_spread_over_the_interval_they_share() -> None:
+    true = np.arange(400) * 0.005
+    rows = rows_of(400)
+    coarse = np.floor(true * 100 + 1e-9) / 100
+    spread = spread_coarse_times(rows, coarse, np.arange(400.0)[:, None])
+    np.testing.assert_allclose(spread, true, atol=1e-9)
+    assert codes(rows) == {"imu_coarse_time": 200}
+
+
+def test_rows_written_twice_are_not_spread() -> None:
+    rows, t = rows_of(400), np.repeat(np.arange(200) * 0.01, 2)
+    np.testing.assert_array_equal(spread_coarse_times(rows, t, np.repeat(np.arange(200.0), 2)[:, None]), t)
+    assert rows.problems == []
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=60))
+def test_whatever_the_times_the_result_increases_and_every_row_is_accounted_for(t: list[float]) -> None:
+    time, index, rows = order(np.array(t, dtype=float))
+    assert time.shape == index.shape
+    assert np.all(np.diff(time) > 0)
+    dropped = sum(count for code, count in codes(rows).items() if code not in ("imu_reordered", "imu_clock_wrapped"))
+    assert dropped + index.size == len(t)
