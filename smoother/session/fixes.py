@@ -130,7 +130,8 @@ def _is_jump(t: Array, c: FixColumns) -> BoolArray:
 
 def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     """Mask of rows that repeat the position before although the vehicle moved: old fixes written again."""
-    repeats = np.concatenate([[False], (np.diff(c.lat_deg) == 0.0) & (np.diff(c.lon_deg) == 0.0)])
+    repeats = np.zeros(t.size, dtype=np.bool_)
+    repeats[1:] = (np.diff(c.lat_deg) == 0.0) & (np.diff(c.lon_deg) == 0.0)
     if not np.any(repeats):
         return repeats
     north, east = _metres(c)
