@@ -212,8 +212,11 @@ def test_one_wrong_date_or_time_does_not_shift_the_others() -> None:
 
 
 def test_receive_times_before_the_sentences_are_the_times_of_the_fixes() -> None:
-    lines = [f"{12.5 + 0.2 * k:.3f},{rmc(START + 0.2 * k, north=2.0 * k)}{12.53 + 0.2 * k:.3f}, {gga(START + 0.2 * k)}"
-             for k in range(10)]  # fmt: skip
+    lines = [
+        f"{12.5 + 0.2 * k:.3f},{rmc(START + 0.2 * k, north=2.0 * k)}"
+        f"{12.53 + 0.2 * k:.3f}, {gga(START + 0.2 * k, north=2.0 * k)}"
+        for k in range(10)
+    ]
     reading = read("t_s,sentence\r\n" + "".join(lines))
     assert reading.has_receive_times
     np.testing.assert_allclose(reading.gnss.t, 12.5 + 0.2 * np.arange(10))
