@@ -1,0 +1,145 @@
+"""Calibration: what it does to samples, and the file it is read from."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.calibration import Calibration, load_calibration
+from smoother.errors import ConfigError
+from smoother.frames import Origin
+from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.units import DEG, STANDARD_GRAVITY
+
+RNG = np.random.default_rng(0)
+T = np.arange(5) * 0.01
+COUNTS = RNG.integers(-30000, 30000, (5, 3)).astype(float)
+CROOKED = np.eye(3) + 0.05 * RNG.normal(size=(3, 3))
+FIXES = GnssFixes([0.0], [45.0], [12.0], [0.0], np.zeros((1, 3)))
+
+TEXT = """
+[accelerometer]
+offset = [0.1, -0.2, 0.3]
+matrix = [[1.01, 0.0, 0.0], [0.0, 0.99, 0.001], [0.0, 0.0, 1.0]]
+[gyroscope]
+bias = [0.01, 0.02, -0.03]
+[magnetometer]
+hard_iron = [10.0, 20.0, 30.0]
+soft_iron = [[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.02]]
+"""
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "calibration.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_without_values_only_the_scale_is_applied() -> None:
+    raw = RawImu(T, COUNTS, COUNTS, STANDARD_GRAVITY / 16384.0, DEG / 131.0, 2.0 * STANDARD_GRAVITY, 250.0 * DEG)
+    imu = Calibration().apply_to_imu(raw)
+    np.testing.assert_allclose(imu.specific_force_s, COUNTS / 16384.0 * STANDARD_GRAVITY)
+    np.testing.assert_allclose(imu.angular_rate_s, COUNTS / 131.0 * DEG)
+    np.testing.assert_array_equal(imu.t, T)
+    assert imu.accel_full_scale == 2.0 * STANDARD_GRAVITY
+    assert imu.gyro_full_scale == 250.0 * DEG
+
+
+def test_a_sensor_with_known_errors_reads_the_truth_again() -> None:
+    true, offset, scale = RNG.normal(size=(5, 3)), np.array([0.3, -0.1, 0.2]), 0.001
+    counts = (true @ np.linalg.inv(CROOKED).T + offset) / scale
+    raw = RawImu(T, counts, counts, scale, scale)
+    calibration = Calibration(offset, CROOKED, offset, CROOKED)
+    np.testing.assert_allclose(calibration.apply_to_imu(raw).specific_force_s, true, atol=1e-12)
+    np.testing.assert_allclose(calibration.apply_to_imu(raw).angular_rate_s, true, atol=1e-12)
+
+
+def test_hard_and_soft_iron_bring_the_field_back_to_length_one() -> None:
+    unit = RNG.normal(size=(5, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    iron = np.array([12.0, -7.0, 30.0])
+    raw = RawMag(T, unit @ np.linalg.inv(CROOKED / 48.0).T + iron)
+    calibrated = Calibration().with_magnetometer(iron, CROOKED / 48.0).apply_to_mag(raw)
+    assert calibrated.is_calibrated
+    np.testing.assert_allclose(calibrated.field_s, unit, atol=1e-12)
+
+
+def test_a_magnetometer_without_calibration_keeps_its_unit_and_says_so() -> None:
+    mag = Calibration().apply_to_mag(RawMag(T, COUNTS))
+    assert not mag.is_calibrated
+    np.testing.assert_array_equal(mag.field_s, COUNTS)
+
+
+def test_apply_carries_everything_else_of_the_session_along() -> None:
+    problem = Problem("code", "text")
+    raw = RawSession("name", FIXES, inputs=("a.csv",), problems=(problem,), unix_at_zero=5.0)
+    session = Calibration().apply(raw, Origin(45.0, 12.0, 0.0))
+    assert (session.name, session.inputs, session.problems, session.unix_at_zero) == (
+        "name",
+        ("a.csv",),
+        (problem,),
+        5.0,
+    )
+    assert session.gnss is FIXES
+    assert session.imu is None
+    assert session.mag is None
+    full = Calibration().apply(
+        RawSession("name", FIXES, RawImu(T, COUNTS, COUNTS), RawMag(T, COUNTS)), Origin(45.0, 12.0, 0.0)
+    )
+    assert full.imu is not None
+    assert full.mag is not None
+
+
+def test_values_are_read_only_and_their_shapes_checked() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        Calibration().accel_offset[0] = 1.0
+    with pytest.raises(ValueError, match="gyro_matrix has shape"):
+        Calibration(gyro_matrix=np.eye(2))
+    with pytest.raises(ValueError, match="hard_iron has shape"):
+        Calibration(hard_iron=np.zeros(2), soft_iron=np.eye(3))
+
+
+def test_hard_iron_without_soft_iron_is_refused() -> None:
+    with pytest.raises(ValueError, match="come together"):
+        Calibration(hard_iron=np.zeros(3))
+
+
+def test_a_file_is_read_and_what_it_leaves_out_changes_nothing(tmp_path: Path) -> None:
+    found = load_calibration(written(tmp_path, TEXT))
+    np.testing.assert_array_equal(found.accel_offset, [0.1, -0.2, 0.3])
+    np.testing.assert_array_equal(found.accel_matrix[1], [0.0, 0.99, 0.001])
+    np.testing.assert_array_equal(found.gyro_bias, [0.01, 0.02, -0.03])
+    np.testing.assert_array_equal(found.gyro_matrix, np.eye(3))
+    np.testing.assert_array_equal(found.hard_iron, [10.0, 20.0, 30.0])
+    np.testing.assert_array_equal(found.soft_iron, 0.02 * np.eye(3))
+
+
+def test_an_empty_file_changes_nothing(tmp_path: Path) -> None:
+    found = load_calibration(written(tmp_path, ""))
+    np.testing.assert_array_equal(found.accel_matrix, np.eye(3))
+    assert found.hard_iron is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[accelerometer", "calibration.toml: not valid TOML"),
+        ("gyroscope = 3", r"calibration.toml: gyroscope is not a table; write \[gyroscope\]"),
+        ("[gyroscope]\nbias = [1.0, 2.0]", r"\[gyroscope\] bias must be 3 finite numbers"),
+        ("[gyroscope]\nbias = 'zero'", r"\[gyroscope\] bias must be 3 finite numbers"),
+        ("[gyroscope]\nbias = [0.0, 0.0, nan]", r"\[gyroscope\] bias must be 3 finite numbers"),
+        ("[accelerometer]\nmatrix = [[1.0], [2.0]]", r"\[accelerometer\] matrix must be 3 x 3 finite numbers"),
+        ("[accelerometer]\nmatrix = [[1, 0, 0], [0, 1], [0, 0, 1]]", r"matrix must be 3 x 3 finite numbers"),
+        ("[magnetometer]\nhard_iron = [1.0, 2.0, 3.0]", "needs both hard_iron and soft_iron"),
+    ],
+)
+def test_a_flawed_file_is_named_with_the_key_and_the_remedy(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_calibration(written(tmp_path, text))
+
+
+def test_a_file_that_is_not_text_is_not_valid(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not valid TOML"):
+        load_calibration(path)
