@@ -96,5 +96,5 @@ def test_a_useless_magcalib_is_a_problem_and_not_the_end() -> None:
 def test_a_flawed_calibration_file_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_text("[gyroscope]\nbias = 3\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match="calibration.toml"):
+    with pytest.raises(ConfigError, match=r"calibration\.toml"):
         prepare(RawSession("s", fixes()), path)
