@@ -20,7 +20,12 @@ PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tune
     "directory", metavar="[DIR]", required=False, default="demo", type=click.Path(path_type=Path, file_okay=False)
 )
 @click.option(
-    "--duration", metavar="S", type=click.FloatRange(20.0, 3600.0), default=240.0, help="Seconds driven [240]."
+    "--duration",
+    metavar="S",
+    type=click.FloatRange(20.0, 3600.0),
+    default=240.0,
+    envvar="SMOOTH_DEMO_SECONDS",
+    help="Seconds driven [240, or what SMOOTH_DEMO_SECONDS says].",
 )
 @click.option("--seed", type=click.IntRange(0), default=SEED, help=f"Another session [{SEED}].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Another track [{TRACKS[0]}].")

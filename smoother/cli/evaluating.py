@@ -27,17 +27,19 @@ SETTLED = 10.0  # s; attitude is also scored without them, as it needs motion to
 LABELS = {"gps": "GPS alone", "baseline": "baseline", "smoother": "smoother"}
 Figures = dict[str, object]
 
-_COLUMNS = (  # heading, key, digits
-    ("horizontal m", "horizontal_rms_m", 3),
-    ("at fixes m", "horizontal_rms_at_fixes_m", 3),
-    ("over 1 s m", "relative_1s_rms_m", 3),
-    ("up m", "up_rms_m", 3),
-    ("velocity m/s", "horizontal_velocity_rms_mps", 3),
-    ("roll deg", "roll_rms_deg", 2),
-    ("pitch deg", "pitch_rms_deg", 2),
-    ("yaw deg", "yaw_rms_deg", 2),
-    ("in 1 sigma", "coverage_1sigma", 2),
-    ("in 2 sigma", "coverage_2sigma", 2),
+_ROWS = (  # what people read, key, digits
+    ("horizontal (m)", "horizontal_rms_m", 3),
+    ("horizontal, at the fixes (m)", "horizontal_rms_at_fixes_m", 3),
+    ("horizontal, over 1 s (m)", "relative_1s_rms_m", 3),
+    ("along the track (m)", "along_track_rms_m", 3),
+    ("across the track (m)", "cross_track_rms_m", 3),
+    ("up (m)", "up_rms_m", 3),
+    ("velocity, horizontal (m/s)", "horizontal_velocity_rms_mps", 3),
+    ("roll (deg)", "roll_rms_deg", 2),
+    ("pitch (deg)", "pitch_rms_deg", 2),
+    ("yaw (deg)", "yaw_rms_deg", 2),
+    ("position within 1 sigma (%)", "coverage_1sigma", 0),
+    ("position within 2 sigma (%)", "coverage_2sigma", 0),
 )
 
 
@@ -49,9 +51,9 @@ _COLUMNS = (  # heading, key, digits
 def evaluate(sessions: tuple[Path, ...], solver: str, skip: float, as_json: bool) -> int:
     """Compare GPS alone, the baseline and the smoother with the truth in SESSION/truth.csv.
 
-    Everything is estimated afresh; nothing is written. Figures are root mean squares: "at fixes" only where there is
-    a fix, "over 1 s" of the change of position in a second, "velocity" horizontal. "in 1 sigma" is the share of
-    position errors within the sigma that was reported (honest: about 0.68 and 0.95).
+    Everything is estimated afresh; nothing is written. Figures are root mean squares; "over 1 s" is the error of the
+    change of position in a second. "Within 1 sigma" is the share of position errors, per axis, within the sigma that
+    was reported (honest: 68 and 95 %).
     """
     require_sessions(sessions, "smooth evaluate")
     documents, passed = [], True
@@ -105,10 +107,12 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
 
 def _show(path: Path, document: dict[str, Figures]) -> None:
     rows = []
-    for name, figures in document.items():
-        cells = [number(_float(figures[key]), digits) for _, key, digits in _COLUMNS]
-        rows.append([LABELS[name], *cells, _nees(figures["nees"])])
-    say_table(f"{path}: rms error against truth.csv", ["", *(heading for heading, _, _ in _COLUMNS), "NEES"], rows)
+    for text, key, digits in _ROWS:
+        factor = 100.0 if "%" in text else 1.0
+        cells = [_float(figures[key]) for figures in document.values()]
+        rows.append([text, *(number(None if cell is None else cell * factor, digits) for cell in cells)])
+    rows.append(["NEES (honest: its dimension)", *(_nees(figures["nees"]) for figures in document.values())])
+    say_table(f"{path}: rms error against truth.csv", ["", *(LABELS[name] for name in document)], rows)
 
 
 def _float(value: object) -> float | None:

@@ -1,0 +1,130 @@
+"""check, demo, simulate and evaluate as a person calls them."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from smoother.cli.main import run
+from smoother.session.load import load_raw
+
+Captured = pytest.CaptureFixture[str]
+
+
+def test_check_says_good_with_its_reasons_in_seconds(simulated: Path, capsys: Captured) -> None:
+    start = time.perf_counter()
+    assert run(["check", str(simulated)]) == 0
+    assert time.perf_counter() - start < 10.0  # what the contract promises at the track
+    lines = capsys.readouterr().out.rstrip("\n").splitlines()
+    assert lines[-1] == "GOOD TO DRIVE"
+    assert any("samples a second" in line for line in lines)
+
+
+def test_check_says_what_has_to_be_mended_with_exit_code_3(monday: Path, capsys: Captured) -> None:
+    (monday / "imu.csv").unlink()
+    assert run(["check", str(monday)]) == 3
+    assert (
+        capsys.readouterr().out.rstrip("\n").splitlines()[-1].startswith("NOT GOOD TO DRIVE: no usable motion sensor")
+    )
+
+
+def test_check_json_has_verdict_findings_and_numbers(simulated: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert run(["check", str(simulated), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["good"] is True
+    assert document["reasons"] == []
+    assert document["measures"]["fix_rate_hz"] == pytest.approx(5.0, rel=0.01)
+    assert {"level", "topic", "text"} == set(document["findings"][0])
+    (tmp_path / "empty").mkdir()
+    assert run(["check", str(simulated), str(tmp_path / "empty"), "--json"]) == 2
+    assert [sorted(document)[0] for document in json.loads(capsys.readouterr().out)] == ["findings", "error"]
+
+
+def test_evaluate_compares_gps_baseline_and_smoother(simulated: Path, capsys: Captured) -> None:
+    assert run(["evaluate", str(simulated), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert list(document) == ["gps", "baseline", "smoother"]
+    wanted = {"horizontal_rms_m", "up_rms_m", "velocity_rms_mps", "roll_rms_deg", "pitch_rms_deg", "yaw_rms_deg"}
+    for figures in document.values():
+        assert wanted | {"relative_1s_rms_m", "coverage_1sigma", "nees"} <= set(figures)
+    assert document["smoother"]["horizontal_rms_m"] < document["gps"]["horizontal_rms_m"]
+    assert not (simulated / "smoothed").exists()
+
+
+def test_evaluate_prints_a_table(simulated: Path, capsys: Captured) -> None:
+    assert run(["evaluate", str(simulated), "--skip", "5"]) == 0
+    text = capsys.readouterr().out
+    assert all(word in text for word in ("GPS alone", "baseline", "smoother", "horizontal (m)", "NEES"))
+
+
+def test_evaluate_without_truth_is_one_line(monday: Path, capsys: Captured) -> None:
+    (monday / "truth.csv").unlink()
+    assert run(["evaluate", str(monday)]) == 2
+    output = capsys.readouterr()
+    assert "no truth.csv" in output.err
+    assert output.err.count("\n") == 1
+
+
+def test_the_demo_ends_with_a_figure_of_a_smoothed_session(tmp_path: Path, capsys: Captured) -> None:
+    directory = tmp_path / "demo"
+    for _ in range(2):  # a second demo writes over the first
+        assert run(["demo", str(directory), "--duration", "30"]) == 0
+        last = capsys.readouterr().out.rstrip("\n").splitlines()[-1]
+        assert last == str(directory / "smoothed" / "figures" / "overview.png")
+        assert Path(last).exists()
+    assert {"imu.csv", "gps.csv", "mag.csv", "truth.csv", "smoothed"} <= {path.name for path in directory.iterdir()}
+
+
+def test_the_same_seed_writes_the_same_session(tmp_path: Path) -> None:
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        assert run(["simulate", str(tmp_path / name), "--duration", "10", "--seed", seed]) == 0
+    first, same, other = ((tmp_path / name / "imu.csv").read_bytes() for name in "abc")
+    assert first == same
+    assert first != other
+
+
+def test_settings_reach_the_simulation(tmp_path: Path) -> None:
+    arguments = ["--duration", "20", "--gps-rate", "2", "--no-imu", "--no-mag", "--no-speed", "--track", "tinbarn"]
+    assert run(["simulate", str(tmp_path / "s"), *arguments, "--set", "gnss.outages=5:4"]) == 0
+    assert not (tmp_path / "s" / "imu.csv").exists()
+    assert not (tmp_path / "s" / "mag.csv").exists()
+    steps = np.diff(pl.read_csv(tmp_path / "s" / "gps.csv")["t_s"].to_numpy())
+    assert np.median(steps) == pytest.approx(0.5, abs=0.01)
+    assert np.max(steps) == pytest.approx(4.5, abs=0.3)
+
+
+def test_the_thesis_form_can_be_read_back(tmp_path: Path) -> None:
+    assert run(["simulate", str(tmp_path / "t"), "--duration", "20", "--format", "thesis"]) == 0
+    raw = load_raw(tmp_path / "t")
+    assert raw.imu is not None
+    assert len(raw.gnss) > 50
+    assert run(["simulate", str(tmp_path / "u"), "--duration", "20", "--format", "thesis", "--no-imu"]) == 2
+
+
+def test_a_new_simulation_leaves_nothing_of_an_older_one(tmp_path: Path) -> None:
+    assert run(["simulate", str(tmp_path / "s"), "--duration", "10"]) == 0
+    assert run(["simulate", str(tmp_path / "s"), "--duration", "10", "--no-imu"]) == 0
+    assert not (tmp_path / "s" / "imu.csv").exists()
+
+
+def test_a_recording_is_never_written_over(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "gps.csv").write_text("t_s,lat_deg,lon_deg\n1,45,12\n")
+    for command in ("simulate", "demo"):
+        assert run([command, str(tmp_path)]) == 2
+        assert "would be lost" in capsys.readouterr().err
+    assert (tmp_path / "gps.csv").read_text().startswith("t_s")
+
+
+def test_all_figures_of_a_preset_are_listed(capsys: Captured) -> None:
+    assert run(["simulate", "--list", "--preset", "kart_harsh", "--set", "gnss.rate=7"]) == 0
+    text = capsys.readouterr().out
+    assert "gnss.rate" in text
+    assert "imu.gyro_noise" in text
+
+
+def test_an_unknown_figure_names_the_nearest(tmp_path: Path, capsys: Captured) -> None:
+    assert run(["simulate", str(tmp_path / "s"), "--set", "gnss.whit_horizontal=1"]) == 2
+    assert "gnss.white_horizontal" in capsys.readouterr().err

@@ -1,0 +1,229 @@
+"""`smooth SESSION` from files to files: what is written, what is said, and how it ends."""
+
+import hashlib
+import json
+import os
+import pty
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from smoother.cli import pipeline
+from smoother.cli.main import run
+from smoother.estimate.quality import Quality
+
+TABLES_ONLY = ["--no-figures", "--no-baseline"]
+Captured = pytest.CaptureFixture[str]
+
+
+def refuse(constant: str) -> None:
+    raise AssertionError(f"{constant} is not JSON")
+
+
+def contents(directory: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in directory.iterdir() if path.is_file()}
+
+
+def test_a_session_ends_as_tables_figures_and_a_summary_and_keeps_its_files(monday: Path, capsys: Captured) -> None:
+    before = contents(monday)
+    assert run([str(monday)]) == 0
+    output = capsys.readouterr()
+    out = monday / "smoothed"
+    assert contents(monday) == before
+    assert {path.name for path in out.iterdir()} == {
+        "trajectory.csv",
+        "baseline.csv",
+        "gps.csv",
+        "summary.json",
+        "figures",
+    }
+    last = output.out.rstrip("\n").splitlines()[-1]
+    assert last == str(out / "figures" / "overview.png")
+    assert Path(last).stat().st_size > 10_000
+    assert "\x1b" not in output.out + output.err  # no colours and no progress where there is no terminal
+
+
+def test_the_trajectory_covers_the_fixes_at_the_asked_rate_without_a_hole(monday: Path) -> None:
+    assert run([str(monday), "--rate", "20", *TABLES_ONLY]) == 0
+    rows = pl.read_csv(monday / "smoothed" / "trajectory.csv")
+    fixes = pl.read_csv(monday / "gps.csv")
+    t = rows["t_s"].to_numpy()
+    np.testing.assert_allclose(np.diff(t), 0.05, atol=2e-6)
+    assert t[0] == pytest.approx(fixes["t_s"][0], abs=1e-6)
+    assert fixes["t_s"][-1] - t[-1] < 0.05
+    for name in ("lat_deg", "lon_deg", "alt_m", "north_m", "west_m", "up_m", "speed_mps", "sigma_north_m"):
+        assert np.isfinite(rows[name].to_numpy()).all(), name
+
+
+def test_json_is_the_summary_and_nothing_else(monday: Path, capsys: Captured) -> None:
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 0
+    printed = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    written = json.loads((monday / "smoothed" / "summary.json").read_text(), parse_constant=refuse)
+    assert printed == written
+    assert printed["quality"]["passed"] is True
+    assert printed["counts"]["rows"] == pl.read_csv(monday / "smoothed" / "trajectory.csv").height
+    assert {"reading", "smoothing", "writing"} <= set(printed["timings"])
+    for name in ("gps_position_latency", "gps_velocity_latency", "lever_arm_b", "R_bs"):
+        assert set(printed["identified"][name]) == {"value", "sigma", "unit", "observable", "source"}
+
+
+def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Captured) -> None:
+    assert run([str(monday)]) == 0
+    mine = monday / "smoothed" / "figures" / "mine.png"
+    mine.write_bytes(b"not ours")
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    assert capsys.readouterr().out.rstrip("\n").splitlines()[-1] == str(monday / "smoothed" / "trajectory.csv")
+    assert not (monday / "smoothed" / "baseline.csv").exists()
+    assert list((monday / "smoothed" / "figures").iterdir()) == [mine]
+
+
+def test_one_file_of_a_session_stands_for_it(monday: Path, tmp_path: Path) -> None:
+    out = tmp_path / "elsewhere" / "deep"
+    assert run([str(monday / "gps.csv"), "--out", str(out), *TABLES_ONLY]) == 0
+    assert (out / "trajectory.csv").exists()
+    assert not (monday / "smoothed").exists()
+
+
+def test_fixes_alone_are_smoothed_as_such_and_said_so(monday: Path, capsys: Captured) -> None:
+    (monday / "imu.csv").unlink()
+    (monday / "mag.csv").unlink()
+    assert run([str(monday), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["mode"] == "gps-only"
+    assert any("GPS alone" in problem["text"] for problem in document["problems"])
+    attitude = pl.read_csv(monday / "smoothed" / "trajectory.csv")["yaw_deg"].to_numpy()
+    assert np.isnan(attitude).all()
+
+
+def test_the_session_s_own_folder_is_no_place_for_results(monday: Path, capsys: Captured) -> None:
+    before = contents(monday)
+    assert run([str(monday), "--out", str(monday)]) == 2
+    assert "would be overwritten" in capsys.readouterr().err
+    assert contents(monday) == before
+
+
+def test_a_place_that_cannot_be_written_is_one_line(monday: Path, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "taken").write_text("a file")
+    assert run([str(monday), "--out", str(tmp_path / "taken")]) == 2
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1
+    assert "--out DIR" in output.err
+
+
+def test_a_locked_card_sends_its_results_to_the_working_directory(
+    monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (monday / "smoothed").write_text("a file stands where the folder would be made")
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    output = capsys.readouterr()
+    assert output.out.rstrip("\n").splitlines()[-1] == "smoothed/monday/trajectory.csv"
+    assert "cannot be written to" in output.err
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda d: [path.unlink() for path in d.iterdir()],
+        lambda d: (d / "gps.csv").write_text(""),
+        lambda d: (d / "gps.csv").write_text("t_s,lat_deg\n1,2\n"),
+        lambda d: (d / "gps.csv").write_text("t_s,lat_deg,lon_deg\n1,nan,2\n"),
+        lambda d: (d / "session.toml").write_text("[mounting]\nlever_arm = [1, 2, 3]\n"),
+        lambda d: (d / "calibration.toml").write_text("not toml"),
+    ],
+)
+def test_unusable_input_is_one_line_on_stderr_and_exit_code_2(monday: Path, capsys: Captured, spoil: object) -> None:
+    spoil(monday)  # type: ignore[operator]
+    assert run([str(monday), "--json"]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert output.err.startswith("smooth: ")
+
+
+def test_an_unusable_session_does_not_keep_the_others_from_being_smoothed(
+    monday: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    empty, out = tmp_path / "empty", tmp_path / "out"
+    empty.mkdir()
+    assert run([str(empty), str(monday), "--out", str(out), "--json", *TABLES_ONLY]) == 2
+    output = capsys.readouterr()
+    first, second = json.loads(output.out)
+    assert "no recording found" in first["error"]
+    assert second["quality"]["passed"] is True
+    assert (out / "monday" / "trajectory.csv").exists()
+
+
+def test_a_result_that_fails_its_gate_is_written_said_and_exit_code_3(
+    monday: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    failed = Quality(False, ("the trajectory leaves the fixes for 40 s",), {})
+    monkeypatch.setattr("smoother.estimate.quality.assess", lambda session, estimate: failed)
+    assert run([str(monday), *TABLES_ONLY]) == 3
+    output = capsys.readouterr()
+    assert output.err.count("\n") == 1
+    assert "failed its quality gate: the trajectory leaves the fixes for 40 s" in output.err
+    assert "NOT TO BE TRUSTED" in output.out
+    assert json.loads((monday / "smoothed" / "summary.json").read_text())["quality"]["passed"] is False
+
+
+def test_a_bug_keeps_its_traceback(monday: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(path: Path) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(pipeline, "read", broken)
+    with pytest.raises(ZeroDivisionError):  # main() lets it through: Python prints it and exits with 1
+        run([str(monday)])
+
+
+def test_a_title_cannot_give_orders_to_the_terminal(monday: Path, capsys: Captured) -> None:
+    (monday / "session.toml").write_text('[session]\ntitle = "\\u001b[31m[bold]red[/bold]\\n$x"\n')
+    assert run([str(monday), "--no-baseline"]) == 0
+    output = capsys.readouterr()
+    assert "\x1b" not in output.out
+    assert "[31m[bold]red[/bold] $x" in output.out
+
+
+def console_script() -> str:
+    return str(Path(sys.executable).parent / "smooth")
+
+
+@pytest.mark.parametrize("no_color", [True, False])
+def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(monday: Path, no_color: bool) -> None:
+    terminal, other_end = pty.openpty()
+    environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm-256color"}
+    environment |= {"NO_COLOR": "1"} if no_color else {}
+    command = [console_script(), str(monday), "--json", *TABLES_ONLY]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=other_end, env=environment) as process:
+        os.close(other_end)
+        drawn = b""
+        while True:
+            try:
+                block = os.read(terminal, 4096)
+            except OSError:  # how Linux says that the other end is closed
+                break
+            drawn += block
+            if not block:
+                break
+        assert process.stdout is not None
+        printed = process.stdout.read()
+    os.close(terminal)
+    assert process.returncode == 0
+    json.loads(printed)
+    assert b"reading" in drawn
+    coloured = re.search(rb"\x1b\[[0-9;]*3[0-9]", drawn) is not None
+    assert coloured != no_color
+
+
+def test_a_reader_that_closes_the_pipe_is_no_error(monday: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("needs system package bash")
+    command = f"set -o pipefail; {console_script()} --help | head -c 1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

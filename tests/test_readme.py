@@ -1,0 +1,56 @@
+"""The README's commands run, copied out of it, in their order, in one directory."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = [
+    line.partition(" #")[0].strip()
+    for block in re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    for line in block.splitlines()
+]
+SMOOTH = [command for command in COMMANDS if command.startswith("smooth ")]
+
+
+def test_the_readme_shows_the_commands_people_need() -> None:
+    assert {"make demo", "make test", "smooth session/", "smooth check session/"} <= set(COMMANDS)
+
+
+def test_its_smooth_commands_run(tmp_path: Path) -> None:
+    scripts = Path(sys.executable).parent
+    environment = dict(os.environ, PATH=f"{scripts}{os.pathsep}{os.environ['PATH']}", SMOOTH_DEMO_SECONDS="30")
+    # the session a reader has recorded
+    subprocess.run(
+        [scripts / "smooth", "simulate", tmp_path / "session", "--duration", "30"], check=True, capture_output=True
+    )
+    for command in SMOOTH:
+        done = subprocess.run(
+            command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+    assert (tmp_path / "session" / "smoothed" / "figures" / "overview.png").exists()
+
+
+def test_its_make_commands_exist() -> None:
+    if shutil.which("make") is None:
+        pytest.skip("needs system package make")
+    for command in (command for command in COMMANDS if command.startswith("make ")):
+        done = subprocess.run([*command.split(), "--dry-run"], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+def test_everything_else_in_its_shell_blocks_is_known() -> None:
+    others = [command for command in COMMANDS if not command.startswith(("smooth ", "make "))]
+    assert others == ["source .venv/bin/activate"]
+
+
+def test_the_files_it_points_to_exist() -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
