@@ -18,7 +18,8 @@ FEW_BAD_VALUES = 0.1  # above this share it is the column that is wrong, not the
 NEARLY_STILL = 0.15  # m/s; noise of a receiver's speed at rest: its direction means nothing
 MOVING = 1.0  # m/s; faster than this a position does not repeat exactly
 STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no harm
-STALE_STEPS = 3.0  # times the resolution of the file, for files with few decimals
+STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
+ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
 METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
 
@@ -140,9 +141,9 @@ def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
     speed = np.where(np.isfinite(speed), speed, _speed_from_positions(t[fresh], north[fresh], east[fresh])[run])
     moving = repeats & (speed > MOVING)
-    moved = np.bincount(run, np.where(moving, speed * np.diff(t, prepend=t[0]), 0.0))
-    resolution = max(_smallest_step(north), _smallest_step(east))
-    return np.asarray(moving & (moved[run] > max(STALE_DISTANCE, STALE_STEPS * resolution)))
+    advance = speed * np.diff(t, prepend=t[0])
+    moved = np.bincount(run, np.where(moving, advance, 0.0))
+    return np.asarray(moving & (moved[run] > max(STALE_DISTANCE, STALE_STEPS * _resolution(north, east, advance))))
 
 
 def _speed_from_positions(t: Array, north: Array, east: Array) -> Array:
@@ -153,10 +154,21 @@ def _speed_from_positions(t: Array, north: Array, east: Array) -> Array:
     return np.concatenate([[0.0], np.minimum(step[1:], step[:-1]), [0.0]])
 
 
-def _smallest_step(values: Array) -> float:
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 1e-4]  # below: rounding of the conversion
-    return float(np.min(steps)) if steps.size else 0.0
+def _resolution(north: Array, east: Array, moved: Array) -> float:
+    """Smallest step (m) the positions make; moved (N,) m is what the speed says of each interval.
+
+    Steps that are mostly alike and as long as the speed says come from a steady motion and not from a coarse grid.
+    """
+
+    def smallest(values: Array) -> float:
+        steps = np.abs(np.diff(values))
+        return float(np.min(steps[steps > ROUNDING], initial=np.inf))
+
+    step = np.hypot(np.diff(north), np.diff(east))
+    step, moved = step[step > ROUNDING], moved[1:][step > ROUNDING]
+    if step.size == 0 or (np.median(step) < 1.1 * np.percentile(step, 10) <= 1.2 * np.median(moved)):
+        return 0.0
+    return max(size for size in (smallest(north), smallest(east)) if np.isfinite(size))
 
 
 def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
