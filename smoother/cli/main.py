@@ -1,5 +1,6 @@
 """The entry point: which command is meant, and the one place where errors become a line and an exit code."""
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,9 @@ from smoother.errors import SmootherError
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that knows no ± still gets its table
     sys.exit(run(sys.argv[1:]))
 
 

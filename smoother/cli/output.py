@@ -16,6 +16,13 @@ Progress = Callable[[str, float], None]
 """Told the name of a stage and the share (0..1) of it that is done."""
 
 
+class _Console(Console):
+    """A console that lets the one error boundary decide what a closed pipe means."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def no_progress(stage: str, share: float) -> None:
     """Say nothing."""
 
@@ -47,7 +54,7 @@ def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
     table.add_column(overflow="fold")
     for name, value in pairs:
         table.add_row(Text(plain(name), style="dim"), Text(plain(value)))
-    console = Console(highlight=False)
+    console = _Console(highlight=False)
     console.print(Text(plain(title), style="bold"))
     console.print(table)
 
@@ -59,7 +66,7 @@ def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
         table.add_column(Text(name), justify="left" if i == 0 else "right")
     for row in rows:
         table.add_row(*(Text(plain(cell)) for cell in row))
-    Console(highlight=False).print(table)
+    _Console(highlight=False).print(table)
 
 
 @contextlib.contextmanager
