@@ -67,11 +67,14 @@ class _Level:
 def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSolution:
     """Solve `system`, and unless told otherwise invert it at and beside the diagonal.
 
-    Raises NotPositiveDefiniteError when a pivot block is not positive definite.
+    Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
-    scale = 1.0 / np.sqrt(np.einsum("kii->ki", system.diagonal))
-    if not np.all(np.isfinite(scale)):
+    if not all(np.all(np.isfinite(part)) for part in vars(system).values()):
+        raise NotPositiveDefiniteError("the system holds a number that is not finite")
+    information = np.einsum("kii->ki", system.diagonal)
+    if not np.all(information > 0.0):
         raise NotPositiveDefiniteError("an unknown has no information at all")
+    scale = 1.0 / np.sqrt(information)
     diagonal = system.diagonal * scale[:, :, None] * scale[:, None, :]
     upper = system.upper * scale[:-1, :, None] * scale[1:, None, :]
     rhs = np.concatenate([system.rhs[:, :, None], system.border], axis=2) * scale[:, :, None]
