@@ -17,6 +17,7 @@ from smoother.units import DEG, STANDARD_GRAVITY
 SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
+_JUDGED_HERE = ("gps_gap", "imu_gap")  # problems of the reader that the checks below judge by themselves
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits), _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts.append(_check_clocks(raw.gnss, raw.imu))
-    notes = [Finding("warning", "file", problem.text) for problem in raw.problems]
+    notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in _JUDGED_HERE]
     findings = [finding for part in parts for finding in part.findings]
     measures = {name: value for part in parts for name, value in part.measures.items()}
     return Check(raw.name, (*findings, *notes), measures)
