@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
+from scipy import ndimage, stats
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.samples import Problem
@@ -32,7 +32,8 @@ EVEN_ENOUGH = 1e-3  # periods; stamps with less jitter are left as they are
 BLOCK_JITTER = 0.05  # periods; blocks are long enough for their mean to be this good ...
 SHORTEST_BLOCK = 32  # samples
 LONGEST_BLOCK = 10.0  # s; ... but the drift of a clock that warms up is followed
-IRREGULAR_GROWTH = 5.5  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
+LATE_BLOCKS = 9  # blocks of which up to half may be late without the smooth line following them
+IRREGULAR_GROWTH = 5.0  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
 TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the jitter; the others are gaps
 
 FEWEST_FIXES = 20
@@ -74,19 +75,19 @@ def regularize(t: Array) -> TimeBase:
     noise = _typical_rms(np.concatenate([_roughness(piece) for piece in np.split(lag, steps)]))
     if noise < EVEN_ENOUGH * period:
         return TimeBase(t, period)
-    even = _even(t, lag, steps, _block_length(noise, period))
+    even = _even(t, lag, steps, _block_length(noise, period), period)
     if even is None:
         return TimeBase(t, period, is_steady=False)
     return TimeBase(even, period, float(np.sqrt(np.mean(np.square(even - t)))))
 
 
-def _even(t: Array, lag: Array, steps: IntArray, block: int) -> Array | None:
+def _even(t: Array, lag: Array, steps: IntArray, block: int, period: float) -> Array | None:
     """Stamps with the lag smoothed between the steps; None if they are not increasing.
 
     A step whose sides would overlap is none (late samples that were made up for) and is given up.
     """
     while True:
-        even = t - lag + np.concatenate([_smooth(piece, block) for piece in np.split(lag, steps)])
+        even = t - lag + np.concatenate([_smooth(piece, block, period) for piece in np.split(lag, steps)])
         folded = np.flatnonzero(np.diff(even) <= 0.0) + 1
         if folded.size == 0:
             return np.asarray(even)
@@ -160,9 +161,14 @@ def _steps(lag: Array, period: float) -> IntArray:
 
 
 def _step_heights(lag: Array, steps: IntArray) -> Array:
-    """Sum (N,) of the steps so far, each measured on the interval itself."""
+    """Sum (N,) of the steps so far, each the difference of the means on either side, up to its neighbours."""
+    if steps.size == 0:
+        return np.zeros(lag.size)
+    total = np.concatenate([[0.0], np.cumsum(lag)])
+    room = np.diff(steps, prepend=0, append=lag.size)
+    before, after = np.minimum(room[:-1], STEP_WINDOWS[-1]), np.minimum(room[1:], STEP_WINDOWS[-1])
     rise = np.zeros(lag.size)
-    rise[steps] = lag[steps] - lag[steps - 1]
+    rise[steps] = (total[steps + after] - total[steps]) / after - (total[steps] - total[steps - before]) / before
     return np.asarray(np.cumsum(rise))
 
 
@@ -203,14 +209,19 @@ def _block_length(noise: float, period: float) -> int:
     return int(np.clip(wanted, SHORTEST_BLOCK, max(SHORTEST_BLOCK, LONGEST_BLOCK / period)))
 
 
-def _smooth(lag: Array, block: int) -> Array:
-    """Lag (N,) of a piece without steps, smoothed: a line through the means of blocks, extended at the ends."""
+def _smooth(lag: Array, block: int, period: float) -> Array:
+    """Lag (N,) of a piece without steps, smoothed: a line through the means of blocks, extended at the ends.
+
+    Blocks that stick out by more than a period are samples that came late and were made up for.
+    """
     count = lag.size // block
     if count < 2:
         return np.full(lag.size, np.mean(lag)) if lag.size < SHORTEST_BLOCK else _line(lag)
     bounds = np.linspace(0, lag.size, count + 1).round().astype(np.int64)
     means = np.array([_trimmed_mean(lag[i:j]) for i, j in pairwise(bounds)])
     centres = 0.5 * (bounds[:-1] + bounds[1:] - 1)
+    made_up = np.abs(means - ndimage.median_filter(means, LATE_BLOCKS, mode="nearest")) > period
+    means, centres = means[~made_up], centres[~made_up]
     number = np.arange(lag.size)
     smooth = np.interp(number, centres, means)
     for ends, a, b in ((number < centres[0], 0, 1), (number > centres[-1], -1, -2)):

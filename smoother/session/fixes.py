@@ -168,7 +168,7 @@ def _resolution(north: Array, east: Array, moved: Array) -> float:
     step, moved = step[step > ROUNDING], moved[1:][step > ROUNDING]
     if step.size == 0 or (np.median(step) < 1.1 * np.percentile(step, 10) <= 1.2 * np.median(moved)):
         return 0.0
-    return max(size for size in (smallest(north), smallest(east)) if np.isfinite(size))
+    return max((size for size in (smallest(north), smallest(east)) if np.isfinite(size)), default=0.0)
 
 
 def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
