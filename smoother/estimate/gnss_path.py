@@ -13,13 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
+from smoother.estimate import gnss_noise as noise
 from smoother.estimate import gnss_system as system
 from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.motion_prior import MotionPrior, quintic_basis
 from smoother.samples import GnssFixes, Session
 
+GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
+FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
+SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
+RELAXATION = 0.6  # of the constants' steps: lag and acceleration form a product, and full steps can go in a circle
 END_MARGIN = (0.6, 0.2)  # s of nodes before the first and after the last time of truth: room for the lag of Doppler
 
 
@@ -46,7 +51,7 @@ class GnssPathOptions:
     velocity_bias_sigma: float = 0.05
     max_node_gap: float = 0.25  # s, so that interpolation between nodes adds nothing to the error
     min_node_gap: float = 0.05  # s; closer fixes share nodes, they cannot resolve more of a vehicle's motion
-    max_iterations: int = 14
+    max_iterations: int = 12
 
 
 @dataclass(frozen=True)
@@ -137,37 +142,36 @@ class GnssPath:
         position, track, velocity = np.sqrt((1.0 - u) * variance[:, k] + u * variance[:, k + 1])
         return GnssPathSigmas(position, track, velocity)
 
-    def _place(self, t: Array) -> tuple[np.ndarray, Array, Array]:
+    def _place(self, t: Array) -> tuple[IntArray, Array, Array]:
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.t.size - 2)
         step = self.t[k + 1] - self.t[k]
         return k, (t - self.t[k]) / step, step
 
 
 @dataclass(frozen=True, eq=False)
-class _Estimate:
-    """One round of the iteration. x (3, K, 4); weight (M, 4) per group; sigma (4,) per group; jerk (2,); see fit."""
+class _Known:
+    """What stays the same through the rounds; start and constants as in PathPrior."""
 
-    x: Array
-    constants: Array  # (4,) and
-    constants_sigma: Array  # (4,), of gnss_system
+    rows: system.FixRows
+    true_t: Array
+    nodes: Array
+    start: Array
+    start_sigma: Array
+    constants: Array
+    constants_sigma: Array
+    options: GnssPathOptions
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where the rounds stand: unknowns with the rows at them, weight (M, 4) per group, noise; sigma of constants."""
+
+    at: system.Unknowns
+    design: system.Design
     weight: Array
-    sigma: Array
-    jerk: Array
-    vehicle: Array  # (2, 2) stationary sigma of velocity and acceleration, horizontal and up
-
-
-# First values, and what the identification leans on where data is scarce, by group of gnss_system: m, m, m/s, m/s.
-START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])
-START_JERK = np.array([6.0, 1.0])  # m/s^3/sqrt(Hz): a kart's cornering; hardly any up and down
-START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])
-LEAST_SIGMA = np.array([0.02, 0.03, 0.02, 0.02])  # below it a receiver repeats its own filter, not the truth
-LEAST_JERK = np.array([0.05, 0.02])
-LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
-PRIOR_COUNT = 6.0  # measurements that the first values are worth
-KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
-GRADUATION = (4.0, 3.0, 2.0, 1.5)  # factors on both in the first rounds, so that a rough start rejects nothing true
-FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
-SETTLED_SIGMA, SETTLED_WEIGHT = 0.03, 0.1  # relative change, and change of any weight, that end the iteration
+    noise: noise.FixNoise
+    constants_sigma: Array
+    covariance: Array  # (3, K, 4, 4)
 
 
 def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> GnssPath:
@@ -181,30 +185,18 @@ def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> G
     true_t = fixes.t - latency
     scales = _relative_sigmas(fixes)
     rows = system.fix_rows(position_n, fixes.velocity_n, *scales)
+    weight = _first_weights(true_t, position_n, fixes.velocity_n)
     nodes = _nodes(true_t, fixes.t[-1], options)
-    estimate = _start(true_t, nodes, position_n, fixes.velocity_n, constants)
-    known = _Known(rows, true_t, nodes, *_anchor(position_n, estimate.weight), constants, constants_sigma, options)
+    anchor = _anchor(position_n, weight)
+    known = _Known(rows, true_t, nodes, *anchor, constants, constants_sigma, options)
+    state = _first_state(known, position_n, weight)
     rounds = 0
     for rounds in range(1, options.max_iterations + 1):
-        before = estimate
-        estimate, covariance, residual = _improve(known, before, rounds)
-        if rounds > len(GRADUATION) + FIRST_ROUNDS and _is_settled(before, estimate):
+        before = state
+        state = _improve(known, before, rounds)
+        if rounds > len(GRADUATION) and _is_settled(before, state):
             break
-    return _result(known, estimate, covariance, residual, scales[0][:, 0], latency, rounds)
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What stays the same through the iteration; start and constants as in PathPrior."""
-
-    rows: system.FixRows
-    true_t: Array
-    nodes: Array
-    start: Array
-    start_sigma: Array
-    constants: Array
-    constants_sigma: Array
-    options: GnssPathOptions
+    return _result(known, state, scales[0][:, 0], latency, rounds)
 
 
 def _constants(session: Session, options: GnssPathOptions) -> tuple[float, Array, Array]:
@@ -243,8 +235,7 @@ def _nodes(true_t: Array, end: float, options: GnssPathOptions) -> Array:
     chosen = true_t if np.all(np.diff(true_t) >= options.min_node_gap) else _thinned(true_t, options.min_node_gap)
     corners = np.concatenate([[true_t[0] - END_MARGIN[0]], chosen, [max(end, true_t[-1]) + END_MARGIN[1]]])
     parts = np.maximum(np.ceil(np.diff(corners) / options.max_node_gap - 1e-6), 1.0).astype(np.int64)
-    first = np.repeat(np.cumsum(parts) - parts, parts)
-    inner = np.arange(int(parts.sum())) - first
+    inner = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
     t = np.repeat(corners[:-1], parts) + np.repeat(np.diff(corners) / parts, parts) * inner
     return np.append(t, corners[-1])
 
@@ -256,17 +247,14 @@ def _thinned(t: Array, gap: float) -> Array:
     return np.asarray(t[chosen])
 
 
-def _start(true_t: Array, nodes: Array, position_n: Array, velocity_n: Array, constants: Array) -> _Estimate:
+def _first_weights(true_t: Array, position_n: Array, velocity_n: Array) -> Array:
+    """Weights (M, 4) to start with: out is what does not fit its neighbours."""
     weight = np.ones((true_t.size, system.GROUPS))
-    plausible = plausible_positions(true_t, position_n, velocity_n)
-    weight[:, system.HORIZONTAL_POSITION] = weight[:, system.UP_POSITION] = plausible
-    weight[:, system.HORIZONTAL_VELOCITY] = weight[:, system.UP_VELOCITY] = plausible_velocities(true_t, velocity_n)
-    x = np.zeros((system.AXES, nodes.size, system.N_STATE))
-    for axis in range(system.AXES):
-        good = np.isfinite(position_n[:, axis]) & plausible
-        if good.any():
-            x[axis, :, 0] = np.interp(nodes, true_t[good], position_n[good, axis])
-    return _Estimate(x, constants, np.zeros(system.N_CONSTANTS), weight, START_SIGMA, START_JERK, START_VEHICLE)
+    position = plausible_positions(true_t, position_n, velocity_n)
+    weight[:, [system.HORIZONTAL_POSITION, system.UP_POSITION]] = position[:, None]
+    velocity = plausible_velocities(true_t, velocity_n)
+    weight[:, [system.HORIZONTAL_VELOCITY, system.UP_VELOCITY]] = velocity[:, None]
+    return weight
 
 
 def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
@@ -279,38 +267,51 @@ def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
     return centre, spread
 
 
-def _improve(known: _Known, now: _Estimate, number: int) -> tuple[_Estimate, Array, Array]:
-    """One round: solve, then weigh, then identify. Returns also covariance (3, K, 4, 4) and residuals (R,)."""
-    rows, prior = known.rows, _prior(known, now)
+def _first_state(known: _Known, position_n: Array, weight: Array) -> _State:
+    """Straight lines between the fixes to start from; the problem is all but linear, so nothing better is needed."""
+    x = np.zeros((system.AXES, known.nodes.size, system.N_STATE))
+    for axis in range(system.AXES):
+        good = np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0)
+        x[axis, :, 0] = np.interp(known.nodes, known.true_t[good], position_n[good, axis]) if good.any() else 0.0
+    at = system.Unknowns(x, known.constants)
+    design = system.design(known.rows, known.nodes, known.true_t, at)
+    return _State(at, design, weight, noise.first_noise(), np.zeros(system.N_CONSTANTS), np.empty(0))
+
+
+def _improve(known: _Known, now: _State, number: int) -> _State:
+    """One round: solve, then weigh, then identify the noise."""
+    rows, prior = known.rows, _prior(known, now.noise)
     between = system.transitions(known.nodes, prior)
-    variance = (now.sigma[rows.group] * rows.scale) ** 2
+    variance = (now.noise.sigma[rows.group] * rows.scale) ** 2
     weight = now.weight[rows.fix, rows.group]
-    design = system.design(rows, known.nodes, known.true_t, now.x, now.constants)
-    solution = system.solve(design, weight / variance, between, prior, now.x, now.constants)
-    spread = system.leverage(design, prior, solution)
-    solved = _corrected(now, prior, solution)
-    residual = system.design(rows, known.nodes, known.true_t, solved.x, solved.constants).residual
-    covariance = solution.covariance.reshape(*now.x.shape, system.N_STATE)
-    if number > FIRST_ROUNDS:
-        solved = _identify(known, residual, between, solved, weight, variance, spread, solution)
+    solution = system.solve(now.design, weight / variance, between, prior, now.at)
+    at, constants_sigma = _corrected(now.at, prior, solution)
+    design = system.design(rows, known.nodes, known.true_t, at)
+    leverage = system.leverage(now.design, prior, solution)
+    done = noise.Round(rows, design.residual, weight, variance, leverage)
+    size = noise.normalised_sizes(done, known.true_t.size)
     graduation = GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0
-    new_weight = _weigh(rows, residual, weight, variance, spread, graduation, now.weight.shape)
-    return replace(solved, weight=new_weight), covariance, residual
+    found = now.noise
+    if number > FIRST_ROUNDS:
+        found = _as_configured(noise.identify(done, between, at.x, solution, found), known.options)
+    covariance = solution.covariance.reshape(*at.x.shape, system.N_STATE)
+    new_weight = noise.robust_weights(size, now.weight, graduation)
+    return _State(at, design, new_weight, found, constants_sigma, covariance)
 
 
-def _corrected(now: _Estimate, prior: system.PathPrior, solution: ChainSolution) -> _Estimate:
-    constants, sigma = now.constants.copy(), np.zeros(system.N_CONSTANTS)
-    constants[prior.is_free] += solution.constants
+def _corrected(at: system.Unknowns, prior: system.PathPrior, solution: ChainSolution) -> tuple[system.Unknowns, Array]:
+    """Unknowns with the solution added, and the sigma of the constants (4,)."""
+    constants, sigma = at.constants.copy(), np.zeros(system.N_CONSTANTS)
+    constants[prior.is_free] += RELAXATION * solution.constants
     constants[0] = np.clip(constants[0], -END_MARGIN[1], END_MARGIN[0])  # the nodes reach no farther
     sigma[prior.is_free] = np.sqrt(np.diag(solution.constants_covariance))
-    x = now.x + solution.x.reshape(now.x.shape)
-    return replace(now, x=x, constants=constants, constants_sigma=sigma)
+    return system.Unknowns(at.x + solution.x.reshape(at.x.shape), constants), sigma
 
 
-def _prior(known: _Known, now: _Estimate) -> system.PathPrior:
+def _prior(known: _Known, now: noise.FixNoise) -> system.PathPrior:
     horizontal, up = (MotionPrior(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
     return system.PathPrior(
-        motion=(horizontal, horizontal, up),
+        motion=(horizontal, up),
         offset_sigma=known.options.offset_sigma,
         offset_tau=known.options.offset_tau,
         start=known.start,
@@ -320,108 +321,38 @@ def _prior(known: _Known, now: _Estimate) -> system.PathPrior:
     )
 
 
-def _weigh(
-    rows: system.FixRows,
-    residual: Array,
-    weight: Array,
-    variance: Array,
-    spread: Array,
-    graduation: float,
-    shape: tuple[int, ...],
-) -> Array:
-    """IGG III weights (M, 4) from residuals as if each measurement had been left out, both horizontal axes together."""
-    share = np.minimum(weight * spread / variance, 0.999)
-    left_out = (residual / (1.0 - share)) ** 2 / (variance + spread / (1.0 - share))
-    squared = np.zeros(shape)
-    np.add.at(squared, (rows.fix, rows.group), left_out)
-    size = np.sqrt(squared) / graduation
-    taper = np.clip((DROP - size) / (DROP - KEEP), 0.0, 1.0)
-    return np.asarray(np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2))
-
-
-def _identify(
-    known: _Known,
-    residual: Array,
-    between: system.Transitions,
-    now: _Estimate,
-    weight: Array,
-    variance: Array,
-    spread: Array,
-    solution: ChainSolution,
-) -> _Estimate:
-    """Variance components: squared residuals over redundancy, leaning on the first values where there is little."""
-    rows, options = known.rows, known.options
-    relative = weight * residual**2 / rows.scale**2
-    redundancy = weight * (1.0 - weight * spread / variance)
-    count = np.bincount(rows.group, redundancy, system.GROUPS) + PRIOR_COUNT
-    found = np.bincount(rows.group, relative, system.GROUPS) + PRIOR_COUNT * START_SIGMA**2
-    sigma = np.maximum(np.sqrt(found / count), LEAST_SIGMA)
+def _as_configured(found: noise.FixNoise, options: GnssPathOptions) -> noise.FixNoise:
+    sigma = found.sigma.copy()
     for given, groups in ((options.position_sigma, [0, 1]), (options.velocity_sigma, [2, 3])):
         if given is not None:
             sigma[groups] = given
-    jerk = np.asarray(options.jerk_density) if options.jerk_density is not None else now.jerk
-    if options.jerk_density is None:
-        jerk = _jerk(rows, between, now, weight * spread / variance, solution)
-    return replace(now, sigma=sigma, jerk=jerk, vehicle=_vehicle(now.x))
+    return replace(
+        found, sigma=sigma, jerk=found.jerk if options.jerk_density is None else np.array(options.jerk_density)
+    )
 
 
-def _jerk(
-    rows: system.FixRows, between: system.Transitions, now: _Estimate, share: Array, solution: ChainSolution
-) -> Array:
-    """Jerk densities (2,). What the measurements determine and neither offset nor start takes up, the jerk does."""
-    driven = system.prior_residuals(between, now.x)
-    squares = np.einsum("aki,akij,akj->a", driven[..., :3], between.information[..., :3, :3], driven[..., :3])
-    n_nodes = now.x.shape[1]
-    P = solution.covariance.reshape(*now.x.shape, system.N_STATE)
-    cross = np.append(solution.cross[:, 3, 3], 0.0).reshape(system.AXES, n_nodes)[:, :-1]
-    keep = between.step[..., 3, 3]
-    offset = P[:, 1:, 3, 3] - 2.0 * keep * cross + keep**2 * P[:, :-1, 3, 3]
-    by_offset = np.sum(1.0 - offset * between.information[..., 3, 3], axis=1)
-    by_start = system.N_STATE - np.einsum("aij,aji->a", between.first, P[:, 0])
-    redundancy = np.maximum(np.bincount(rows.axis, share, system.AXES) - by_offset - by_start, 0.0)
-    jerk = np.empty(2)
-    for i, axes in enumerate(([0, 1], [2])):
-        old = now.jerk[i] ** 2
-        found = PRIOR_COUNT * START_JERK[i] ** 2 + old * squares[axes].sum()
-        jerk[i] = np.sqrt(found / (PRIOR_COUNT + redundancy[axes].sum()))
-    return np.asarray(np.maximum(jerk, LEAST_JERK))
+def _is_settled(before: _State, after: _State) -> bool:
+    sigma = np.abs(np.log(after.noise.sigma / before.noise.sigma)).max()
+    jerk = np.abs(np.log(after.noise.jerk / before.noise.jerk)).max()
+    weight = np.abs(after.weight - before.weight).max()
+    return bool(sigma < SETTLED_SIGMA and jerk < SETTLED_JERK and weight < SETTLED_WEIGHT)
 
 
-def _vehicle(x: Array) -> Array:
-    """Usual velocity and acceleration (2, 2), horizontal per axis and up, of the path itself."""
-    square = np.mean(x[..., 1:3] ** 2, axis=1)
-    return np.asarray(np.maximum(np.sqrt(np.stack([square[:2].mean(axis=0), square[2]])), LEAST_VEHICLE))
-
-
-def _is_settled(before: _Estimate, after: _Estimate) -> bool:
-    noise = np.abs(np.log(np.concatenate([after.sigma / before.sigma, after.jerk / before.jerk])))
-    return bool(noise.max() < SETTLED_SIGMA and np.abs(after.weight - before.weight).max() < SETTLED_WEIGHT)
-
-
-def _result(
-    known: _Known,
-    estimate: _Estimate,
-    covariance: Array,
-    residual: Array,
-    position_scale: Array,
-    latency: float,
-    rounds: int,
-) -> GnssPath:
-    rows = known.rows
-    n_fixes = estimate.weight.shape[0]
+def _result(known: _Known, state: _State, position_scale: Array, latency: float, rounds: int) -> GnssPath:
+    rows, n_fixes = known.rows, known.true_t.size
     residuals, measured = np.full((n_fixes, 6), np.nan), np.zeros((n_fixes, system.GROUPS), dtype=np.bool_)
-    residuals[rows.fix, rows.axis + np.where(rows.is_velocity, system.AXES, 0)] = residual
+    residuals[rows.fix, rows.axis + system.AXES * rows.is_velocity] = state.design.residual
     measured[rows.fix, rows.group] = True
-    weight = np.where(measured, estimate.weight, 0.0)
-    position, velocity, acceleration, offset = estimate.x.transpose(2, 1, 0)
-    sigma = estimate.sigma
+    weight = np.where(measured, state.weight, 0.0)
+    position, velocity, acceleration, offset = state.at.x.transpose(2, 1, 0)
+    sigma = state.noise.sigma
     return GnssPath(
         t=known.nodes,
         position_n=position,
         velocity_n=velocity,
         acceleration_n=acceleration,
         offset_n=offset,
-        covariance=covariance,
+        covariance=state.covariance,
         position_residual_n=residuals[:, :3],
         velocity_residual_n=residuals[:, 3:],
         position_weight=weight[:, system.HORIZONTAL_POSITION],
@@ -430,18 +361,18 @@ def _result(
         position_scale=position_scale,
         position_sigma=sigma[[0, 0, 1]],
         velocity_sigma=sigma[[2, 2, 3]],
-        jerk_density=estimate.jerk[[0, 0, 1]],
+        jerk_density=state.noise.jerk[[0, 0, 1]],
         position_latency=latency,
-        velocity_lag=_lag(known, estimate),
-        velocity_bias=estimate.constants[1:],
-        velocity_bias_sigma=estimate.constants_sigma[1:],
+        velocity_lag=_lag(known, state),
+        velocity_bias=state.at.constants[1:],
+        velocity_bias_sigma=state.constants_sigma[1:],
         iterations=rounds,
     )
 
 
-def _lag(known: _Known, estimate: _Estimate) -> VelocityLag:
-    value, sigma = float(estimate.constants[0]), float(estimate.constants_sigma[0])
-    if known.constants_sigma[0] <= 0.0:
+def _lag(known: _Known, state: _State) -> VelocityLag:
+    value, sigma, prior_sigma = float(state.at.constants[0]), float(state.constants_sigma[0]), known.constants_sigma[0]
+    if prior_sigma <= 0.0:
         return VelocityLag(value, 0.0, False, "configured")
-    observable = sigma < known.constants_sigma[0] / 3.0
+    observable = bool(sigma < prior_sigma / 3.0)
     return VelocityLag(value, sigma, observable, "identified" if observable else "default")

@@ -10,25 +10,31 @@ from scipy.ndimage import median_filter
 from smoother.arrays import Array, BoolArray
 
 LONGEST_STEP = 2.5  # s; across a longer gap fixes are not compared with one another
+FEWEST_FIXES = 10  # in a run; fewer do not outvote anything
+VELOCITY_WINDOW = 1.0  # s; a kart's velocity is nearly straight for as long
 DEAD_RECKONING_WINDOW = 24.0  # s; jumps shorter than half of it are outvoted
 JUMP = 5.0  # m; what the median of fix minus dead reckoning must be left by
-JUMP_SPREADS = 6.0  # and in units of its usual scatter
+JUMP_SPREADS = 5.0  # and in units of its usual scatter
 ABSURD_DISTANCE, ABSURD_SPEED = 60.0, 70.0  # m, m/s: from the median of a few neighbours, whatever the vehicle does
 ABSURD_CHANGE, ABSURD_ACCELERATION = 4.0, 20.0  # m/s, m/s^2: likewise for velocity
 MAD_TO_SIGMA = 1.4826
 
 
 def plausible_positions(t: Array, position_n: Array, velocity_n: Array) -> BoolArray:
-    """Mask (M,) of fixes whose horizontal position fits those around it and, where there is any, the velocity.
+    """Mask (M,) of fixes whose horizontal position fits those around it and the velocity, sent or of the fixes.
 
     t (M,) s; position_n, velocity_n (M, 3), NaN where unknown.
     """
     good = _near_median(t, position_n[:, :2], 7, ABSURD_DISTANCE, ABSURD_SPEED)
-    moving = np.isfinite(velocity_n[:, :2]).all(axis=1) & plausible_velocities(t, velocity_n)
-    known = np.flatnonzero(moving & good & np.isfinite(position_n[:, :2]).all(axis=1))
-    for rows in _runs(t, known):
-        if rows.size >= 10:
-            good[rows] &= _follows_velocity(t[rows], position_n[rows, :2], velocity_n[rows, :2])
+    sent = np.isfinite(velocity_n[:, :2]).all(axis=1) & plausible_velocities(t, velocity_n)
+    known = np.isfinite(position_n[:, :2]).all(axis=1) & good
+    measured = known & sent
+    use_sent = np.count_nonzero(measured) > 0.5 * np.count_nonzero(known)
+    for rows in _runs(t, np.flatnonzero(measured if use_sent else known)):
+        if rows.size >= FEWEST_FIXES:
+            position = position_n[rows, :2]
+            velocity = velocity_n[rows, :2] if use_sent else _steps(t[rows], position)
+            good[rows] &= _follows_velocity(t[rows], position, velocity)
     return good
 
 
@@ -58,12 +64,25 @@ def _runs(t: Array, rows: np.ndarray) -> list[np.ndarray]:
     return np.split(rows, np.flatnonzero(np.diff(t[rows]) > LONGEST_STEP) + 1) if rows.size else []
 
 
+def _steps(t: Array, position: Array) -> Array:
+    """Velocity (M, 2) from one position (M, 2) to the next; a jump spoils two of them, which the median outvotes."""
+    step = np.diff(position, axis=0) / np.diff(t)[:, None]
+    return np.concatenate([step, step[-1:]])
+
+
 def _follows_velocity(t: Array, position: Array, velocity: Array) -> BoolArray:
     """Whether positions (M, 2) minus the integrated velocity stay near their running median."""
+    interval = float(np.median(np.diff(t)))
+    velocity = _running_median(velocity, min(VELOCITY_WINDOW / interval, len(t)))
     path = np.zeros_like(position)
     path[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None], axis=0)
     apart = position - path
-    size = int(min(len(t), DEAD_RECKONING_WINDOW / np.median(np.diff(t)))) | 1
-    apart = apart - np.stack([median_filter(apart[:, i], size, mode="nearest") for i in range(2)], axis=1)
+    apart = apart - _running_median(apart, min(DEAD_RECKONING_WINDOW / interval, len(t)))
     distance = np.hypot(apart[:, 0], apart[:, 1])
     return np.asarray(distance <= max(JUMP, JUMP_SPREADS * MAD_TO_SIGMA * float(np.median(distance))))
+
+
+def _running_median(values: Array, size: float) -> Array:
+    """Median of `size` neighbours, rounded to odd, of each column of values (M, 2)."""
+    odd = max(int(size) // 2 * 2 + 1, 1)
+    return np.stack([median_filter(values[:, i], odd, mode="nearest") for i in range(values.shape[1])], axis=1)

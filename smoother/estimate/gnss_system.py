@@ -19,6 +19,7 @@ AXES = 3
 HORIZONTAL_POSITION, UP_POSITION, HORIZONTAL_VELOCITY, UP_VELOCITY = range(4)
 GROUPS = 4
 N_CONSTANTS = 1 + AXES  # lag of Doppler, bias of Doppler per axis
+PRIOR_OF_AXIS = (0, 0, 1)  # north and west move alike, up does not
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,14 @@ class FixRows:
 
 
 @dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Values of all unknowns: x (3, K, 4) per axis and node, constants (4,): lag s, biases m/s."""
+
+    x: Array
+    constants: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Design:
     """Rows against the current unknowns. node (R,) in the laid-out chain.
 
@@ -54,13 +63,13 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class PathPrior:
-    """Everything assumed about the unknowns: motion and offset per axis, the start, and the constants.
+    """Everything assumed about the unknowns: motion (horizontal, up), offset per axis, the start, the constants.
 
     offset_sigma m, offset_tau s; start_sigma (3,) m about start (3,) m; constants (4,): lag s, biases m/s, with
     constants_sigma, zero where the value is known.
     """
 
-    motion: tuple[MotionPrior, MotionPrior, MotionPrior]
+    motion: tuple[MotionPrior, MotionPrior]
     offset_sigma: tuple[float, float, float]
     offset_tau: float
     start: Array
@@ -100,77 +109,83 @@ def transitions(t: Array, prior: PathPrior) -> Transitions:
     dt = np.diff(t)
     step = np.zeros((AXES, dt.size, N_STATE, N_STATE))
     information, first = np.zeros_like(step), np.zeros((AXES, N_STATE, N_STATE))
-    keep = np.exp(-dt / prior.offset_tau)
-    for axis in range(AXES):
-        motion, offset_variance = prior.motion[axis], prior.offset_sigma[axis] ** 2
-        step[axis, :, :N_MOTION, :N_MOTION] = motion.transition(dt)
-        step[axis, :, 3, 3] = keep
-        information[axis, :, :N_MOTION, :N_MOTION] = motion.information(dt)
-        information[axis, :, 3, 3] = 1.0 / (offset_variance * -np.expm1(-2.0 * dt / prior.offset_tau))
+    step[..., 3, 3] = np.exp(-dt / prior.offset_tau)
+    forgotten = -np.expm1(-2.0 * dt / prior.offset_tau)
+    moved = [(motion.transition(dt), motion.information(dt)) for motion in prior.motion]
+    for axis, kind in enumerate(PRIOR_OF_AXIS):
+        step[axis, :, :N_MOTION, :N_MOTION], information[axis, :, :N_MOTION, :N_MOTION] = moved[kind]
+        information[axis, :, 3, 3] = 1.0 / (prior.offset_sigma[axis] ** 2 * forgotten)
+        motion = prior.motion[kind]
         sigma = [prior.start_sigma[axis], motion.velocity_sigma, motion.acceleration_sigma, prior.offset_sigma[axis]]
         first[axis] = np.diag(np.asarray(sigma) ** -2.0)
     return Transitions(step, information, first)
 
 
-def design(rows: FixRows, t: Array, fix_times: Array, x: Array, constants: Array) -> Design:
-    """Express rows through the nodes at t (K,) s with unknowns x (3, K, 4) and constants (4,).
+def design(rows: FixRows, t: Array, fix_times: Array, at: Unknowns) -> Design:
+    """Express rows through the nodes at t (K,) s, linearised at the given unknowns.
 
     fix_times (M,) s, when the positions of the fixes were true; their velocities were true earlier by the lag.
     """
-    row_times = fix_times[rows.fix] - np.where(rows.is_velocity, constants[0], 0.0)
-    k = np.clip(np.searchsorted(t, row_times, side="right") - 1, 0, t.size - 2)
+    m = fix_times.size
+    times = np.concatenate([fix_times, fix_times - at.constants[0]])
+    k = np.clip(np.searchsorted(t, times, side="right") - 1, 0, t.size - 2)
     step = t[k + 1] - t[k]
-    fraction = np.clip((row_times - t[k]) / step, 0.0, 1.0)
-    basis_left, basis_right = quintic_basis(fraction, step)
-    kind = np.where(rows.is_velocity, 1, 0)
-    every = np.arange(kind.size)
-    left, right = np.zeros((kind.size, N_STATE)), np.zeros((kind.size, N_STATE))
-    left[:, :N_MOTION], right[:, :N_MOTION] = basis_left[every, kind], basis_right[every, kind]
-    left[:, 3] = np.where(rows.is_velocity, 0.0, 1.0 - fraction)
-    right[:, 3] = np.where(rows.is_velocity, 0.0, fraction)
-    x_left, x_right = x[rows.axis, k], x[rows.axis, k + 1]
-    prediction = np.einsum("ri,ri->r", left, x_left) + np.einsum("ri,ri->r", right, x_right)
-    acceleration = np.einsum("ri,ri->r", basis_left[:, 2], x_left[:, :N_MOTION])
-    acceleration += np.einsum("ri,ri->r", basis_right[:, 2], x_right[:, :N_MOTION])
-    by_constant = np.zeros((kind.size, N_CONSTANTS))
-    by_constant[:, 0] = np.where(rows.is_velocity, -acceleration, 0.0)
-    by_constant[every, 1 + rows.axis] = np.where(rows.is_velocity, 1.0, 0.0)
-    prediction += np.where(rows.is_velocity, constants[1 + rows.axis], 0.0)
+    fraction = np.clip((times - t[k]) / step, 0.0, 1.0)
+    left, right = np.zeros((2 * m, N_STATE)), np.zeros((2 * m, N_STATE))
+    for side, basis in zip((left, right), quintic_basis(fraction[:m], step[:m], (0,)), strict=True):
+        side[:m, :N_MOTION] = basis[:, 0]
+    bends = quintic_basis(fraction[m:], step[m:], (1, 2))
+    for side, basis in zip((left, right), bends, strict=True):
+        side[m:, :N_MOTION] = basis[:, 0]
+    left[:m, 3], right[:m, 3] = 1.0 - fraction[:m], fraction[:m]
+
+    chosen = rows.fix + m * rows.is_velocity
+    k, left, right = k[chosen], left[chosen], right[chosen]
+    prediction = _dot(left, at.x[rows.axis, k]) + _dot(right, at.x[rows.axis, k + 1])
+    moving = np.flatnonzero(rows.is_velocity)
+    fix, axis = rows.fix[moving], rows.axis[moving]
+    by_constant = np.zeros((rows.fix.size, N_CONSTANTS))
+    by_constant[moving, 0] -= _dot(bends[0][fix, 1], at.x[axis, k[moving], :N_MOTION])
+    by_constant[moving, 0] -= _dot(bends[1][fix, 1], at.x[axis, k[moving] + 1, :N_MOTION])
+    by_constant[moving, 1 + axis] = 1.0
+    prediction[moving] += at.constants[1 + axis]
     return Design(rows.axis * t.size + k, left, right, by_constant, prediction - rows.value)
 
 
-def solve(
-    rows: Design, information: Array, between: Transitions, prior: PathPrior, x: Array, constants: Array
-) -> ChainSolution:
-    """Corrections of x (3, K, 4) and of the free constants. information (R,): one over the variance of each row.
+def solve(rows: Design, information: Array, between: Transitions, prior: PathPrior, at: Unknowns) -> ChainSolution:
+    """Corrections of the unknowns. information (R,): one over the variance of each row.
 
     The solution counts nodes as laid out, axis by axis. Raises NotPositiveDefiniteError for unusable numbers.
     """
-    total = AXES * x.shape[1]
+    total = AXES * at.x.shape[1]
     diagonal, rhs = np.zeros((total, N_STATE, N_STATE)), np.zeros((total, N_STATE))
     upper = np.zeros((total, N_STATE, N_STATE))
     _add_rows(rows, information, diagonal, upper, rhs)
-    _add_prior(between, prior, x, diagonal, upper, rhs)
-    border, corner, rhs_constants = _constants(rows, information, prior, constants, total)
+    _add_prior(between, prior, at.x, diagonal, upper, rhs)
+    border, corner, rhs_constants = _constants(rows, information, prior, at.constants, total)
     return solve_chain(ChainSystem(diagonal, upper[:-1], border, corner, rhs, rhs_constants))
 
 
 def leverage(rows: Design, prior: PathPrior, solution: ChainSolution) -> Array:
     """Variance of each row's prediction under the solution's covariance, (R,)."""
     k = rows.node
-    value = np.einsum("ri,rij,rj->r", rows.left, solution.covariance[k], rows.left)
-    value += np.einsum("ri,rij,rj->r", rows.right, solution.covariance[k + 1], rows.right)
-    value += 2.0 * np.einsum("ri,rij,rj->r", rows.left, solution.cross[k], rows.right)
+    value = _dot((rows.left[:, None, :] @ solution.covariance[k])[:, 0], rows.left)
+    value += _dot((rows.right[:, None, :] @ solution.covariance[k + 1])[:, 0], rows.right)
+    value += 2.0 * _dot((rows.left[:, None, :] @ solution.cross[k])[:, 0], rows.right)
     by_constant = rows.by_constant[:, prior.is_free]
-    mixed = np.einsum("ri,rim->rm", rows.left, solution.constants_cross[k])
-    mixed += np.einsum("ri,rim->rm", rows.right, solution.constants_cross[k + 1])
-    value += np.einsum("rm,rm->r", by_constant, 2.0 * mixed + by_constant @ solution.constants_covariance)
+    mixed = (rows.left[:, None, :] @ solution.constants_cross[k])[:, 0]
+    mixed += (rows.right[:, None, :] @ solution.constants_cross[k + 1])[:, 0]
+    value += _dot(by_constant, 2.0 * mixed + by_constant @ solution.constants_covariance)
     return np.asarray(np.maximum(value, 0.0))
 
 
 def prior_residuals(between: Transitions, x: Array) -> Array:
     """What drives the nodes of x (3, K, 4) from one to the next, (3, K-1, 4): state minus its prediction."""
-    return np.asarray(x[:, 1:] - np.einsum("akij,akj->aki", between.step, x[:, :-1]))
+    return np.asarray(x[:, 1:] - (between.step @ x[:, :-1, :, None])[..., 0])
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("ri,ri->r", a, b))
 
 
 def _add_rows(rows: Design, information: Array, diagonal: Array, upper: Array, rhs: Array) -> None:
@@ -197,16 +212,16 @@ def _add_prior(between: Transitions, prior: PathPrior, x: Array, diagonal: Array
         rhs.reshape(shape),
     )
     back = between.step.swapaxes(-1, -2) @ between.information
-    driven = prior_residuals(between, x)
+    driven = prior_residuals(between, x)[..., None]
     diagonal_of[:, 1:] += between.information
     diagonal_of[:, :-1] += back @ between.step
     upper_of[:, :-1] -= back
-    rhs_of[:, 1:] -= np.einsum("akij,akj->aki", between.information, driven)
-    rhs_of[:, :-1] += np.einsum("akij,akj->aki", back, driven)
+    rhs_of[:, 1:] -= (between.information @ driven)[..., 0]
+    rhs_of[:, :-1] += (back @ driven)[..., 0]
     start = np.zeros((AXES, N_STATE))
     start[:, 0] = prior.start
     diagonal_of[:, 0] += between.first
-    rhs_of[:, 0] -= np.einsum("aij,aj->ai", between.first, x[:, 0] - start)
+    rhs_of[:, 0] -= (between.first @ (x[:, 0] - start)[..., None])[..., 0]
 
 
 def _constants(
@@ -219,9 +234,10 @@ def _constants(
     border = np.zeros((total, N_STATE, by_constant.shape[1]))
     for m in range(by_constant.shape[1]):
         some = np.flatnonzero(by_constant[:, m])
+        node, weight = rows.node[some], weighted[some, m]
         for i in range(N_STATE):
-            entry = np.bincount(rows.node[some], weighted[some, m] * rows.left[some, i], total)
-            border[:, i, m] = entry + np.bincount(rows.node[some] + 1, weighted[some, m] * rows.right[some, i], total)
+            border[:, i, m] = np.bincount(node, weight * rows.left[some, i], total)
+            border[:, i, m] += np.bincount(node + 1, weight * rows.right[some, i], total)
     own = prior.constants_sigma[free] ** -2.0
     corner = weighted.T @ by_constant + np.diag(own)
     return border, corner, -(weighted.T @ rows.residual) - own * (constants - prior.constants)[free]

@@ -1,0 +1,130 @@
+"""Noise of the fixes from the fixes: how far off each one is, what weight it keeps, and the variance components.
+
+Sources: Förstner 1979 (variance components: squared residuals over redundancy); Yang et al. 2002 (IGG III weights).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate import gnss_system as system
+from smoother.estimate.graph.chain import ChainSolution
+
+# By group of gnss_system (horizontal and up position, horizontal and up velocity): m, m, m/s, m/s.
+START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])  # wide, so that a rough start rejects nothing true
+USUAL_SIGMA = np.array([0.2, 0.35, 0.2, 0.3])  # what receivers show; leant on where the data cannot tell
+LEAST_SIGMA = np.array([0.02, 0.03, 0.02, 0.02])  # below it a receiver repeats its own filter, not the truth
+# Horizontal and up.
+START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly any up and down
+LEAST_JERK = np.array([0.05, 0.02])
+START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
+LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
+PRIOR_COUNT = 6.0  # measurements that the usual values are worth
+KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
+IN = 0.5  # weight from which a measurement counts as accepted
+BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of the length of 2 or 1 standard normals
+
+
+@dataclass(frozen=True, eq=False)
+class FixNoise:
+    """sigma (4,) per group, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration."""
+
+    sigma: Array
+    jerk: Array
+    vehicle: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What one solve leaves to judge the noise by: rows with residual, weight, variance and leverage, each (R,)."""
+
+    rows: system.FixRows
+    residual: Array
+    weight: Array
+    variance: Array
+    leverage: Array
+
+
+def first_noise() -> FixNoise:
+    """Return the noise to start from."""
+    return FixNoise(START_SIGMA, START_JERK, START_VEHICLE)
+
+
+def normalised_sizes(done: Round, n_fixes: int) -> Array:
+    """Normalised residual (M, 4) of each fix and group as if it had been left out, both horizontal axes together.
+
+    Where even the bulk of a group exceeds what its sigma allows, the model is wrong and not the data: the whole
+    group is then scaled to what is usual in it. NaN where not measured.
+    """
+    rows = done.rows
+    share = np.minimum(done.weight * done.leverage / done.variance, 0.999)
+    left_out = (done.residual / (1.0 - share)) ** 2 / (done.variance + done.leverage / (1.0 - share))
+    squared = np.full((n_fixes, system.GROUPS), np.nan)
+    squared[rows.fix, rows.group] = 0.0
+    np.add.at(squared, (rows.fix, rows.group), left_out)
+    size = np.sqrt(squared)
+    for group in np.unique(rows.group):
+        size[:, group] /= max(float(np.nanquantile(size[:, group], BULK)) / BULK_SIZE[group], 1.0)
+    return np.asarray(size)
+
+
+def robust_weights(size: Array, before: Array, graduation: float) -> Array:
+    """IGG III weights (M, 4) of normalised residuals, thresholds widened by `graduation`; 1 where nothing is measured.
+
+    What was out comes back only beside what was in (weights `before`), so that a run of rejected fixes must prove its
+    ends first: in the middle of the run the path knows little and would believe anything.
+    """
+    size = np.nan_to_num(size, nan=0.0) / graduation
+    taper = np.clip((DROP - size) / (DROP - KEEP), 0.0, 1.0)
+    weight = np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2)
+    inside = before >= IN
+    beside = inside.copy()
+    beside[1:] |= inside[:-1]
+    beside[:-1] |= inside[1:]
+    return np.asarray(np.where(beside, weight, np.minimum(weight, before)))
+
+
+def identify(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: FixNoise) -> FixNoise:
+    """Return the noise that one round of solving shows, x (3, K, 4) being its result."""
+    jerk = _jerk(done, between, x, solution, now.jerk)
+    return replace(now, sigma=_sigma(done), jerk=jerk, vehicle=_vehicle(x, solution))
+
+
+def _sigma(done: Round) -> Array:
+    """Squared residuals over redundancy; the less the measurements check one another, the more the usual counts."""
+    rows, weight = done.rows, done.weight
+    count = np.bincount(rows.group, weight, system.GROUPS)
+    checked = np.bincount(rows.group, weight * (1.0 - weight * done.leverage / done.variance), system.GROUPS)
+    leaning = PRIOR_COUNT + count * (1.0 - checked / np.maximum(count, 1.0)) ** 2
+    squares = np.bincount(rows.group, weight * (done.residual / rows.scale) ** 2, system.GROUPS)
+    sigma = np.sqrt((squares + leaning * USUAL_SIGMA**2) / (checked + leaning))
+    return np.asarray(np.maximum(sigma, LEAST_SIGMA))
+
+
+def _jerk(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: Array) -> Array:
+    """Jerk densities (2,). What the measurements determine and neither offset nor start takes up, the jerk does.
+
+    (Its redundancy taken from its own covariance would be a small difference of large numbers.)
+    """
+    driven = system.prior_residuals(between, x)[..., :3]
+    squares = np.einsum("aki,aki->a", driven, (between.information[..., :3, :3] @ driven[..., None])[..., 0])
+    P = solution.covariance.reshape(*x.shape, system.N_STATE)
+    cross = np.append(solution.cross[:, 3, 3], 0.0).reshape(system.AXES, x.shape[1])[:, :-1]
+    keep = between.step[..., 3, 3]
+    offset = P[:, 1:, 3, 3] - 2.0 * keep * cross + keep**2 * P[:, :-1, 3, 3]
+    by_offset = np.sum(1.0 - offset * between.information[..., 3, 3], axis=1)
+    by_start = system.N_STATE - np.einsum("aij,aji->a", between.first, P[:, 0])
+    determined = np.bincount(done.rows.axis, done.weight * done.leverage / done.variance, system.AXES)
+    redundancy = np.maximum(determined - by_offset - by_start, 0.0)
+    kind = np.asarray(system.PRIOR_OF_AXIS)
+    found = now**2 * np.bincount(kind, squares, 2) + PRIOR_COUNT * START_JERK**2
+    jerk = np.sqrt(found / (np.bincount(kind, redundancy, 2) + PRIOR_COUNT))
+    return np.asarray(np.maximum(jerk, LEAST_JERK))
+
+
+def _vehicle(x: Array, solution: ChainSolution) -> Array:
+    """Usual velocity and acceleration (2, 2), horizontal per axis and up: of the path, and of what it does not know."""
+    unknown = np.einsum("kii->ki", solution.covariance)[:, 1:3].reshape(system.AXES, -1, 2)
+    square = np.mean(x[..., 1:3] ** 2 + unknown, axis=1)
+    return np.asarray(np.maximum(np.sqrt(np.stack([square[:2].mean(axis=0), square[2]])), LEAST_VEHICLE))
