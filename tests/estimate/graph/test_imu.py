@@ -1,0 +1,457 @@
+"""Bins, preintegration and dense path against motions that are known in closed form."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph.imu import (
+    CLIPPED_ACCEL,
+    CLIPPED_GYRO,
+    MISSING_ACCEL,
+    MISSING_GYRO,
+    BinnedImu,
+    DensePath,
+    InertialNoise,
+    bin_imu,
+    clipped_samples,
+    dense_path,
+    interval_noise,
+    keyframe_times,
+    motion_at,
+    preintegrate,
+    reading_path,
+)
+from smoother.frames import GRAVITY_N, rotation_from_euler
+from smoother.samples import ImuSamples
+from smoother.units import DEG
+
+NOISE = InertialNoise(0.1, 0.01, 1e-3, 1e-4)
+NO_BIAS = np.zeros(3)
+Motion = Callable[[np.ndarray], np.ndarray]
+
+
+class Shaken:
+    """Coning and sculling at one frequency on top of a drive: attitude and force in s, closed form.
+
+    Roll and pitch swing a quarter of a period apart, so that the box cones; the force shakes in step with the roll,
+    so that the mean of the force in n is not the force of the mean.
+    """
+
+    def __init__(self, frequency: float, swing: float, shake: float, turn: float = 0.6) -> None:
+        self.w, self.swing, self.shake, self.turn = 2.0 * np.pi * frequency, swing, shake, turn
+
+    def attitude(self, t: np.ndarray) -> np.ndarray:
+        return rotation_from_euler(
+            self.swing * np.sin(self.w * t), self.swing * np.cos(self.w * t), self.turn * t + 0.2 * np.sin(t)
+        )
+
+    def rate_s(self, t: np.ndarray) -> np.ndarray:
+        roll, pitch = self.swing * np.sin(self.w * t), self.swing * np.cos(self.w * t)
+        d_roll, d_pitch = self.w * self.swing * np.cos(self.w * t), -self.w * self.swing * np.sin(self.w * t)
+        d_yaw = self.turn + 0.2 * np.cos(t)
+        return np.stack(
+            [
+                d_roll - d_yaw * np.sin(pitch),
+                d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
+                d_yaw * np.cos(pitch) * np.cos(roll) - d_pitch * np.sin(roll),
+            ],
+            axis=-1,
+        )
+
+    def force_s(self, t: np.ndarray) -> np.ndarray:
+        steady = np.stack([2.0 * np.sin(0.7 * t), 5.0 * np.cos(0.4 * t), np.full(t.shape, 9.8)], axis=-1)
+        return steady + self.shake * np.stack([np.cos(self.w * t), np.sin(self.w * t), np.sin(self.w * t)], axis=-1)
+
+    def samples(self, rate: float, start: float, end: float) -> ImuSamples:
+        """Means over the interval that ends at each time, as an ideal sensor gives them."""
+        t = np.arange(round(start * rate) + 1, round(end * rate) + 1) / rate
+        return ImuSamples(t, mean(self.force_s, t, 1.0 / rate), mean(self.rate_s, t, 1.0 / rate))
+
+    def velocity_gain(self, t0: float, t1: float) -> tuple[np.ndarray, np.ndarray]:
+        """Integrals of the force in axes of s at t0: velocity and position gained without gravity, by quadrature."""
+        n = 20_000
+        h = (t1 - t0) / n
+        middle = t0 + h * (np.arange(n) + 0.5)
+        start = self.attitude(np.array([t0]))[0]
+        acceleration = np.einsum("ji,njk,nk->ni", start, self.attitude(middle), self.force_s(middle))
+        return acceleration.sum(axis=0) * h, ((t1 - middle)[:, None] * acceleration).sum(axis=0) * h
+
+
+def mean(function: Motion, end: np.ndarray, width: float | np.ndarray) -> np.ndarray:
+    """Mean of `function` over `width` before `end`, by Gauss-Legendre on eight pieces: exact to rounding here."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    parts = [
+        function(end - width * (i + 0.5 - 0.5 * x) / 8.0) * w / 16.0
+        for i in range(8)
+        for x, w in zip(nodes, weights, strict=True)
+    ]
+    return np.sum(parts, axis=0)
+
+
+def preintegrated(binned: BinnedImu, bias: tuple[np.ndarray, np.ndarray] = (NO_BIAS, NO_BIAS)):
+    n = len(binned.t) - 1
+    return preintegrate(binned, NOISE, np.tile(bias[0], (n, 1)), np.tile(bias[1], (n, 1)))
+
+
+def integrated(binned: BinnedImu, k: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn, velocity and position gained in interval k without gravity, axes of s at its start, step by step."""
+    R, v, p = np.eye(3), np.zeros(3), np.zeros(3)
+    for force, rate in zip(binned.specific_force_s[k], binned.angular_rate_s[k], strict=True):
+        p = p + v * binned.dt + 0.5 * R @ force * binned.dt**2
+        v = v + R @ force * binned.dt
+        R = R @ so3.exp(rate * binned.dt)
+    return R, v, p
+
+
+def errors_of(binned: BinnedImu, motion: Shaken, k: int = 0) -> tuple[float, float, float]:
+    """Attitude (rad), velocity (m/s) and position (m) that interval k integrates wrongly."""
+    t0, t1 = binned.t[k : k + 2]
+    turn, gained_v, gained_p = integrated(binned, k)
+    start, end = motion.attitude(np.array([t0, t1]))
+    velocity, position = motion.velocity_gain(t0, t1)
+    return (
+        float(np.linalg.norm(so3.log(turn.T @ start.T @ end))),
+        float(np.linalg.norm(gained_v - velocity)),
+        float(np.linalg.norm(gained_p - position)),
+    )
+
+
+def naive(imu: ImuSamples, t: np.ndarray, n_bins: int) -> BinnedImu:
+    """What plain averaging into bins would make of the samples."""
+    true = bin_imu(imu, t, n_bins, NO_BIAS, NO_BIAS)
+    per_bin = round(len(imu.t) * true.dt / (imu.t[-1] - imu.t[0]))
+    shape = (len(t) - 1, n_bins, per_bin, 3)
+    inside = (imu.t > t[0] + 1e-9) & (imu.t < t[-1] + 1e-9)
+    force, rate = (x[inside].reshape(shape).mean(axis=2) for x in (imu.specific_force_s, imu.angular_rate_s))
+    return BinnedImu(t, true.dt, force, rate, true.missing, true.clipped)
+
+
+class TestBins:
+    def test_50_hz_bins_of_a_coning_and_sculling_box_integrate_like_its_1_khz_samples(self) -> None:
+        # 8 Hz, 3 deg and 4 m/s^2: a hard-driven kart over kerbs. 2 s are ten intervals between keyframes in one.
+        motion, t = Shaken(8.0, 3.0 * DEG, 4.0), np.array([1.0, 3.0])
+        imu = motion.samples(1000.0, 0.0, 4.0)
+        attitude, velocity, position = errors_of(bin_imu(imu, t, 100, NO_BIAS, NO_BIAS), motion)
+        raw_attitude, raw_velocity, raw_position = errors_of(bin_imu(imu, t, 2000, NO_BIAS, NO_BIAS), motion)
+        # a bin of 20 ms spans a sixth of the period; what is left is of third order in it
+        assert attitude < raw_attitude + 2e-4
+        assert velocity < raw_velocity + 1e-3
+        assert position < raw_position + 1e-3
+
+    def test_plain_averages_would_drift_where_the_bins_do_not(self) -> None:
+        motion, t = Shaken(8.0, 3.0 * DEG, 4.0), np.array([1.0, 3.0])
+        imu = motion.samples(1000.0, 0.0, 4.0)
+        good, plain = errors_of(bin_imu(imu, t, 100, NO_BIAS, NO_BIAS), motion), errors_of(naive(imu, t, 100), motion)
+        assert plain[0] > 50.0 * good[0]  # coning
+        assert plain[1] > 50.0 * good[1]  # sculling
+
+    @pytest.mark.parametrize("rate", [25.0, 40.0, 50.0, 99.0, 200.0, 512.0, 1000.0, 2000.0])
+    def test_any_rate_of_the_logger_integrates_to_the_same_motion(self, rate: float) -> None:
+        motion = Shaken(0.7, 4.0 * DEG, 3.0)  # what a kart does, without vibration
+        binned = bin_imu(motion.samples(rate, 0.0, 4.0), np.array([1.0, 2.0, 3.0]), 50, NO_BIAS, NO_BIAS)
+        attitude, velocity, position = errors_of(binned, motion, 1)
+        # a sample's own coning and sculling are lost with it: (motion's pace x interval)^2
+        loss = (2.0 * np.pi * 0.7 / rate) ** 2
+        assert attitude < 1e-5 + 0.01 * loss
+        assert velocity < 1e-4 + 0.5 * loss
+        assert position < 3e-4 + 0.5 * loss
+        assert np.all(binned.missing == 0.0)
+
+    def test_edges_between_the_samples_split_a_sample_by_its_share(self) -> None:
+        t = np.arange(1, 11) * 0.1
+        ramp = np.stack([np.arange(10.0)] * 3, axis=1)
+        binned = bin_imu(ImuSamples(t, ramp, np.zeros((10, 3))), np.array([0.05, 0.25, 0.45]), 1, NO_BIAS, NO_BIAS)
+        # 0.05..0.25 holds half of sample 0, all of sample 1, half of sample 2
+        np.testing.assert_allclose(binned.specific_force_s[:, 0, 0], [1.0, 3.0])
+
+    def test_jittering_stamps_lose_nothing(self) -> None:
+        motion = Shaken(0.7, 4.0 * DEG, 3.0)
+        end = np.cumsum(np.random.default_rng(0).uniform(0.002, 0.008, 800))
+        width = np.diff(end, prepend=0.0)
+        imu = ImuSamples(end, mean(motion.force_s, end, width), mean(motion.rate_s, end, width))
+        binned = bin_imu(imu, np.array([1.0, 3.0]), 100, NO_BIAS, NO_BIAS)
+        attitude, velocity, position = errors_of(binned, motion)
+        assert attitude < 1e-4
+        assert velocity < 1e-3
+        assert position < 1e-3
+        assert np.all(binned.missing == 0.0)
+
+    def test_biases_are_taken_off_inside_and_put_back(self) -> None:
+        motion, t = Shaken(8.0, 3.0 * DEG, 4.0), np.array([1.0, 1.2, 1.4])
+        clean = motion.samples(1000.0, 0.0, 3.0)
+        accel_bias, gyro_bias = np.array([0.5, -0.3, 0.8]), np.array([-1.0, 0.2, 0.6])  # up to 57 deg/s
+        biased = ImuSamples(clean.t, clean.specific_force_s + accel_bias, clean.angular_rate_s + gyro_bias)
+        want = bin_imu(clean, t, 10, NO_BIAS, NO_BIAS)
+        found = bin_imu(biased, t, 10, accel_bias, gyro_bias)
+        np.testing.assert_allclose(found.specific_force_s - accel_bias, want.specific_force_s, atol=1e-12)
+        np.testing.assert_allclose(found.angular_rate_s - gyro_bias, want.angular_rate_s, atol=1e-12)
+
+    def test_a_gap_is_flagged_with_its_length_and_bridged(self) -> None:
+        motion = Shaken(0.7, 4.0 * DEG, 3.0)
+        imu = motion.samples(200.0, 0.0, 3.0)
+        kept = (imu.t <= 1.1 + 1e-9) | (imu.t > 1.3 + 1e-9)
+        holed = ImuSamples(imu.t[kept], imu.specific_force_s[kept], imu.angular_rate_s[kept])
+        t = 0.2 * np.arange(16)
+        binned = bin_imu(holed, t[1:], 10, NO_BIAS, NO_BIAS)
+        whole = bin_imu(imu, t[1:], 10, NO_BIAS, NO_BIAS)
+        # from the last sample before it (1.1) to the interval of the first after it (1.3): 0.1 s in each of two
+        np.testing.assert_allclose(binned.missing[[4, 5]], [0.5, 0.5], atol=0.03)
+        assert np.all(np.delete(binned.missing, [4, 5]) == 0.0)
+        assert np.max(np.abs(binned.specific_force_s - whole.specific_force_s)) < 0.5
+        others = np.delete(np.arange(len(t) - 2), [4, 5])
+        np.testing.assert_allclose(binned.angular_rate_s[others], whole.angular_rate_s[others], atol=1e-12)
+
+    def test_before_the_first_and_after_the_last_sample_everything_is_missing(self) -> None:
+        imu = Shaken(0.7, 0.0, 0.0).samples(200.0, 1.0, 2.0)
+        binned = bin_imu(imu, 0.2 * np.arange(16), 10, NO_BIAS, NO_BIAS)
+        np.testing.assert_allclose(binned.missing[:5], 1.0)
+        np.testing.assert_allclose(binned.missing[5:10], 0.0, atol=1e-9)
+        np.testing.assert_allclose(binned.missing[10:], 1.0)
+        assert np.all(np.isfinite(binned.specific_force_s))
+
+    def test_clipped_samples_are_those_at_the_end_of_either_range(self) -> None:
+        force, rate = np.zeros((6, 3)), np.zeros((6, 3))
+        force[1, 2], force[2, 0], rate[3, 1], rate[4, 1] = 39.2, -39.3, 8.7, 8.0
+        imu = ImuSamples(np.arange(6) * 0.01, force, rate, 39.24, 8.73)
+        np.testing.assert_array_equal(clipped_samples(imu), [False, True, True, True, False, False])
+        without = ImuSamples(imu.t, force, rate)
+        assert not clipped_samples(without).any()
+
+    def test_clipping_is_counted_in_the_interval_it_happens(self) -> None:
+        imu = Shaken(0.7, 0.0, 0.0).samples(200.0, 0.0, 2.0)
+        force = imu.specific_force_s.copy()
+        force[(imu.t > 0.4 + 1e-9) & (imu.t <= 0.45 + 1e-9), 0] = 78.0
+        binned = bin_imu(
+            ImuSamples(imu.t, force, imu.angular_rate_s, 78.45, 17.0), 0.2 * np.arange(8), 10, NO_BIAS, NO_BIAS
+        )
+        np.testing.assert_allclose(binned.clipped, [0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+
+    def test_edges_of_the_bins_start_and_end_with_the_keyframes(self) -> None:
+        binned = bin_imu(Shaken(1.0, 0.0, 0.0).samples(100.0, 0.0, 2.0), np.array([0.3, 0.7, 1.1]), 8, NO_BIAS, NO_BIAS)
+        assert binned.n_bins == 8
+        np.testing.assert_allclose(binned.edges, np.linspace(0.3, 1.1, 17))
+        assert binned.dt == pytest.approx(0.05)
+
+
+class TestKeyframeTimes:
+    @pytest.mark.parametrize(("start", "end"), [(0.0, 1.0), (-0.6, 10.05), (3.0, 3.01), (5.0, 5.0)])
+    def test_they_cover_the_session_evenly_and_are_two_at_least(self, start: float, end: float) -> None:
+        t = keyframe_times(start, end, 0.2)
+        assert len(t) >= 2
+        assert t[0] == start
+        assert end - 1e-6 <= t[-1] < end + 0.2 + 1e-6
+        np.testing.assert_allclose(np.diff(t), 0.2)
+
+    def test_a_session_of_whole_intervals_gets_no_keyframe_too_many(self) -> None:
+        assert len(keyframe_times(0.1, 0.1 + 0.2 * 3000, 0.2)) == 3001
+
+
+class TestNoise:
+    def test_lost_and_clipped_samples_raise_the_density_of_their_interval_only(self) -> None:
+        base = bin_imu(
+            Shaken(1.0, 0.0, 0.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2, 1.6]), 4, NO_BIAS, NO_BIAS
+        )
+        missing, clipped = np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.0, 0.25])
+        binned = BinnedImu(base.t, base.dt, base.specific_force_s, base.angular_rate_s, missing, clipped)
+        accel, gyro = interval_noise(binned, NOISE)
+        root = np.sqrt(0.4)
+        # an unseen motion of rms a over a share u of T leaves a u T in the velocity: density a u sqrt(T)
+        want_accel = np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * 0.5 * root, CLIPPED_ACCEL * 0.25 * root])
+        want_gyro = np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * 0.5 * root, CLIPPED_GYRO * 0.25 * root])
+        np.testing.assert_allclose(accel, want_accel)
+        np.testing.assert_allclose(gyro, want_gyro)
+
+    def test_preintegrated_covariance_is_that_of_white_noise(self) -> None:
+        imu = Shaken(0.0, 0.0, 0.0, turn=0.0).samples(200.0, 0.0, 3.0)
+        measured = preintegrated(bin_imu(imu, np.array([1.0, 2.0]), 50, NO_BIAS, NO_BIAS))[0]
+        P = measured.preintMeasCov()  # rotation, position, velocity, biases
+        assert P.shape == (15, 15)
+        np.testing.assert_allclose(np.sqrt(np.diag(P)[0:3]), NOISE.gyro, rtol=0.02)  # after one second
+        # velocity: accel noise, and gravity leaning with the attitude: q_g^2 g^2 T^3 / 3 on the level axes
+        level, up = np.sqrt(NOISE.accel**2 + (NOISE.gyro * 9.8) ** 2 / 3.0), NOISE.accel
+        np.testing.assert_allclose(np.sqrt(P[8, 8]), up, rtol=0.1)  # the forces of the drive lean a little too
+        np.testing.assert_allclose(np.sqrt(np.diag(P)[6:8]), level, rtol=0.1)
+        np.testing.assert_allclose(np.sqrt(np.diag(P)[9:12]), NOISE.accel_bias_walk, rtol=1e-6)
+        np.testing.assert_allclose(np.sqrt(np.diag(P)[12:15]), NOISE.gyro_bias_walk, rtol=1e-6)
+
+    def test_every_interval_is_preintegrated_about_its_own_bias(self) -> None:
+        binned = bin_imu(
+            Shaken(1.0, 0.1, 1.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2]), 20, NO_BIAS, NO_BIAS
+        )
+        accel, gyro = np.array([[0.1, 0, 0], [0, 0.2, 0]]), np.array([[0, 0, 0.3], [0.4, 0, 0]])
+        for k, measured in enumerate(preintegrate(binned, NOISE, accel, gyro)):
+            np.testing.assert_array_equal(measured.biasHat().accelerometer(), accel[k])
+            np.testing.assert_array_equal(measured.biasHat().gyroscope(), gyro[k])
+            assert measured.deltaTij() == pytest.approx(0.4)
+
+
+Keyframes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def keyframes_of(binned: BinnedImu, crooked: float, seed: int = 0) -> Keyframes:
+    """R_ns, position, velocity and biases that follow the bins but for random steps of `crooked` at each keyframe."""
+    rng, K = np.random.default_rng(seed), len(binned.t)
+    accel_bias, gyro_bias = np.tile(rng.normal(size=3), (K, 1)), np.tile(0.1 * rng.normal(size=3), (K, 1))
+    clean = replace(
+        binned,
+        specific_force_s=binned.specific_force_s - accel_bias[0],
+        angular_rate_s=binned.angular_rate_s - gyro_bias[0],
+    )
+    R, p, v = [so3.exp(rng.normal(size=3))], [10.0 * rng.normal(size=3)], [10.0 * rng.normal(size=3)]
+    for k in range(K - 1):
+        T = binned.t[k + 1] - binned.t[k]
+        turn, gained_v, gained_p = integrated(clean, k)
+        step = crooked * rng.normal(size=(3, 3))
+        p.append(p[k] + v[k] * T + 0.5 * GRAVITY_N * T**2 + R[k] @ gained_p + step[0])
+        v.append(v[k] + GRAVITY_N * T + R[k] @ gained_v + step[1])
+        R.append(R[k] @ turn @ so3.exp(step[2]))
+    return np.array(R), np.array(p), np.array(v), accel_bias, gyro_bias
+
+
+def shaken_bins(K: int, n_bins: int) -> BinnedImu:
+    imu = Shaken(3.0, 0.02, 2.0).samples(200.0, 0.0, 0.2 * K + 1.0)
+    return bin_imu(imu, 0.2 * np.arange(1, K + 1), n_bins, NO_BIAS, NO_BIAS)
+
+
+def shaken_path(crooked: float = 0.3, n_bins: int = 10) -> tuple[BinnedImu, DensePath, Keyframes]:
+    binned = shaken_bins(6, n_bins)
+    keyframes = keyframes_of(binned, crooked)
+    return binned, dense_path(binned, *keyframes), keyframes
+
+
+class TestDensePath:
+    @pytest.mark.parametrize("n_bins", [1, 2, 10])
+    def test_it_passes_through_every_keyframe(self, n_bins: int) -> None:
+        binned, path, (R, p, v, _, _) = shaken_path(n_bins=n_bins)
+        np.testing.assert_allclose(path.t[::n_bins], binned.t)
+        np.testing.assert_allclose(path.R_ns[::n_bins], R, atol=1e-12)
+        np.testing.assert_allclose(path.position_n[::n_bins], p, atol=1e-12)
+        np.testing.assert_allclose(path.velocity_n[::n_bins], v, atol=1e-12)
+
+    def test_the_correction_jumps_neither_in_position_nor_in_velocity_at_a_keyframe(self) -> None:
+        binned, path, (_, p, v, _, _) = shaken_path(n_bins=200)
+        i, dt = 3 * 200, binned.dt
+        # a mismatch of 0.3 m and 0.3 m/s in 0.2 s costs at most (6 x 0.3 / 0.2 + 4 x 0.3) / 0.2 = 51 m/s^2 an axis
+        np.testing.assert_allclose(path.position_n[i + 1], p[3] + dt * v[3], atol=100.0 * dt**2)
+        np.testing.assert_allclose(path.position_n[i - 1], p[3] - dt * v[3], atol=100.0 * dt**2)
+        np.testing.assert_allclose(path.velocity_n[i + 1], v[3], atol=200.0 * dt)
+        np.testing.assert_allclose(path.velocity_n[i - 1], v[3], atol=200.0 * dt)
+
+    def test_keyframes_that_agree_with_the_inertial_samples_leave_them_alone(self) -> None:
+        binned, path, (_, _, _, accel_bias, gyro_bias) = shaken_path(crooked=0.0)
+        rate = (binned.angular_rate_s - gyro_bias[0]).reshape(-1, 3)
+        np.testing.assert_allclose(path.angular_rate_s, rate, atol=1e-10)
+        force = (binned.specific_force_s - accel_bias[0]).reshape(-1, 3)
+        force_n = np.einsum("mij,mj->mi", path.R_ns[:-1], force)
+        np.testing.assert_allclose(path.acceleration_n, force_n + GRAVITY_N, atol=1e-9)
+
+    def test_gtsam_predicts_the_keyframes_that_leave_the_samples_alone(self) -> None:
+        binned, _, (R, p, v, accel_bias, gyro_bias) = shaken_path(crooked=0.0)
+        bias = gtsam.imuBias.ConstantBias(accel_bias[0], gyro_bias[0])
+        for k, measured in enumerate(preintegrate(binned, NOISE, accel_bias[:-1], gyro_bias[:-1])):
+            end = measured.predict(gtsam.NavState(gtsam.Rot3(R[k]), p[k], v[k]), bias)
+            # GTSAM adds turns in the tangent space of the interval's start, to first order in a bin
+            np.testing.assert_allclose(end.attitude().matrix(), R[k + 1], atol=1e-4)
+            np.testing.assert_allclose(end.velocity(), v[k + 1], atol=1e-3)
+            np.testing.assert_allclose(end.position(), p[k + 1], atol=1e-4)
+
+    def test_rates_and_accelerations_are_those_of_the_path_itself(self) -> None:
+        binned, path, _ = shaken_path(crooked=0.01)  # 0.6 deg in 0.2 s: far more than a gyro misses
+        np.testing.assert_allclose(path.acceleration_n, np.diff(path.velocity_n, axis=0) / binned.dt, atol=1e-9)
+        turn = so3.log(path.R_ns[:-1].transpose(0, 2, 1) @ path.R_ns[1:]) / binned.dt
+        np.testing.assert_allclose(path.angular_rate_s, turn, atol=0.01 * 2.0 * np.max(np.abs(turn)))
+
+    def test_positions_are_the_integral_of_velocities(self) -> None:
+        binned, path, _ = shaken_path(n_bins=200)
+        mean_velocity = 0.5 * (path.velocity_n[1:] + path.velocity_n[:-1])
+        np.testing.assert_allclose(np.diff(path.position_n, axis=0), mean_velocity * binned.dt, atol=1e-6)
+
+
+class TestReadingPath:
+    def test_without_inertial_noise_the_whole_shape_counts(self) -> None:
+        binned, path, _ = shaken_path()
+        read = reading_path(binned, path, 0.0)
+        np.testing.assert_allclose(read.position_n, path.position_n, atol=1e-12)
+        np.testing.assert_allclose(read.velocity_n, path.velocity_n, atol=1e-12)
+
+    def test_with_nothing_but_noise_the_path_is_the_hermite_curve(self) -> None:
+        binned, path, (_, p, v, _, _) = shaken_path()
+        read = reading_path(binned, path, 1e3)
+        middle = 10 * np.arange(5) + 5
+        np.testing.assert_allclose(
+            read.position_n[middle], 0.5 * (p[:-1] + p[1:]) + 0.2 / 8.0 * (v[:-1] - v[1:]), atol=1e-12
+        )
+        np.testing.assert_allclose(
+            read.velocity_n[middle], 1.5 * (p[1:] - p[:-1]) / 0.2 - 0.25 * (v[:-1] + v[1:]), atol=1e-9
+        )
+
+    @pytest.mark.parametrize("density", [0.0, 0.5, 1e3])
+    def test_keyframes_and_attitude_stay_whatever_the_gain(self, density: float) -> None:
+        binned, path, (_, p, v, _, _) = shaken_path()
+        read = reading_path(binned, path, density)
+        np.testing.assert_allclose(read.position_n[::10], p, atol=1e-12)
+        np.testing.assert_allclose(read.velocity_n[::10], v, atol=1e-12)
+        np.testing.assert_array_equal(read.R_ns, path.R_ns)
+
+    def test_a_kart_at_rest_with_a_noisy_sensor_is_read_off_the_smooth_curve(self) -> None:
+        """The gain is found, not set: pure noise of the stated density leaves next to nothing of the shape."""
+        density, K, rng = 0.5, 400, np.random.default_rng(0)
+        t = np.arange(1, 200 * 81 + 1) / 200.0
+        force = [0.0, 0.0, 9.80665] + density * np.sqrt(200.0) * rng.normal(size=(len(t), 3))
+        binned = bin_imu(ImuSamples(t, force, np.zeros((len(t), 3))), 0.2 * np.arange(1, K), 10, NO_BIAS, NO_BIAS)
+        zeros = np.zeros((K - 1, 3))
+        path = dense_path(binned, np.tile(np.eye(3), (K - 1, 1, 1)), zeros, zeros, zeros, zeros)
+        read = reading_path(binned, path, density)
+        assert np.std(read.velocity_n) < 0.3 * np.std(path.velocity_n)
+        moved = reading_path(binned, path, 0.1 * density)
+        assert np.std(moved.velocity_n) > 0.9 * np.std(path.velocity_n)
+
+
+class TestMotionAt:
+    def test_at_its_own_edges_it_returns_the_path(self) -> None:
+        _, path, _ = shaken_path(crooked=0.01)
+        motion = motion_at(path, path.t)
+        np.testing.assert_allclose(motion.position_n, path.position_n, atol=1e-9)
+        np.testing.assert_allclose(motion.velocity_n, path.velocity_n, atol=1e-9)
+
+    def test_constant_acceleration_and_turn_are_reproduced_between_the_edges(self) -> None:
+        t, a, w = 0.02 * np.arange(51), np.array([3.0, -2.0, 0.5]), np.array([0.3, -0.1, 2.0])
+        path = DensePath(
+            t,
+            so3.exp(t[:, None] * w),
+            0.5 * t[:, None] ** 2 * a + 5.0 * t[:, None],
+            t[:, None] * a + 5.0,
+            np.tile(w, (50, 1)),
+            np.tile(a, (50, 1)),
+        )
+        ask = np.random.default_rng(1).uniform(0.0, 1.0, 200)
+        motion = motion_at(path, ask)
+        np.testing.assert_allclose(motion.position_n, 0.5 * ask[:, None] ** 2 * a + 5.0 * ask[:, None], atol=1e-12)
+        np.testing.assert_allclose(motion.velocity_n, ask[:, None] * a + 5.0, atol=1e-12)
+        np.testing.assert_allclose(motion.R_ns, so3.exp(ask[:, None] * w), atol=1e-12)
+        np.testing.assert_allclose(motion.acceleration_n, np.broadcast_to(a, (200, 3)))
+        np.testing.assert_allclose(motion.angular_rate_s, np.broadcast_to(w, (200, 3)))
+
+    def test_position_and_velocity_are_continuous(self) -> None:
+        _, path, _ = shaken_path(crooked=0.01)
+        inner, tiny = path.t[1:-1], 1e-9
+        before, after = motion_at(path, inner - tiny), motion_at(path, inner + tiny)
+        np.testing.assert_allclose(before.position_n, after.position_n, atol=1e-6)
+        np.testing.assert_allclose(before.velocity_n, after.velocity_n, atol=1e-5)
+        np.testing.assert_allclose(before.R_ns, after.R_ns, atol=1e-3)  # the spread of a crooked keyframe, first order
+
+    def test_beyond_the_ends_it_coasts(self) -> None:
+        _, path, _ = shaken_path(crooked=0.01)
+        ends = np.array([path.t[0] - 2.0, path.t[-1] + 3.0])
+        motion = motion_at(path, ends)
+        np.testing.assert_allclose(motion.position_n[0], path.position_n[0] - 2.0 * path.velocity_n[0])
+        np.testing.assert_allclose(motion.position_n[1], path.position_n[-1] + 3.0 * path.velocity_n[-1])
+        np.testing.assert_array_equal(motion.velocity_n, path.velocity_n[[0, -1]])
+        np.testing.assert_array_equal(motion.acceleration_n, np.zeros((2, 3)))
+        np.testing.assert_array_equal(motion.angular_rate_s, np.zeros((2, 3)))
+        np.testing.assert_allclose(motion.R_ns[0], path.R_ns[0], atol=1e-12)
+        np.testing.assert_allclose(motion.R_ns[1], path.R_ns[-1], atol=1e-3)
