@@ -29,10 +29,10 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     rows = RowFilter(path.name, "imu", np.ones(table.length, dtype=np.bool_))
     unreadable = ~(np.isfinite(t) & np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1))
-    rows.drop(unreadable, "invalid", "have an empty or unreadable value")
+    rows.drop(unreadable, "invalid", "with an empty or unreadable value")
     with np.errstate(invalid="ignore"):
         too_large = np.any(np.abs(accel) > ABSURD_SPECIFIC_FORCE, axis=1) | np.any(np.abs(gyro) > ABSURD_RATE, axis=1)
-    rows.drop(too_large, "absurd", "hold accelerations or rates no sensor can read")
+    rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, np.hstack([accel, gyro]))
     time, index = put_in_time_order(rows, t)
     return RawImu(time, accel[index], gyro[index]), rows.problems
@@ -43,8 +43,8 @@ def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
-    rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "have an empty or unreadable value")
-    rows.drop(np.all(field == 0.0, axis=1), "zero", "read exactly zero on all axes")
+    rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
+    rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
     time, index = put_in_time_order(rows, t)
     return RawMag(time, field[index]), rows.problems
 

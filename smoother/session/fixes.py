@@ -62,8 +62,8 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     time, index = put_in_time_order(rows, columns.t)
     ordered = columns.take(index)
     for find, code, reason in (
-        (_is_jump, "jump", "lie farther from the others than any vehicle moves"),
-        (_is_stale, "repeated", "repeat the position before while moving"),
+        (_is_jump, "jump", "farther from the others than any vehicle moves"),
+        (_is_stale, "repeated", "repeating the position before while moving"),
     ):
         bad = find(time, ordered)
         mask = np.zeros_like(rows.keep)
@@ -76,21 +76,21 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     with np.errstate(invalid="ignore"):
         searching = (c.fix < 1.0) | c.is_blank | (c.sigma_horizontal > UNUSABLE_SIGMA)
-    rows.drop(searching & np.isfinite(c.t), "no_fix", "are without a fix")
+    rows.drop(searching & np.isfinite(c.t), "no_fix", "without a fix")
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 
-_UNREADABLE = "have an empty or unreadable time or position"
+_UNREADABLE = "with an empty or unreadable time or position"
 
 
 def _drop_impossible(rows: RowFilter, c: FixColumns) -> None:
     with np.errstate(invalid="ignore"):
         outside = (np.abs(c.lat_deg) > 90.0) | (c.lon_deg < -180.0) | (c.lon_deg > 360.0)
-        rows.drop(outside, "absurd", "hold a position that is not on Earth")
-        rows.drop((c.lat_deg == 0.0) & (c.lon_deg == 0.0), "null_island", "hold the position 0, 0: no fix yet")
+        rows.drop(outside, "absurd", "at a position that is not on Earth")
+        rows.drop((c.lat_deg == 0.0) & (c.lon_deg == 0.0), "null_island", "at the position 0, 0 (no fix yet)")
         too_fast = _too_fast(c)
     if np.count_nonzero(too_fast & rows.keep) <= FEW_BAD_VALUES * np.count_nonzero(rows.keep):
-        rows.drop(too_fast, "too_fast", f"hold a speed above {ABSURD_SPEED:.0f} m/s")
+        rows.drop(too_fast, "too_fast", f"with a speed above {ABSURD_SPEED:.0f} m/s")
 
 
 def _too_fast(c: FixColumns) -> BoolArray:

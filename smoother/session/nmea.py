@@ -19,6 +19,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
 from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.rows import counted
 from smoother.units import DAY, KMH, KNOT
 
 # [t_s,]$<talker><kind>,<data>[*<checksum>]; a garbled byte ends the match and so leaves the checksum out
@@ -55,12 +56,16 @@ class _Tally:
 
     def problems(self, file: str) -> list[Problem]:
         said = (
-            ("gps_bad_checksum", self.checksum, "{} NMEA sentences fail their checksum; dropped"),
-            ("gps_bad_sentence", self.unreadable, "{} NMEA sentences are cut short or unreadable; dropped"),
-            ("gps_duplicate_sentence", self.duplicate, "{} NMEA sentences stand twice; the second dropped"),
-            ("gps_misplaced_sentence", self.misplaced, "{} NMEA sentences out of order; placed by their UTC"),
+            ("gps_bad_checksum", self.checksum, "{} with a wrong checksum; dropped"),
+            ("gps_bad_sentence", self.unreadable, "{} cut short or unreadable; dropped"),
+            ("gps_duplicate_sentence", self.duplicate, "{} written twice; the second dropped"),
+            ("gps_misplaced_sentence", self.misplaced, "{} out of order; placed by their UTC"),
         )
-        return [Problem(code, f"{file}: {text.format(count)}", count) for code, count, text in said if count]
+        return [
+            Problem(code, f"{file}: {text.format(counted(count, 'NMEA sentence'))}", count)
+            for code, count, text in said
+            if count
+        ]
 
 
 @dataclass(frozen=True, eq=False)

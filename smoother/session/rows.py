@@ -34,7 +34,7 @@ class RowFilter:
     problems: list[Problem] = field(default_factory=list)
 
     def drop(self, bad: BoolArray, code: str, reason: str) -> None:
-        """Stop using the rows of mask `bad` (N,); `reason` completes the sentence '<file>: <n> rows ...'."""
+        """Stop using the rows of mask `bad` (N,); `reason` completes '<file>: <n> rows ...'."""
         count = int(np.count_nonzero(bad & self.keep))
         if count:
             self.keep = self.keep & ~bad
@@ -59,7 +59,7 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     cost a large part of it. After a restart of the clock only the longest piece is kept.
     """
     with np.errstate(invalid="ignore"):
-        rows.drop(np.abs(t) > LATEST, "absurd_time", "hold a time beyond any clock")
+        rows.drop(np.abs(t) > LATEST, "absurd_time", "with a time beyond any clock")
     index = np.flatnonzero(rows.keep)
     if index.size == 0:
         return t[index], index
@@ -71,7 +71,7 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     _drop_disorder(rows, index, time, keep)
     index, time = index[keep], time[keep]
     stray = _stray_ends(time)
-    rows.drop(_mask(rows, index[stray]), "stray_time", "stand far outside the time of the recording")
+    rows.drop(_mask(rows, index[stray]), "stray_time", "far outside the time of the recording")
     return time[~stray], index[~stray]
 
 
@@ -97,7 +97,7 @@ def spread_coarse_times(rows: RowFilter, t: Array, values: Array) -> Array:
     spread = t.copy()
     spread[index] = time + (np.arange(index.size) - first[group]) * (room / size)[group]
     count = int(np.count_nonzero(shares))
-    rows.say("coarse_time", f"{counted(count, 'row')} share a time with the row before; spread evenly", count)
+    rows.say("coarse_time", f"{counted(count, 'row')} with the time of the row before; spread evenly", count)
     return spread
 
 
@@ -166,7 +166,7 @@ def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntAr
     order = np.argsort(t, kind="stable")
     if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE:
         moved = int(np.count_nonzero(order != np.arange(t.size)))
-        rows.say("reordered", f"{counted(moved, 'row')} stood slightly out of order; sorted by time", moved)
+        rows.say("reordered", f"{counted(moved, 'row')} slightly out of order; sorted by time", moved)
         return index[order], t[order]
     return _longest_piece(rows, index, t)
 
@@ -187,15 +187,15 @@ def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray
     rows.drop(
         _mask(rows, index[~chosen]),
         "clock_restart",
-        f"belong to {piece[-1]} other starts of the clock, not the longest",
+        "from before or after a restart of the clock, outside the longest part",
     )
     return index[chosen], t[chosen]
 
 
 def _drop_disorder(rows: RowFilter, index: IntArray, t: Array, keep: BoolArray) -> None:
     repeated = ~keep & np.isin(t, t[keep])
-    rows.drop(_mask(rows, index[repeated]), "repeated_time", "repeat the time of another row")
-    rows.drop(_mask(rows, index[~keep & ~repeated]), "out_of_order", "are out of time order")
+    rows.drop(_mask(rows, index[repeated]), "repeated_time", "repeating the time of another row")
+    rows.drop(_mask(rows, index[~keep & ~repeated]), "out_of_order", "out of time order")
 
 
 def _stray_ends(t: Array) -> BoolArray:

@@ -25,7 +25,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.nmea import fixes_from_sentences
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import RowFilter, counted, put_in_time_order
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
 
 RECORD_START = b"YY"
@@ -261,7 +261,7 @@ def _unresolved(records: Records, file: str) -> list[Problem]:
     problems = []
     if records.lost:
         text = (
-            f"{file}: {records.lost} stretches ({records.lost_bytes} bytes) could not be resolved into records; skipped"
+            f"{file}: {counted(records.lost, 'part')} ({records.lost_bytes} bytes) without a readable record; skipped"
         )
         problems.append(Problem("out_unresolved", text, records.lost))
     if records.tail:

@@ -1,0 +1,307 @@
+"""A directory, or a file of it, to a RawSession: what is chosen, what is said, what ends in one clear line."""
+
+import functools
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.errors import ConfigError, SessionError, SmootherError
+from smoother.frames import Origin
+from smoother.samples import RawSession
+from smoother.session.clock import regularize
+from smoother.session.csv_form import read_imu
+from smoother.session.load import load_raw
+from smoother.session.thesis import END_STRUCT, GPS_FLAG, IMU_STRUCT, MAG_STRUCT, RECORD_START
+from smoother.session.truth import load_truth
+
+
+def imu_csv(count: int = 1000, rate: float = 100.0, start: float = 0.0) -> str:
+    rows = [
+        f"{start + k / rate:.4f},0.1,{0.01 * (k % 9):.2f},9.8,0.001,0.002,{0.003 * (k % 5):.3f}" for k in range(count)
+    ]
+    return "\n".join(["t_s,ax,ay,az,gx,gy,gz", *rows]) + "\n"
+
+
+def gps_csv(count: int = 50, rate: float = 5.0, start: float = 0.0) -> str:
+    rows = [f"{start + k / rate:.2f},{45 + 1e-4 * k + 1e-8 * k * k:.9f},12.0,8.0,50.0,0.0" for k in range(count)]
+    return "\n".join(["t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg", *rows]) + "\n"
+
+
+def nmea_epochs(count: int) -> list[str]:
+    """RMC sentences at 5 Hz, moving north."""
+    bursts = []
+    for k in range(count):
+        body = f"GPRMC,1000{k / 5:05.2f},A,45{2 + 0.001 * k:07.4f},N,01208.9400,E,18.0,0.0,310524,,,A"
+        bursts.append(f"${body}*{functools.reduce(operator.xor, body.encode()):02X}\r\n")
+    return bursts
+
+
+def out_txt(count: int) -> bytes:
+    """Records at 50 Hz, every tenth with the magnetometer and a sentence."""
+    records = b""
+    for k, sentence in enumerate(np.repeat(nmea_epochs(-(-count // 10)), 10)[:count].tolist()):
+        gps = bytes([GPS_FLAG]) + MAG_STRUCT.pack(1, 2, 3) + sentence.encode().ljust(90, b"\0")
+        records += RECORD_START + IMU_STRUCT.pack(20 * k, 5, 6, 8192, k % 7, 8, 9)
+        records += (b"" if k % 10 else gps) + END_STRUCT.pack(20 * k + 3)
+    return records
+
+
+@dataclass
+class Folder:
+    """A session directory to be filled."""
+
+    path: Path
+
+    def write(self, **files: str | bytes) -> "Folder":
+        for name, content in files.items():
+            target = self.path / name.replace("__", ".")
+            target.write_bytes(content.encode() if isinstance(content, str) else content)
+        return self
+
+    def load(self, file: str = "") -> RawSession:
+        return load_raw(self.path / file if file else self.path)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    directory = tmp_path / "heat2"
+    directory.mkdir()
+    return Folder(directory)
+
+
+def codes(session: RawSession) -> dict[str, int]:
+    return {problem.code: problem.count for problem in session.problems}
+
+
+def test_columns_make_a_session_without_a_word(folder: Folder) -> None:
+    session = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), mag__csv="t_s,mx,my,mz\n0,1,2,3\n1,1,2,4\n").load()
+    assert session.name == "heat2" and session.problems == ()
+    assert session.inputs == ("imu.csv", "gps.csv", "mag.csv")
+    assert session.imu is not None and session.mag is not None
+    assert (session.imu.t.size, len(session.gnss), session.mag.t.size) == (1000, 50, 2)
+    assert session.unix_at_zero is None
+
+
+@pytest.mark.parametrize("file", ["imu.csv", "gps.csv", "session.toml"])
+def test_a_file_of_a_session_stands_for_the_session(folder: Folder, file: str) -> None:
+    folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), session__toml="")
+    session = folder.load(file)
+    assert session.name == "heat2" and session.inputs == ("imu.csv", "gps.csv", "session.toml")
+
+
+def test_names_may_be_in_capitals_as_cards_write_them(folder: Folder) -> None:
+    assert folder.write(IMU__CSV=imu_csv(), GPS__CSV=gps_csv()).load().inputs == ("IMU.CSV", "GPS.CSV")
+
+
+def test_settings_are_applied_and_listed(folder: Folder) -> None:
+    folder.write(gps__csv=gps_csv(), session__toml="[session]\ntitle = 'Heat'\n")
+    session = folder.load()
+    assert session.config.title == "Heat" and "session.toml" in session.inputs
+    folder.write(session__toml="[session]\ntitel = 'Heat'\n")
+    with pytest.raises(ConfigError, match="did you mean title"):
+        folder.load()
+
+
+def test_gps_csv_wins_over_sentences_and_says_so(folder: Folder) -> None:
+    session = folder.write(gps__csv=gps_csv(), rover__nmea="".join(nmea_epochs(50))).load()
+    assert session.inputs == ("gps.csv",) and "gps_csv_preferred" in codes(session)
+
+
+def test_sentences_that_are_named_win_over_gps_csv(folder: Folder) -> None:
+    folder.write(gps__csv=gps_csv(), rover__nmea="".join(nmea_epochs(50)))
+    session = folder.load("rover.nmea")
+    assert session.inputs == ("rover.nmea",) and session.name == "rover"
+    assert session.unix_at_zero == pytest.approx(1717149600.0)
+
+
+def test_of_several_logs_the_largest_is_used_and_the_others_are_named(folder: Folder) -> None:
+    session = folder.write(a__nmea="".join(nmea_epochs(20)), b__nmea="".join(nmea_epochs(40))).load()
+    assert session.inputs == ("b.nmea",) and codes(session)["gps_other_logs"] == 1
+
+
+def test_sentences_without_receive_times_beside_an_imu_are_said_to_be_a_guess(folder: Folder) -> None:
+    folder.write(imu__csv=imu_csv(), rover__nmea="".join(nmea_epochs(50)))
+    assert "gps_clock_assumed" in codes(folder.load())
+    timed = "".join(f"{0.2 * k:.3f},{burst}" for k, burst in enumerate(nmea_epochs(50)))
+    assert "gps_clock_assumed" not in codes(folder.write(rover__nmea=timed).load())
+
+
+def test_out_txt_is_preferred_and_brings_its_magnetometer_calibration(folder: Folder) -> None:
+    magcalib = b"YY" + np.random.default_rng(1).integers(-300, 300, (500, 3)).astype("<i2").tobytes()
+    folder.write(OUT__TXT=out_txt(400), MAGCALIB__TXT=magcalib, gps__csv=gps_csv())
+    session = folder.load()
+    assert session.inputs == ("OUT.TXT", "MAGCALIB.TXT")
+    assert session.mag_calibration_field is not None and session.mag_calibration_field.shape == (500, 3)
+    assert session.imu is not None and session.imu.accel_full_scale == pytest.approx(4 * 9.80665)
+    assert session.mag is not None and session.mag.t.size == 40
+    assert folder.load("gps.csv").inputs == ("gps.csv",)
+
+
+@pytest.mark.parametrize(
+    ("imu", "code"),
+    [
+        (None, "imu_missing"),
+        (imu_csv(99), "imu_missing"),
+        (imu_csv(150, rate=19.0), "imu_too_slow"),
+        (imu_csv().replace(",9.8,", ",1.0,"), "imu_implausible"),
+        (imu_csv().replace(",0.002,", ",40.0,"), "imu_implausible"),
+        (imu_csv().replace(",9.8,", ",nan,"), "imu_missing"),
+    ],
+)
+def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder, imu: str | None, code: str) -> None:
+    session = folder.write(gps__csv=gps_csv(), **({} if imu is None else {"imu__csv": imu})).load()
+    assert session.imu is None and len(session.gnss) == 50
+    (text,) = [problem.text for problem in session.problems if problem.code == code]
+    assert text.endswith("smoothed from GPS alone")
+
+
+def test_20_samples_a_second_are_enough(folder: Folder) -> None:
+    assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
+
+
+def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folder: Folder) -> None:
+    session = folder.write(gps__csv=gps_csv(), mag__csv="t_s,mx,my,mz\n").load()
+    assert session.mag is None and codes(session)["mag_unusable"] == 1
+
+
+def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
+    session = folder.write(imu__csv=imu_csv(500), gps__csv=gps_csv()).load()
+    assert codes(session) == {"gps_outside_imu": 25}
+
+
+def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) -> None:
+    rng = np.random.default_rng(3)
+    true_imu, true_fix = np.arange(12_000) * 0.005, np.arange(300) * 0.2
+    stamps = np.sort(true_imu + 0.001 * rng.standard_normal(true_imu.size))
+    arrival = np.maximum.accumulate(true_fix + 0.1 + rng.exponential(0.02, true_fix.size))
+    imu = "t_s,ax,ay,az,gx,gy,gz\n" + "".join(f"{t:.6f},0,0,9.8,0,0,0\n" for t in stamps)
+    gps = "t_s,lat_deg,lon_deg,unix_s\n" + "".join(
+        f"{t:.6f},{45 + 1e-5 * k + 1e-8 * k * k:.9f},12,{1.7e9 + 0.2 * k:.3f}\n" for k, t in enumerate(arrival)
+    )
+    session = folder.write(imu__csv=imu, gps__csv=gps).load()
+    assert session.imu is not None
+    assert np.std(session.imu.t - true_imu) < 0.0003
+    assert np.std(session.gnss.t - true_fix) < 0.0015
+    assert session.unix_at_zero == pytest.approx(1.7e9 - 0.1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "message"),
+    [
+        (lambda f: f, r"no recording found; wanted out.txt, or gps.csv or \*.nmea"),
+        (lambda f: f.write(imu__csv=imu_csv()), r"an IMU table, but neither gps.csv nor \*.nmea"),
+        (lambda f: f.write(gps__csv=""), r"^gps.csv: the file is empty"),
+        (lambda f: f.write(gps__csv="t_s,lat_deg,lon_deg\n"), r"^gps.csv: a header line, but no rows"),
+        (
+            lambda f: f.write(gps__csv=gps_csv().replace("lat_deg", "lat")),
+            r"^gps.csv: no column lat_deg; has t_s, lat, ",
+        ),
+        (
+            lambda f: f.write(gps__csv="t_s,lat_deg,lon_deg,fix\n0,45,12,0\n"),
+            r"^gps.csv: no usable fix \(1 row without a fix",
+        ),
+        (lambda f: f.write(gps__csv=gps_csv(), imu__csv=""), r"^imu.csv: the file is empty"),
+        (
+            lambda f: f.write(gps__csv=gps_csv(start=1000.0), imu__csv=imu_csv()),
+            r"^imu.csv \(0.0 to 10.0 s\) and gps.csv \(1000.0 to 1009.8 s\) do not overlap in time",
+        ),
+        (lambda f: f.write(out__txt=b"nothing"), r"^out.txt: no record"),
+        (lambda f: f.write(x__nmea=b"nothing"), r"^x.nmea: no NMEA sentence"),
+    ],
+)
+def test_what_cannot_be_used_ends_in_one_line_with_file_and_remedy(
+    folder: Folder, prepare: Callable[[Folder], Folder], message: str
+) -> None:
+    prepare(folder)
+    with pytest.raises(SessionError, match=message) as error:
+        folder.load()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["missing", "notes.pdf"])
+def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str) -> None:
+    folder.write(notes__pdf=b"%PDF")
+    with pytest.raises(SessionError, match=r"no such file|no known kind of recording"):
+        folder.load(name)
+
+
+def test_every_cut_of_both_tables_gives_a_session_or_one_line(folder: Folder) -> None:
+    imu, gps = imu_csv(120), gps_csv(6)
+    for size in range(0, len(gps), 7):
+        folder.write(imu__csv=imu[: len(imu) * size // len(gps)], gps__csv=gps[:size])
+        try:
+            folder.load()
+        except SmootherError as error:
+            assert "\n" not in str(error)
+
+
+def test_truth_by_latitude_is_placed_by_the_origin_and_by_north_as_it_stands(folder: Folder) -> None:
+    origin = Origin(45.0, 12.0, 5.0)
+    folder.write(
+        truth__csv="t_s,lat_deg,lon_deg,alt_m,yaw_deg,pitch_deg,roll_deg\n0,45.001,12,7,90,0,0\n1,45.001,12,,90,0,0\n"
+    )
+    truth = load_truth(folder.path, origin)
+    np.testing.assert_allclose(truth.position_n[0], [111.13, 0.0, 2.0], atol=0.01)
+    assert np.isnan(truth.position_n[1, 2]) and np.all(np.isnan(truth.velocity_n))
+    np.testing.assert_allclose(truth.R_nb[0] @ [1, 0, 0], [0, 1, 0], atol=1e-12)  # nose west
+    folder.write(
+        truth__csv="t_s,north_m,west_m,up_m,vel_north_mps,vel_west_mps,vel_up_mps\n0,1,2,3,4,5,6\nx,1,2,3,4,5,6\n"
+    )
+    truth = load_truth(folder.path, origin)
+    assert len(truth) == 1
+    np.testing.assert_array_equal(np.hstack([truth.position_n, truth.velocity_n]), [[1, 2, 3, 4, 5, 6]])
+    assert np.all(np.isnan(truth.R_nb))
+
+
+def test_missing_truth_is_one_clear_line(folder: Folder) -> None:
+    with pytest.raises(SessionError, match=r"no truth.csv"):
+        load_truth(folder.path, Origin(0, 0, 0))
+    folder.write(truth__csv="t_s,lat_deg\n0,1\n")
+    with pytest.raises(SessionError, match=r"^truth.csv: no usable row"):
+        load_truth(folder.path, Origin(0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "fixes", "samples", "expected"),
+    [
+        ("kart_adria_first_half", 2626, 33708, {"imu_gap", "imu_jitter"}),
+        ("kart_lignano_racebox", 31527, 31527, {"imu_gap", "imu_jitter"}),
+        ("kart_massafinalese_racechrono", 10390, 0, {"imu_too_slow"}),
+        ("kart_okc_doves", 22691, 0, {"imu_missing"}),
+        ("car_hi600_rtk", 867, 86716, set()),
+        ("car_hi600_twin_a", 9841, 98413, {"imu_gap", "gps_gap"}),
+        ("car_hi600_twin_b", 9696, 96960, {"imu_gap", "gps_gap"}),
+        ("car_comma2k19", 579, 6256, set()),
+        ("bicycle_neo6m", 2404, 0, {"imu_too_slow", "gps_gap"}),
+        ("nmea_kart_okc", 15866, 0, {"imu_missing", "gps_gap", "gps_bad_sentence", "gps_other_logs"}),
+    ],
+)
+def test_real_recordings_lose_no_row_and_tell_their_flaws(
+    data_directory: Path, name: str, fixes: int, samples: int, expected: set[str]
+) -> None:
+    session = load_raw(data_directory / name)
+    assert len(session.gnss) == fixes
+    assert (0 if session.imu is None else session.imu.t.size) == samples
+    assert {problem.code for problem in session.problems} == expected
+
+
+def test_stamps_rounded_to_10_ms_agree_with_doppler_once_they_are_evened(data_directory: Path) -> None:
+    """RaceBox exports round their stamps: at 25 Hz a step of the position then disagrees by a quarter."""
+    session = load_raw(data_directory / "kart_lignano_racebox")
+    gnss = session.gnss
+    assert gnss.speed is not None
+    step = np.linalg.norm(np.diff(gnss.position_n(Origin(45.7, 13.07, 0.0))[:, :2], axis=0), axis=1)
+    fast = gnss.speed[1:] > 8.0
+    error = (step - gnss.speed[1:] * np.diff(gnss.t))[fast]
+    assert np.std(error) < 0.02  # 0.063 m with the stamps as written
+
+
+def test_samples_that_arrived_in_bursts_are_spread_at_their_rate(data_directory: Path) -> None:
+    imu, _ = read_imu(data_directory / "calib_mpu6050_static" / "imu.csv")
+    base = regularize(imu.t)
+    assert 1.0 / base.period == pytest.approx(99.3, abs=0.5)
+    assert np.percentile(np.diff(base.t), 99) < 0.011
