@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Session
 from smoother.units import DEG
@@ -81,7 +81,8 @@ def detect_standstill(
     options = StandstillOptions() if options is None else options
     if len(t) == 0:
         return np.zeros(0, dtype=np.bool_)
-    force, rate = _Blocks.of(t, specific_force, options), _Blocks.of(t, angular_rate, options)
+    block = np.floor((t - t[0]) / options.block).astype(np.int64)
+    force, rate = _Blocks.of(specific_force, block, options), _Blocks.of(angular_rate, block, options)
     still = _is_steady(force, options.force_floor, options) & _is_steady(rate, options.rate_floor, options)
     if fix_t is None or fix_speed is None:
         still &= _is_quiet(force, options.quiet_force, options) & _is_quiet(rate, options.quiet_rate, options)
@@ -90,7 +91,7 @@ def detect_standstill(
         centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
         still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
     still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
-    return np.asarray(still[force.block_of_sample])
+    return np.asarray(still[block])
 
 
 def standstill_intervals(t: Array, is_standstill: BoolArray) -> Array:
@@ -177,42 +178,38 @@ def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options
 class _Blocks:
     """Per window of blocks, summed over axes: variance between block means, within blocks; mean count of a block.
 
-    between, within, count, occupied (B,); block_of_sample (N,). Blocks without samples (gaps) count for nothing.
+    between, within, count, occupied (B,). Blocks without samples (gaps) count for nothing.
     """
 
     between: Array
     within: Array
     count: Array
     occupied: Array
-    block_of_sample: np.ndarray
 
     @staticmethod
-    def of(t: Array, values: Array, options: StandstillOptions) -> "_Blocks":
-        block = np.floor((t - t[0]) / options.block).astype(np.int64)
+    def of(values: Array, block: IntArray, options: StandstillOptions) -> "_Blocks":
+        """Sum up values (N, 3), of which `block` (N,) says the block of each sample."""
         size = int(block[-1]) + 1
-        centred = values - np.median(values, axis=0)  # keeps the sums of squares precise
         count = np.bincount(block, minlength=size).astype(np.float64)
         filled = np.maximum(count, 1.0)
-        totals = [np.bincount(block, centred[:, i], size) for i in range(3)]
-        mean = np.stack(totals) / filled
-        inside = sum(np.bincount(block, (centred[:, i] - mean[i][block]) ** 2, size) for i in range(3))
         has = (count > 0.0).astype(np.float64)
+        k = _windowed(has, options)
+        between, within = np.zeros(size), np.zeros(size)
+        for axis in range(3):  # one axis at a time: a day of samples is a gigabyte
+            centred = values[:, axis] - np.median(values[:, axis])  # keeps the sums of squares precise
+            mean = np.bincount(block, centred, size) / filled
+            inside: Array = np.bincount(block, (centred - mean[block]) ** 2, size).astype(np.float64)
+            between += _windowed(mean**2, options) - _windowed(mean, options) ** 2 / np.maximum(k, 1.0)
+            within += _windowed(inside, options)
+        freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0), options), 1.0)
+        between = np.maximum(between, 0.0) / np.maximum(k - 1.0, 1.0)
+        return _Blocks(between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
 
-        def windowed(x: Array) -> Array:
-            half = options.blocks // 2
-            return np.convolve(x, np.ones(options.blocks))[half : half + size]
 
-        k = windowed(has)
-        squares, sums = windowed(np.sum(mean**2, axis=0) * has), np.stack([windowed(m * has) for m in mean])
-        between = (squares - np.sum(sums**2, axis=0) / np.maximum(k, 1.0)) / np.maximum(k - 1.0, 1.0)
-        freedom = np.maximum(windowed(np.maximum(count - 1.0, 0.0)), 1.0)
-        return _Blocks(
-            np.maximum(between, 0.0),
-            windowed(np.asarray(inside)) / freedom,
-            windowed(count) / np.maximum(k, 1.0),
-            k,
-            block,
-        )
+def _windowed(values: Array, options: StandstillOptions) -> Array:
+    """Sum over the window of blocks around each, (B,)."""
+    half = options.blocks // 2
+    return np.convolve(values, np.ones(options.blocks))[half : half + len(values)]
 
 
 def _is_steady(blocks: _Blocks, floor: float, options: StandstillOptions) -> BoolArray:
@@ -230,7 +227,7 @@ def _is_quiet(blocks: _Blocks, bound: float, options: StandstillOptions) -> Bool
     return np.asarray(scatter <= min(level, np.sqrt(3.0) * bound))
 
 
-def _runs(mask: BoolArray) -> tuple[np.ndarray, np.ndarray]:
+def _runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     """First index of each run of True, and the first index after it."""
     edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

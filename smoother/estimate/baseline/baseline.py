@@ -1,0 +1,284 @@
+"""The thesis' pipeline from a calibrated session to a trajectory: what the smoother has to beat.
+
+Gyro bias, level and north at rest; Madgwick's filter; specific force rotated into North-West-Up; fixes in metres; the
+six-state Kalman filter forwards in time. Calibration and fixes are the smoother's. As in the thesis, a fix counts as
+true at the moment it was received, Doppler velocity is no measurement, and the antenna sits on the IMU.
+
+It has no estimate of height, nor a sigma of attitude; these are NaN.
+"""
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.baseline import alignment, noise
+from smoother.estimate.baseline.kalman import KalmanInput, KalmanOutput, run_kalman
+from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
+from smoother.estimate.baseline.metres import Projection
+from smoother.estimate.baseline.steps import Steps, average_into_steps, nearest
+from smoother.fit.ellipsoid import FitError
+from smoother.fit.levelling import yaw_from_field
+from smoother.fit.magnetic_model import session_declination
+from smoother.frames import GRAVITY_N, euler_from_rotation, geodetic_to_nwu
+from smoother.samples import MagSamples, Problem, Session
+from smoother.trajectory import EstimateReport, Sigmas, Trajectory
+
+LONGEST_STEP = 0.5  # s; over a longer gap of the IMU nothing is known about the turn
+
+
+@dataclass(frozen=True)
+class BaselineOptions:
+    """rate Hz of filter and rows; alpha m^2/s^4 per step, eq. 2.54; beta rad/s and zeta rad/s^2, listing 5.G.
+
+    alpha: the best over simulated sessions of all presets, by benchmarks/baseline_alpha.py (docs/baseline_alpha.md).
+    accel_covariance: eq. 2.67 "in motion", or "at rest" as the thesis has it; see noise.py. default_fix_sigma m where
+    the receiver reports none; default_accel_sigma m/s^2 where neither motion nor rest tells.
+    """
+
+    rate: float = 50.0
+    alpha: float = 10.0
+    beta: float = BETA
+    zeta: float = ZETA
+    use_magnetometer: bool = True
+    accel_covariance: Literal["in motion", "at rest"] = "in motion"
+    default_fix_sigma: float = 2.5
+    default_accel_sigma: float = 50.0
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """The IMU's part, at its P steps: R_ns (P, 3, 3), acceleration_n (P, 3) m/s^2; R_bs (3, 3) and gyro_bias (3,)."""
+
+    steps: Steps
+    R_ns: Array
+    acceleration_n: Array
+    R_bs: Array
+    gyro_bias: Array
+    problems: tuple[Problem, ...]
+
+
+class ThesisBaseline:
+    """Madgwick attitude and a six-state Kalman filter, after the thesis."""
+
+    name = "baseline"
+
+    def __init__(self, options: BaselineOptions | None = None) -> None:
+        """Take the tuned defaults, or `options`."""
+        self.options = BaselineOptions() if options is None else options
+
+    def estimate(self, session: Session) -> Trajectory:
+        """Return rows at `rate` from the first to the last fix; see the module's text for what is NaN."""
+        started = perf_counter()
+        fixes, options = session.gnss, self.options
+        projection = Projection.about_mean(fixes.lat_deg, fixes.lon_deg)
+        position = projection.to_metres(fixes.lat_deg, fixes.lon_deg)
+        course = alignment.course_of(fixes, position)
+        inertial = _inertial(session, course, options)
+        oriented = perf_counter()
+        t = fixes.t[0] + np.arange(int((fixes.t[-1] - fixes.t[0]) * options.rate + 1e-6) + 1) / options.rate
+        filtered = run_kalman(_measurements(session, position, inertial, course, t, options), options.alpha)
+        timings = {"attitude": oriented - started, "kalman": perf_counter() - oriented}
+        return _trajectory(session, projection, t, filtered, inertial, timings)
+
+
+# ---- the IMU --------------------------------------------------------------------------------------------------------
+
+_NO_IMU = Problem("baseline_no_imu", "no usable IMU; the baseline filters the fixes alone")
+_NO_MAGNETOMETER = Problem(
+    "baseline_no_magnetometer", "no calibrated magnetometer; north of the baseline comes from the first minute's motion"
+)
+_NO_NORTH = Problem("baseline_no_north", "too little motion to find north; the baseline's heading is arbitrary")
+_NO_FORWARD = Problem(
+    "baseline_no_forward", "too little motion to find forward; the baseline takes the box's x axis for the kart's"
+)
+
+
+def _inertial(session: Session, course: alignment.Course, options: BaselineOptions) -> Inertial | None:
+    """Attitude and acceleration at the steps; None without an IMU, or if its force says nothing about up."""
+    imu = session.imu
+    if imu is None or len(imu.t) < 2:
+        return None
+    try:
+        rest = alignment.rest_state(session, imu, course)
+    except FitError:
+        return None
+    steps = average_into_steps(imu, rest.is_at_rest, float(session.gnss.t[0]), 1.0 / options.rate)
+    mag = _usable_magnetometer(session, options)
+    R_ns, problems = _attitude(session, steps, mag, rest, options)
+    acceleration_n = np.einsum("nij,nj->ni", R_ns, steps.specific_force_s) + GRAVITY_N
+    if mag is None:
+        north = alignment.north_from_motion(steps.t, acceleration_n[:, :2], course)
+        problems += () if north is not None else (_NO_NORTH,)
+        turn = alignment.turned_about_up(north or 0.0)
+        R_ns, acceleration_n = turn @ R_ns, acceleration_n @ turn.T
+    R_bs, mounting_problems = _mounting(session, steps.t, R_ns, rest, course, mag is not None)
+    problems = rest.problems + problems + mounting_problems
+    return Inertial(steps, R_ns, acceleration_n, R_bs, rest.gyro_bias, problems)
+
+
+def _usable_magnetometer(session: Session, options: BaselineOptions) -> MagSamples | None:
+    """Only a calibrated field points north: hard iron is as strong as the Earth's field."""
+    mag = session.mag
+    if mag is None or not options.use_magnetometer or session.config.magnetometer.use is False:
+        return None
+    return mag if mag.is_calibrated and len(mag.t) else None
+
+
+def _attitude(
+    session: Session, steps: Steps, mag: MagSamples | None, rest: alignment.RestState, options: BaselineOptions
+) -> tuple[Array, tuple[Problem, ...]]:
+    """R_ns (P, 3, 3); without a magnetometer its yaw starts at zero."""
+    declination, field, yaw = 0.0, None, 0.0
+    problems: tuple[Problem, ...] = (_NO_MAGNETOMETER,)
+    if mag is not None:
+        declination, problems = session_declination(session)
+        field = _field_at(steps.t, mag)
+        yaw = _starting_yaw(mag, rest)
+    start = so3.quaternion_wxyz(alignment.turned_about_up(yaw) @ rest.R_ls)
+    interval, rate = np.minimum(steps.interval, LONGEST_STEP), steps.angular_rate_s - rest.gyro_bias
+    after, _ = run_madgwick(interval, steps.specific_force_s, rate, field, start, options.beta, options.zeta)
+    # The filter knows the attitude at the end of each step; half way there it was between two of them.
+    middle = after + np.vstack([start, after[:-1]])
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    # Its x axis is magnetic north, which lies the declination east of true north.
+    return alignment.turned_about_up(-declination) @ so3.from_quaternion_wxyz(middle), problems
+
+
+def _field_at(t: Array, mag: MagSamples) -> Array:
+    """Field (P, 3) at every step, between readings by straight lines, NaN before the first and after the last.
+
+    Listing 5.G corrects with the field only at the samples that brought a reading, one in ten. How much it then weighs
+    depends on the ratio of two rates; afterwards, with all readings at hand, every step can have it.
+    """
+    columns = [np.interp(t, mag.t, column, left=np.nan, right=np.nan) for column in mag.field_s.T]
+    return np.stack(columns, axis=-1)
+
+
+def _starting_yaw(mag: MagSamples, rest: alignment.RestState) -> float:
+    """Yaw from magnetic north by eq. 2.32, over the rest at the start if there is one."""
+    i, j = np.searchsorted(mag.t, rest.start)
+    first = min(int(i), len(mag.t) - 1)
+    try:
+        return yaw_from_field(np.mean(mag.field_s[first : max(int(j), first + 1)], axis=0), rest.mean_force)
+    except FitError:
+        return 0.0
+
+
+def _mounting(
+    session: Session, t: Array, R_ns: Array, rest: alignment.RestState, course: alignment.Course, has_north: bool
+) -> tuple[Array, tuple[Problem, ...]]:
+    """R_bs as configured, else level at rest and forward along the straights."""
+    if session.config.mounting.R_bs is not None:
+        return np.asarray(session.config.mounting.R_bs, dtype=np.float64), ()
+    _, _, yaw_l = euler_from_rotation(R_ns @ rest.R_ls.T)
+    duration = np.inf if has_north else alignment.FIRST_MOTION  # without north, yaw drifts away later
+    heading = alignment.forward_of_box(t, yaw_l, course, duration)
+    if heading is None:
+        return rest.R_ls, (_NO_FORWARD,)
+    return alignment.turned_about_up(heading) @ rest.R_ls, ()
+
+
+# ---- the filter -----------------------------------------------------------------------------------------------------
+
+
+def _measurements(
+    session: Session,
+    position: Array,
+    inertial: Inertial | None,
+    course: alignment.Course,
+    t: Array,
+    options: BaselineOptions,
+) -> KalmanInput:
+    fixes, period = session.gnss, 1.0 / options.rate
+    at_step = np.clip(np.rint((fixes.t - t[0]) / period).astype(np.int64), 0, len(t) - 1)
+    acceleration, covariance = np.full((len(t), 2), np.nan), np.eye(2)
+    if inertial is not None:
+        acceleration = inertial.steps.on_clock(inertial.acceleration_n[:, :2], len(t))
+        covariance = _accel_covariance(inertial, course, options)
+    return KalmanInput(
+        step=period,
+        acceleration=acceleration,
+        accel_covariance=covariance,
+        at_step=at_step,
+        delay=fixes.t - t[at_step],
+        position=position,
+        fix_variance=noise.fix_variance(fixes, position, options.default_fix_sigma),
+    )
+
+
+def _accel_covariance(inertial: Inertial, course: alignment.Course, options: BaselineOptions) -> Array:
+    steps, acceleration = inertial.steps, inertial.acceleration_n[:, :2]
+    if options.accel_covariance == "at rest":
+        found = noise.accel_covariance_at_rest(acceleration, steps.is_at_rest)
+    else:
+        found = noise.accel_covariance_in_motion(steps.t, acceleration, course, steps.period)
+    return options.default_accel_sigma**2 * np.eye(2) if found is None else found
+
+
+# ---- the result -----------------------------------------------------------------------------------------------------
+
+
+def _trajectory(
+    session: Session,
+    projection: Projection,
+    t: Array,
+    filtered: KalmanOutput,
+    inertial: Inertial | None,
+    timings: dict[str, float],
+) -> Trajectory:
+    n, origin = len(t), session.origin
+    exact = geodetic_to_nwu(*projection.to_degrees(filtered.position), np.full(n, origin.alt_m), origin)
+    unknown = np.full((n, 3), np.nan)
+    R_nb, acceleration_b, angular_rate_b = np.full((n, 3, 3), np.nan), unknown, unknown
+    if inertial is not None:
+        R_nb, acceleration_b, angular_rate_b = _body_motion(inertial, t)
+    problems = (_NO_IMU,) if inertial is None else inertial.problems
+    return Trajectory(
+        t=t,
+        position_n=_with_unknown_up(exact[:, :2]),
+        velocity_n=_with_unknown_up(filtered.velocity),
+        R_nb=R_nb,
+        acceleration_b=acceleration_b,
+        angular_rate_b=angular_rate_b,
+        sigmas=_sigmas(filtered),
+        report=EstimateReport(problems=problems, timings=timings, mode="gps-only" if inertial is None else "full"),
+    )
+
+
+def _body_motion(inertial: Inertial, t: Array) -> tuple[Array, Array, Array]:
+    """R_nb (K, 3, 3), kinematic acceleration and rate (K, 3) in b at t, NaN farther than LONGEST_STEP from a step."""
+    steps, R_bs = inertial.steps, inertial.R_bs
+    rate_s = steps.angular_rate_s - inertial.gyro_bias
+    near = nearest(steps.t, t)
+    away = t - steps.t[near]
+    R_ns = inertial.R_ns[near] @ so3.exp(np.clip(away, -LONGEST_STEP, LONGEST_STEP)[:, None] * rate_s[near])
+    acceleration_s = np.einsum("nji,nj->ni", inertial.R_ns, inertial.acceleration_n)
+    is_known = np.abs(away) <= LONGEST_STEP
+    return (
+        np.where(is_known[:, None, None], R_ns @ R_bs.T, np.nan),
+        np.where(is_known[:, None], acceleration_s[near] @ R_bs.T, np.nan),
+        np.where(is_known[:, None], rate_s[near] @ R_bs.T, np.nan),
+    )
+
+
+def _with_unknown_up(horizontal: Array) -> Array:
+    return np.column_stack([horizontal, np.full(len(horizontal), np.nan)])
+
+
+def _sigmas(filtered: KalmanOutput) -> Sigmas:
+    """Sigmas of the Kalman filter. It believes the fixes' errors independent, so they are its own, not honest ones."""
+    n = len(filtered.position)
+    variance = filtered.velocity_covariance
+    speed = np.maximum(np.hypot(filtered.velocity[:, 0], filtered.velocity[:, 1]), 1e-9)
+    along = filtered.velocity / speed[:, None]
+    return Sigmas(
+        position_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", filtered.position_covariance))),
+        velocity_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", variance))),
+        speed=np.sqrt(np.einsum("ki,kij,kj->k", along, variance, along)),
+        attitude=np.full((n, 3), np.nan),
+        track=np.full(n, np.nan),
+    )

@@ -1,0 +1,82 @@
+"""The clock of the baseline: inertial samples averaged into the steps of the Kalman filter, 50 a second by default.
+
+Averaging, not picking: it is the low-pass filter that the thesis wished for against the engine's vibration.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.samples import ImuSamples
+
+CHUNK = 65536  # rows
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Means around the times t (P,) s of a clock that starts at `start`: step number k is `start + k * period`.
+
+    Only steps that hold samples are listed; number (P,) may be negative, before the first fix. specific_force_s (P, 3)
+    m/s^2, angular_rate_s (P, 3) rad/s, is_at_rest (P,): all samples of the step were.
+    """
+
+    start: float
+    period: float
+    number: IntArray
+    specific_force_s: Array
+    angular_rate_s: Array
+    is_at_rest: BoolArray
+
+    @property
+    def t(self) -> Array:
+        """Times of the steps, (P,) s."""
+        return np.asarray(self.start + self.number * self.period)
+
+    @property
+    def interval(self) -> Array:
+        """Time since the step before, (P,) s; one period for the first."""
+        return np.diff(self.number, prepend=self.number[0] - 1) * self.period
+
+    def on_clock(self, values: Array, count: int) -> Array:
+        """Values (P, k) of the steps at the first `count` times of the clock (count, k), NaN where there are none."""
+        out = np.full((count, *values.shape[1:]), np.nan)
+        inside = (self.number >= 0) & (self.number < count)
+        out[self.number[inside]] = values[inside]
+        return out
+
+
+def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, period: float) -> Steps:
+    """Average the samples over each step, half a period to either side of its time.
+
+    A sample holds the mean over the interval before its time, so it counts as of the middle of that interval.
+    """
+    usual = np.median(np.diff(imu.t)) if len(imu.t) > 1 else period
+    interval = np.minimum(np.diff(imu.t, prepend=imu.t[0] - usual), 2.0 * usual)  # a gap is not part of a sample
+    number = np.rint((imu.t - 0.5 * interval - start) / period).astype(np.int64)
+    first = int(number[0])
+    count = np.bincount(number - first).astype(np.float64)
+    held = np.flatnonzero(count)
+
+    def mean(values: Array) -> Array:
+        return np.stack([np.bincount(number - first, column)[held] / count[held] for column in values.T], axis=-1)
+
+    resting = np.bincount(number - first, is_at_rest.astype(np.float64))[held] == count[held]
+    return Steps(start, period, first + held, mean(imu.specific_force_s), mean(imu.angular_rate_s), resting)
+
+
+def collect(rows: Iterable[tuple[float, ...]], count: int, width: int) -> Array:
+    """Array (count, width) of rows, filled in chunks: a list of a day's floats would be gigabytes."""
+    out, source = np.empty((count, width)), iter(rows)
+    for i in range(0, count, CHUNK):
+        out[i : i + CHUNK] = list(islice(source, CHUNK))
+    return out
+
+
+def nearest(times: Array, t: Array) -> IntArray:
+    """Index (K,) of the one of `times` (P,) nearest to each t (K,)."""
+    after = np.clip(np.searchsorted(times, t), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.asarray(np.where(np.abs(times[before] - t) < np.abs(times[after] - t), before, after))
