@@ -67,6 +67,13 @@ def test_slip_angle_is_a_few_degrees_inwards_and_leads_the_path(driven):
     assert np.max(fit) > 0.9
 
 
+def test_braking_and_turning_share_the_grip(driven):
+    _, truth = driven
+    forward, left, _ = (body_acceleration(states_of(truth, 300.0, start=30.0)) / STANDARD_GRAVITY).T
+    share = np.hypot(left / Motion().grip_g, np.minimum(forward, 0.0) / (Motion().braking_g + 0.25))  # 0.25 g of drag
+    assert np.max(share) < 1.1  # without the sharing: 1.3
+
+
 def test_jerk_is_bounded(driven):
     _, truth = driven
     states = states_of(truth, 300.0)
@@ -130,6 +137,10 @@ def test_kerbs_are_the_only_bumps():
     rough_up, smooth_up = states_of(rough, 60.0).acceleration_n[:, 2], states_of(smooth, 60.0).acceleration_n[:, 2]
     assert np.max(np.abs(rough_up)) > 5.0
     assert np.max(np.abs(smooth_up)) < 0.2
+    hit = np.abs(states_of(rough, 60.0).position_n[:, 2] - states_of(smooth, 60.0).position_n[:, 2]) > 0.005
+    lifted = (rough.euler(np.arange(0.0, 60.0, 1.0 / RATE)) - smooth.euler(np.arange(0.0, 60.0, 1.0 / RATE)))[hit, 0]
+    turn = smooth.at(np.arange(0.0, 60.0, 1.0 / RATE)).angular_rate_b[hit, 2]
+    assert np.mean(lifted * turn > 0.0) > 0.95  # the inner wheels climb: left turn, left side up, roll positive
     np.testing.assert_allclose(
         states_of(rough, 60.0).position_n[:, :2], states_of(smooth, 60.0).position_n[:, :2], atol=1e-9
     )

@@ -87,3 +87,10 @@ def test_corner_radius_is_the_radius_driven():
     assert square.length == pytest.approx(4 * 120.0 + 2.0 * np.pi * 40.0, rel=2e-3)
     assert np.max(square.curvature(distance)) == pytest.approx(1.0 / 40.0, rel=0.01)  # north then west: anticlockwise
     assert np.min(square.curvature(distance)) > -1e-9
+
+
+def test_start_line_stands_where_it_was_put_on_the_straight_before_the_first_corner():
+    corners = [Corner(*c, 40.0) for c in ((0, 0), (200, 0), (200, 200), (0, 200))]
+    for fraction, west in ((0.5, 100.0), (0.25, 130.0)):  # the straight runs from west 160 to west 40
+        square = Track("square", TRACKS["larkfield"].origin, corners, start_fraction=fraction)
+        np.testing.assert_allclose(square.centre(np.zeros(1))[0, :2], [0.0, west], atol=1e-6)

@@ -139,8 +139,9 @@ def test_line_driven_through_backwards_does_not_count(truth):
 
 def test_line_beside_the_path_does_not_count(truth):
     line = TRACKS["larkfield"].start_line
-    aside = line + 3.0 * (line[0] - line[1])
-    assert len(truth.crossings(aside)) == 0
+    for line_widths in (0.7, 3.0, -0.7):
+        aside = line + line_widths * (line[0] - line[1])
+        assert len(truth.crossings(aside)) == 0
 
 
 def test_clock_of_the_session_changes_stamps_and_not_motion():
