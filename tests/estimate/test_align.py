@@ -1,0 +1,166 @@
+"""Alignment in motion on drives whose mounting, biases and lag are known."""
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude, rotation_to_up
+from smoother.frames import euler_from_rotation, wrap_angle
+from smoother.samples import ImuSamples
+from smoother.sim.motion import Motion, drive
+from smoother.sim.scenario import ImuErrors
+from smoother.sim.sensors import simulate_imu
+from smoother.sim.track import TRACKS
+from smoother.sim.truth import Truth
+from smoother.units import DEG
+
+DURATION = 100.0
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
+FIX_TIMES = np.arange(1.0, DURATION - 2.0, 0.2)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    """Four laps or so, after 5 s of standing."""
+    return drive(TRACKS["larkfield"], Motion(standstill=5.0), DURATION, np.random.default_rng(4))
+
+
+def box(truth: Truth, R_bs: np.ndarray, gyro_bias: np.ndarray, seed: int = 0) -> ImuSamples:
+    """A box with a kart's vibration in its samples."""
+    errors = ImuErrors(
+        accel_noise=0.5, gyro_noise=3.0 * DEG, accel_bias=np.array([0.5, -0.4, 0.3]), gyro_bias=gyro_bias
+    )
+    raw = simulate_imu(truth, errors, R_bs, DURATION, np.random.default_rng(seed)).raw
+    return ImuSamples(raw.t, raw.accel, raw.gyro)
+
+
+def fixes(truth: Truth, lag: float = 0.0, t: np.ndarray = FIX_TIMES, seed: int = 0) -> PathMotion:
+    """Motion as a receiver with Doppler tells it, `lag` seconds late; it does not say the vertical velocity."""
+    states = truth.at(t - lag)
+    velocity_n = states.velocity_n + 0.15 * np.random.default_rng(seed).normal(size=(len(t), 3))
+    velocity_n[:, 2] = np.nan
+    return PathMotion(t, velocity_n, states.acceleration_n)
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    return so3.exp(np.random.default_rng(seed).normal(size=3) * 2.0)
+
+
+def turn_between(R: np.ndarray, other: np.ndarray) -> float:
+    return float(np.linalg.norm(so3.log(R @ other.T)))
+
+
+MOUNTINGS = [np.eye(3), UPSIDE_DOWN, so3.exp(np.array([0.0, 0.5 * np.pi, 0.0])), *map(random_rotation, range(5))]
+
+
+@pytest.mark.parametrize("number", range(len(MOUNTINGS)))
+def test_any_mounting_and_large_gyro_biases_are_found_in_motion(truth: Truth, number: int) -> None:
+    R_bs = MOUNTINGS[number]
+    gyro_bias = np.random.default_rng(number).uniform(-60.0, 60.0, 3) * DEG
+    found = align(box(truth, R_bs, gyro_bias, number), fixes(truth))
+    assert not found.is_level_only
+    # a kart leans and slides by a degree or two in proportion to its acceleration, which passes for mounting
+    assert turn_between(found.R_bs, R_bs) < 4.0 * DEG
+    np.testing.assert_allclose(found.gyro_bias_s, gyro_bias, atol=1.0 * DEG)
+    assert found.share_explained > 0.8
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1, 0.25, 0.5])
+def test_the_lag_of_the_fixes_is_found(truth: Truth, lag: float) -> None:
+    R_bs = random_rotation(7)
+    found = align(box(truth, R_bs, np.zeros(3)), fixes(truth, lag))
+    # the nose turns before the path does, which adds a few hundredths
+    assert found.lag == pytest.approx(lag, abs=0.06)
+    assert turn_between(found.R_bs, R_bs) < 4.0 * DEG
+
+
+@pytest.mark.parametrize("track", sorted(TRACKS))
+def test_tracks_that_turn_to_either_side_will_do(track: str) -> None:
+    truth = drive(TRACKS[track], Motion(standstill=0.0), DURATION, np.random.default_rng(1))
+    R_bs, gyro_bias = random_rotation(3), np.array([0.3, -0.2, -1.0])
+    found = align(box(truth, R_bs, gyro_bias), fixes(truth))
+    assert turn_between(found.R_bs, R_bs) < 5.0 * DEG
+    np.testing.assert_allclose(found.gyro_bias_s, gyro_bias, atol=1.5 * DEG)
+
+
+def test_a_wild_fix_now_and_then_does_not_matter(truth: Truth) -> None:
+    R_bs, path = random_rotation(2), fixes(truth)
+    velocity_n = path.velocity_n.copy()
+    velocity_n[::37] += np.array([15.0, -20.0, 0.0])
+    found = align(box(truth, R_bs, np.zeros(3)), PathMotion(path.t, velocity_n, path.acceleration_n))
+    assert turn_between(found.R_bs, R_bs) < 5.0 * DEG
+
+
+def test_the_attitude_to_start_from_is_good_to_a_few_degrees_in_any_box(truth: Truth) -> None:
+    R_bs, lag = random_rotation(5), 0.2
+    imu, path = box(truth, R_bs, np.array([0.2, -0.1, 0.5])), fixes(truth, lag)
+    t = np.arange(1.0, DURATION - 4.0, 0.2)
+    R_ns = initial_attitude(t, imu, path, align(imu, path))
+    states = truth.at(t)
+    error = so3.log((states.R_nb @ R_bs).transpose(0, 2, 1) @ R_ns)
+    moving = np.hypot(states.velocity_n[:, 0], states.velocity_n[:, 1]) > 3.0
+    assert np.sqrt(np.mean(np.sum(error[moving] ** 2, axis=1))) < 5.0 * DEG
+    assert np.max(np.linalg.norm(error, axis=1)) < 30.0 * DEG  # also at rest, where only the gyro speaks
+
+
+class TestAtRest:
+    @pytest.mark.parametrize("number", range(len(MOUNTINGS)))
+    def test_a_session_at_rest_is_levelled_and_no_more(self, number: int) -> None:
+        R_bs, rng = MOUNTINGS[number], np.random.default_rng(0)
+        t = np.arange(1, 6001) / 200.0
+        imu = ImuSamples(
+            t,
+            np.array([0.0, 0.0, 9.8]) @ R_bs + 0.05 * rng.normal(size=(6000, 3)),
+            0.02 + 0.01 * rng.normal(size=(6000, 3)),
+        )
+        path = PathMotion(t[::40], 0.1 * rng.normal(size=(150, 3)), np.zeros((150, 3)))
+        found = align(imu, path)
+        assert found.is_level_only
+        np.testing.assert_allclose(found.gyro_bias_s, 0.02, atol=1e-3)
+        roll, pitch, _ = euler_from_rotation(found.R_bs @ R_bs.T)
+        assert abs(roll) < 0.1 * DEG
+        assert abs(pitch) < 0.1 * DEG
+        R_ns = initial_attitude(path.t, imu, path, found)
+        np.testing.assert_allclose(
+            R_ns @ R_bs.T @ [0.0, 0.0, 1.0], np.broadcast_to([0.0, 0.0, 1.0], (150, 3)), atol=2e-3
+        )
+
+    def test_a_kart_that_moved_for_a_second_or_two_is_not_aligned_in_motion(self, truth: Truth) -> None:
+        path = fixes(truth, t=np.arange(1.0, 8.0, 0.2))
+        assert np.count_nonzero(path.speed > 3.0) < 30
+        assert align(box(truth, np.eye(3), np.zeros(3)), path).is_level_only
+
+    def test_while_it_stands_the_yaw_follows_the_gyro(self) -> None:
+        """Pushed round by hand between two runs: the course says nothing, the gyro everything."""
+        t = np.arange(1, 12001) / 200.0
+        rate = np.zeros((12000, 3))
+        turning = (t > 25.0) & (t < 27.0)
+        rate[turning, 2] = 0.25 * np.pi
+        imu = ImuSamples(t, np.tile([0.0, 0.0, 9.8], (12000, 1)), rate)
+        fix = t[39::40]
+        course = np.where(fix < 26.0, 0.0, 0.5 * np.pi)
+        speed = np.where((fix < 20.0) | (fix > 35.0), 10.0, 0.0)
+        path = PathMotion(
+            fix, np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(300)], axis=1), np.zeros((300, 3))
+        )
+        aligned = Alignment(np.eye(3), np.zeros(3), 0.0, 1.0, False)
+        ask = np.array([10.0, 22.0, 26.0, 30.0, 50.0])
+        yaw = euler_from_rotation(initial_attitude(ask, imu, path, aligned))[2]
+        np.testing.assert_allclose(wrap_angle(yaw - 0.5 * np.pi * np.array([0.0, 0.0, 0.5, 1.0, 1.0])), 0.0, atol=0.02)
+
+
+class TestRotationToUp:
+    def test_it_takes_a_direction_up_by_the_shortest_way(self) -> None:
+        directions = np.random.default_rng(0).normal(size=(50, 3))
+        for up_s in directions / np.linalg.norm(directions, axis=1, keepdims=True):
+            R = rotation_to_up(up_s)
+            np.testing.assert_allclose(R @ up_s, [0.0, 0.0, 1.0], atol=1e-12)
+            np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+            assert np.linalg.norm(so3.log(R)) == pytest.approx(np.arccos(up_s[2]), abs=1e-7)
+
+    @pytest.mark.parametrize("tiny", [0.0, 1e-12])
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_straight_up_and_straight_down_are_rotations_too(self, tiny: float, sign: float) -> None:
+        R = rotation_to_up(np.array([tiny, 0.0, sign]))
+        np.testing.assert_allclose(R @ [0.0, 0.0, sign], [0.0, 0.0, 1.0], atol=1e-9)
+        assert np.linalg.det(R) == pytest.approx(1.0)
