@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",
-    "lever_arm_b": "antenna from box (forward, left, up)",
-    "R_bs": "box in the kart (roll, pitch, yaw)",
+    "lever_arm_b": "antenna from box",
+    "R_bs": "box in the kart",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "gps_offset_sigma": "GPS wander",
@@ -33,7 +33,7 @@ def show_result(result: Result) -> None:
     if document["sigma_median"]:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
     for name, identified in document["identified"].items():
-        pairs.append((_NAMES.get(name, name.replace("_", " ")), _identified(name, identified)))
+        pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
@@ -68,12 +68,13 @@ def _identified(name: str, identified: Identified) -> str:
     weak = identified.source == "identified" and not identified.observable
     source = "weakly identified" if weak else identified.source
     if name == "R_bs":
-        return f"{_mounting(identified.value)} deg ({source})"
+        return f"{_mounting(identified.value)} ({source})"
     unit, factor, digits = _shown_unit(identified.unit)
     text = _values(identified.value, factor, digits)
     if identified.sigma is not None:
         text += f" ± {_values(identified.sigma, factor, digits)}"
-    return f"{text} {unit} ({source})"
+    axes = " forward, left, up" if name == "lever_arm_b" else ""
+    return f"{text} {unit}{axes} ({source})"
 
 
 def _mounting(R_bs: Any) -> str:
@@ -81,8 +82,8 @@ def _mounting(R_bs: Any) -> str:
 
     from smoother.frames import euler_from_rotation
 
-    roll_pitch_yaw = [float(angle) for angle in euler_from_rotation(np.asarray(R_bs))]
-    return _values(roll_pitch_yaw, 1.0 / DEG, 1)
+    roll, pitch, yaw = (float(angle) / DEG for angle in euler_from_rotation(np.asarray(R_bs)))
+    return f"rolled {roll:.1f}, pitched {pitch:.1f}, yawed {yaw:.1f} deg"
 
 
 def _shown_unit(unit: str) -> tuple[str, float, int]:

@@ -183,31 +183,30 @@ def biases(shown: Shown) -> Figure | None:
     keyframes = shown.smoothed.report.keyframes
     if keyframes is None or not np.isfinite(keyframes.gyro_bias_s).any():
         return None
-    figure = style.new_figure(f"Sensor biases found: {shown.heading}")
-    accel, gyro = figure.subplots(2, 1, sharex=True)
+    figure = style.new_figure(f"Sensor biases found, in the sensor's own axes: {shown.heading}", 12.0, 7.6)
+    rows = figure.subplots(3, 2, sharex=True)
     t = keyframes.t - shown.start
-    pairs = (
-        (accel, keyframes.accel_bias_s, keyframes.sigma_accel_bias, 1.0, "accelerometer (m/s²)"),
-        (gyro, keyframes.gyro_bias_s, keyframes.sigma_gyro_bias, DEG, "gyroscope (deg/s)"),
+    sensors = (
+        ("Accelerometer (m/s²), band: two sigma", keyframes.accel_bias_s, keyframes.sigma_accel_bias, 1.0),
+        ("Gyroscope (deg/s), band: two sigma", keyframes.gyro_bias_s, keyframes.sigma_gyro_bias, DEG),
     )
-    for axes, bias, sigma, unit, label in pairs:
+    for column, (title, bias, sigma, unit) in enumerate(sensors):
         for i, name in enumerate("xyz"):
-            axes.plot(*style.thinned(t, bias[:, i] / unit), color=style.AXES_COLOURS[i], label=name)
+            axes = rows[i, column]
+            axes.plot(*style.thinned(t, bias[:, i] / unit), color=style.AXES_COLOURS[i])
             style.band(axes, t, bias[:, i] / unit, sigma[:, i] / unit, style.AXES_COLOURS[i])
-        axes.set_ylabel(label)
-        axes.set_ylim(style.limits_around(bias / unit, 0.5, least=0.2))
-    accel.set_title("In the axes of the sensor; band: two sigma")
-    style.outside_legend(accel)
-    _time_axis(gyro, shown)
+            axes.set_ylabel(name)
+        rows[0, column].set_title(title)
+        _time_axis(rows[2, column], shown)
     return figure
 
 
 def residuals(shown: Shown) -> Figure | None:
-    """Distance of the trajectory from every fix, per axis, over time and as a distribution."""
+    """What is left of every fix once delay and slow offset are taken out, over time and as a distribution."""
     fixes = shown.smoothed.report.fixes
     if fixes is None or not len(fixes.index):
         return None
-    figure = style.new_figure(f"Trajectory minus fixes: {shown.heading}", 12.0, 8.0)
+    figure = style.new_figure(f"What the smoother expected minus each fix: {shown.heading}", 12.0, 8.0)
     rows = figure.subplots(3, 2, width_ratios=[5.0, 1.0], sharex="col", sharey="row")
     t = shown.session.gnss.t[fixes.index] - shown.start
     down = fixes.weight < 0.5

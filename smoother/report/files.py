@@ -85,7 +85,8 @@ def trajectory_table(trajectory: Trajectory, origin: Origin, unix_at_zero: float
 def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:
     """Return one row per fix in the frame of the trajectory. Residual: prediction - measurement; weight 0..1.
 
-    Both are NaN for a fix the smoother had no use for.
+    The prediction contains what the smoother found out about the receiver (delay, lever arm, slow offset). Both are NaN
+    for a fix it had no use for.
     """
     fixes, n = session.gnss, len(session.gnss)
     residual_n, weight = np.full((n, 3), np.nan), np.full(n, np.nan)
