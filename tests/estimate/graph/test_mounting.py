@@ -1,0 +1,97 @@
+"""The mounting from path and attitude, on states whose slip and lean are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph.mounting import CORRELATION_TIME, fit_mounting
+from smoother.estimate.graph.state import ChainState, Constants
+from smoother.frames import rotation_from_euler
+from smoother.units import DEG
+
+K, INTERVAL = 1500, 0.2
+ROUGH = 4.0 * DEG
+
+
+def state_of_drive(
+    R_bs: np.ndarray, slip: float, lean: float, noise: float, seed: int = 0, turns: float = 0.1
+) -> ChainState:
+    """A kart on winding road: slip angle, roll and pitch in proportion to acceleration, plus noise, all in rad.
+
+    slip, lean: rad per m/s^2. turns: share by which one side outweighs the other.
+    """
+    rng = np.random.default_rng(seed)
+    t = INTERVAL * np.arange(K)
+    speed = 14.0 + 4.0 * np.sin(0.31 * t)
+    course_rate = 0.5 * (np.sin(0.4 * t) + np.sin(0.17 * t)) + turns
+    course = np.cumsum(course_rate) * INTERVAL
+    left, forward = speed * course_rate, 4.0 * 0.31 * np.cos(0.31 * t)
+    roll, pitch, slide = noise * rng.normal(size=(3, K))
+    R_nb = rotation_from_euler(lean * left + roll, -lean * forward + pitch, course + slip * left + slide)
+    velocity_n = np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(K)], axis=1)
+    zeros = np.zeros((K, 3))
+    return ChainState(t, R_nb @ R_bs, zeros, velocity_n, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+
+
+def rough(R_bs: np.ndarray, seed: int) -> np.ndarray:
+    return so3.exp(ROUGH * np.random.default_rng(100 + seed).uniform(-1.0, 1.0, 3)) @ R_bs
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    return so3.exp(np.random.default_rng(seed).normal(size=3) * 2.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_known_mounting_is_found_though_the_kart_slides_and_leans_with_its_acceleration(seed: int) -> None:
+    R_bs = random_rotation(seed)
+    state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG, seed=seed)
+    found = fit_mounting(state, rough(R_bs, seed))
+    assert found.is_observable
+    assert np.max(np.abs(so3.log(found.R_bs @ R_bs.T))) < 0.15 * DEG
+
+
+def test_more_turns_to_one_side_do_not_pass_for_a_crooked_box() -> None:
+    R_bs = random_rotation(1)
+    state = state_of_drive(R_bs, slip=1.0 * DEG, lean=0.5 * DEG, noise=0.2 * DEG, turns=0.3)
+    found = fit_mounting(state, R_bs)
+    error = so3.log(found.R_bs @ R_bs.T)
+    mean_slip = 1.0 * DEG * 14.0 * 0.3  # what an average would have taken for mounting: 4 deg
+    assert np.abs(error[2]) < 0.05 * mean_slip
+    assert np.abs(error[0]) < 0.05 * mean_slip
+
+
+def test_sigma_covers_the_error_of_slips_that_last_as_long_as_a_corner() -> None:
+    """Errors in units of sigma over drives, where noise is correlated over the time that the fit assumes."""
+    normalised = []
+    for seed in range(30):
+        R_bs = random_rotation(seed)
+        rng = np.random.default_rng(1000 + seed)
+        state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.0, seed=seed)
+        corner = round(CORRELATION_TIME / INTERVAL)
+        wander = np.repeat(1.0 * DEG * rng.normal(size=(K // corner, 3)), corner, axis=0)
+        R_nb = state.R_ns @ R_bs.T @ so3.exp(wander)
+        found = fit_mounting(replace(state, R_ns=R_nb @ R_bs), rough(R_bs, seed))
+        normalised.append(so3.log(R_bs @ found.R_bs.T) / found.sigma)
+    rms = np.sqrt(np.mean(np.square(normalised)))
+    assert 0.6 < rms < 1.5  # 90 values, honest to a third: the fit knows the correlation time by assumption only
+
+
+def test_wild_slides_are_left_out() -> None:
+    R_bs = random_rotation(2)
+    state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
+    spin = np.zeros((K, 3))
+    spin[np.random.default_rng(0).random(K) < 0.05, 2] = 60.0 * DEG
+    thrown = replace(state, R_ns=state.R_ns @ R_bs.T @ so3.exp(spin) @ R_bs)
+    assert np.max(np.abs(so3.log(fit_mounting(thrown, rough(R_bs, 0)).R_bs @ R_bs.T))) < 0.5 * DEG
+
+
+def test_a_kart_that_hardly_moved_keeps_the_rough_mounting_and_says_so() -> None:
+    R_bs = random_rotation(3)
+    state = state_of_drive(R_bs, 0.0, 0.0, 0.0)
+    slow = replace(state, velocity_n=0.2 * state.velocity_n)
+    found = fit_mounting(slow, R_bs)
+    assert not found.is_observable
+    np.testing.assert_array_equal(found.R_bs, R_bs)
+    assert np.all(found.sigma > 40.0 * DEG)
