@@ -109,7 +109,7 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
     gaps = steps[find_gaps(base)]
     if gaps.size:
         gap_count = counted(gaps.size, "gap")
-        text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.2f} s, {gaps.sum():.1f} s in all"
+        text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.3g} s, {gaps.sum():.3g} s in all"
         problems.append(Problem(f"{prefix}_gap", text, int(gaps.size)))
     if base.jitter > BLOCK_JITTER * base.period:
         text = f"{file}: stamps jitter by {1e3 * base.jitter:.1f} ms rms; evened out"

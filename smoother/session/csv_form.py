@@ -7,7 +7,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.fixes import FixColumns, screen_fixes
-from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times
+from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times, taken
 from smoother.session.tables import Table, read_table
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -33,9 +33,10 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     with np.errstate(invalid="ignore"):
         too_large = np.any(np.abs(accel) > ABSURD_SPECIFIC_FORCE, axis=1) | np.any(np.abs(gyro) > ABSURD_RATE, axis=1)
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
-    t = spread_coarse_times(rows, t, np.hstack([accel, gyro]))
+    del table  # its columns have been copied; a long recording fills the memory once, not twice
+    t = spread_coarse_times(rows, t, accel, gyro)
     time, index = put_in_time_order(rows, t)
-    return RawImu(time, accel[index], gyro[index]), rows.problems
+    return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
 
 
 def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:

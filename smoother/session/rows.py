@@ -75,18 +75,19 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     return time[~stray], index[~stray]
 
 
-def spread_coarse_times(rows: RowFilter, t: Array, values: Array) -> Array:
-    """Times (N,) s in which rows that share a stamp but not their values (N, M) are spread up to the next stamp.
+def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
+    """Times (N,) s in which rows that share a stamp but not their values, each (N, M), are spread up to the next stamp.
 
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
     as repeated would thin the recording. A few equal stamps are left to be dropped.
     """
     index = np.flatnonzero(rows.keep)
     time = t[index]
-    if np.all(np.diff(time) != 0.0):
-        return t
-    shares = (np.diff(time) == 0.0) & np.any(np.diff(values[index], axis=0) != 0.0, axis=1)
-    if np.count_nonzero(shares) < COARSE_SHARE * index.size:
+    shares = np.diff(time) == 0.0
+    equal = np.flatnonzero(shares)
+    here, before = index[equal + 1], index[equal]
+    shares[equal] = np.any([np.any(value[here] != value[before], axis=1) for value in values], axis=0)
+    if equal.size == 0 or np.count_nonzero(shares) < COARSE_SHARE * index.size:
         return t
     group = np.cumsum(np.append(True, ~shares)) - 1
     first = np.flatnonzero(np.append(True, ~shares))
@@ -230,6 +231,15 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
     while last < bounds.size - 2 and belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1], last + 1):
         last += 1
     return first, last
+
+
+def taken(values: Array, index: IntArray) -> Array:
+    """Rows `index` of values (N, ...), read-only: `values` itself if they are all of them, to spare a long recording
+    the copy. The caller gives `values` away.
+    """
+    rows = values if np.array_equal(index, np.arange(len(values))) else values[index]
+    rows.flags.writeable = False
+    return rows
 
 
 def _mask(rows: RowFilter, index: IntArray) -> BoolArray:
