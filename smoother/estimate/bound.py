@@ -10,6 +10,7 @@ Errors are truth minus estimate: attitude in n (`R_true = exp(phi) @ R_estimate`
 n, biases in s. Source: Van Trees, Bell & Tian 2013, 4.2.3; error dynamics of Groves 2013, 14.2.4.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,17 +75,19 @@ class Bound:
     velocity_latency: float
     lever_arm_b: Array
 
-    def rms(self, start: float, end: float) -> "BoundRms":
-        """Root mean squares over start <= t <= end."""
-        inside = (self.t >= start) & (self.t <= end)
+    def rms(self, start: float, end: float, left_out: Sequence[tuple[float, float]] = ()) -> "BoundRms":
+        """Root mean squares over start <= t <= end without the stretches left_out; NaN where nothing is known."""
+        inside = within(self.t, start, end, left_out)
+        later = inside & within(self.t + RELATIVE_INTERVAL, start, end, left_out)
 
-        def rms(values: Array) -> float:
-            return float(np.sqrt(np.nanmean(values[inside] ** 2)))
+        def rms(values: Array, where: BoolArray = inside) -> float:
+            known = values[where & np.isfinite(values)]
+            return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
 
         roll, pitch, yaw = (rms(self.attitude[:, i]) for i in range(3))
         return BoundRms(
             rms(self.velocity),
-            rms(self.relative),
+            rms(self.relative, later),
             roll,
             pitch,
             yaw,
@@ -117,6 +120,14 @@ def scored_span(simulation: Simulation) -> tuple[float, float]:
     standstill = simulation.scenario.motion.standstill or 0.0
     start = float(simulation.truth.clock.to_session(np.asarray(standstill + SETTLING)))
     return start, float(simulation.gnss.position_time[-1])
+
+
+def within(t: Array, start: float, end: float, left_out: Sequence[tuple[float, float]] = ()) -> BoolArray:
+    """Mask (N,) of the times t (N,) in start..end that fall into none of the stretches (start, end) left out."""
+    inside = (t >= start) & (t <= end)
+    for first, last in left_out:
+        inside &= (t < first) | (t > last)
+    return np.asarray(inside)
 
 
 def information_bound(simulation: Simulation, options: BoundOptions | None = None) -> Bound:
@@ -402,14 +413,14 @@ def _relative_sigma(t: Array, solution: ChainSolution, J: Array, C: Array) -> Ar
     P = solution.covariance - gain @ X.transpose(0, 2, 1)
     neighbour = solution.cross - gain[:-1] @ X[1:].transpose(0, 2, 1)
     onward = _solve_scaled(P[:-1], neighbour)  # P(k)^-1 P(k, k+1)
-    later = np.searchsorted(t, t + RELATIVE_INTERVAL - 1e-4)
+    later = np.searchsorted(t, t + RELATIVE_INTERVAL - 0.5 * _MERGED)  # a clock may drift by 0.2 ms a second
     cross = P.copy()  # P(k, k + j), j = 0 at first
     reached = np.arange(n)
     while np.any(on := (reached < later) & (reached < n - 1)):
         cross[on] = cross[on] @ onward[reached[on]]
         reached[on] += 1
     met = (later < n) & (reached == later)
-    met[met] = np.abs(t[later[met]] - t[met] - RELATIVE_INTERVAL) < 1e-3
+    met[met] = np.abs(t[later[met]] - t[met] - RELATIVE_INTERVAL) < 0.5 * _MERGED
     k, j = np.flatnonzero(met), later[met]
     by_constants = C[j] - C[k] + J[j] @ gain[j] - J[k] @ gain[k]  # gain c: the mean of a keyframe given the constants
     variance = np.einsum("nri,nij,nrj->n", J[k], P[k], J[k], optimize=True)
