@@ -14,9 +14,12 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.imu import (
+    YAW_JERK_RATE,
     BinnedImu,
     DensePath,
     InertialNoise,
+    averaged,
+    corrected,
     dense_path,
     interval_noise,
     preintegrate,
@@ -28,23 +31,38 @@ from smoother.estimate.graph.inertial import (
     ValuesFactory,
     add_inertial,
     empty_system,
+    inertial_after_errors,
     inertial_after_step,
     inertial_graph,
     inertial_residuals,
     linearize_inertial,
 )
-from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, ChainState
+from smoother.estimate.graph.state import (
+    ACCEL_BIAS,
+    ACCEL_ERROR,
+    GYRO_BIAS,
+    GYRO_ERROR,
+    ROTATION,
+    ROW_CONSTANTS_SIZE,
+    TRANSLATION,
+    VELOCITY,
+    ChainState,
+    Constants,
+)
 
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 2e-4), (TRANSLATION, 2e-3), (VELOCITY, 2e-3))  # rad, m, m/s: far below any sigma
-RELATIVE_FLOOR = 1e-3  # of the square root of a variance ratio: noise is known to some per cent at best
+SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data sheet allows 3 % at the worst
+STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
+STILL_TURN = 3e-4  # rad between keyframes, likewise
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
     """Everything the graph assumes about noise. Sigmas per axis of n (3,): m for positions, m/s for velocities.
 
-    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes.
+    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (2,) is the spread
+    of the entries of accel_error and gyro_error, scale and misalignment.
     """
 
     inertial: InertialNoise
@@ -52,6 +70,7 @@ class Noise:
     velocity: Array
     offset_sigma: Array
     offset_tau: float
+    sensor_error: Array
 
     @property
     def offset_q(self) -> Array:
@@ -63,12 +82,13 @@ class Noise:
         return float(np.max(np.abs(np.log(self._levels() / other._levels()))))
 
     def _levels(self) -> Array:
-        return np.concatenate([[self.inertial.accel, self.inertial.gyro], self.position, self.velocity])
+        densities = [self.inertial.accel, self.inertial.gyro]
+        return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (6,)."""
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (24,)."""
 
     accel_bias: float
     gyro_bias: float
@@ -81,7 +101,8 @@ class Priors:
 class Data:
     """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
 
-    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest.
+    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest; up_s (3,) roughly
+    the kart's up in s.
     """
 
     t: Array
@@ -90,6 +111,7 @@ class Data:
     position_scale: Array
     velocity_scale: Array
     still: np.ndarray
+    up_s: Array
     extra: tuple[Callable[[ChainState, Noise], rw.Rows], ...] = ()
 
 
@@ -103,6 +125,14 @@ class Solved:
     rows: dict[str, rw.Rows]
 
 
+@dataclass(frozen=True, eq=False)
+class Preintegrated:
+    """Inertial factors, and the constants whose sensor errors were taken out of the samples before."""
+
+    factors: gtsam.NonlinearFactorGraph
+    constants: Constants
+
+
 class Batch:
     """One session's graph. Data and inertial bins are fixed; states and noise go in and come out."""
 
@@ -112,14 +142,16 @@ class Batch:
         self._priors = priors
         self._factory = ValuesFactory(len(binned.t))
 
-    def graph(self, state: ChainState, noise: Noise) -> gtsam.NonlinearFactorGraph:
-        """Preintegrate the inertial samples about the biases of `state` and return their factors."""
+    def graph(self, state: ChainState, noise: Noise) -> "Preintegrated":
+        """Preintegrate the inertial samples about the biases and sensor errors of `state`."""
         biases = state.accel_bias_s[:-1], state.gyro_bias_s[:-1]
-        return inertial_graph(preintegrate(self._binned, noise.inertial, *biases))
+        return Preintegrated(inertial_graph(preintegrate(self.bins(state), noise.inertial, *biases)), state.constants)
 
-    def converge(
-        self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise, iterations: int
-    ) -> ChainState:
+    def bins(self, state: ChainState) -> BinnedImu:
+        """Inertial bins with the state's errors of scale and misalignment taken out."""
+        return corrected(self._binned, state.constants.accel_error, state.constants.gyro_error)
+
+    def converge(self, graph: Preintegrated, state: ChainState, noise: Noise, iterations: int) -> ChainState:
         """Gauss-Newton from `state`, at most `iterations` steps."""
         for _ in range(iterations):
             system, _, _ = self._linearize(graph, state, noise)
@@ -129,51 +161,68 @@ class Batch:
                 break
         return state
 
-    def step(self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise) -> Solved:
+    def step(self, graph: Preintegrated, state: ChainState, noise: Noise) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it."""
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system)
         return Solved(
             state.retract(solution.x, solution.constants),
             solution,
-            inertial_after_step(inertial, solution.x),
+            inertial_after_step(inertial, solution.x, solution.constants),
             {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
         )
 
     def path(self, state: ChainState) -> DensePath:
         """Dense path through the keyframes of `state`."""
         return dense_path(
-            self._binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
+            self.bins(state), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
         )
 
     def _linearize(
-        self, graph: gtsam.NonlinearFactorGraph, state: ChainState, noise: Noise
+        self, graph: Preintegrated, state: ChainState, noise: Noise
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
-        inertial = linearize_inertial(graph, self._factory.values(state))
+        # A scale multiplies what is felt across gravity and turned about it. Along gravity it is a bias; a kart's rates
+        # of roll and pitch are mostly noise, and a scale fitted to noise would be fitted to hide it.
+        up = self._data.up_s
+        force = self._binned.specific_force_s.mean(axis=1) - state.accel_bias_s[:-1]
+        rate = self._binned.angular_rate_s.mean(axis=1) - state.gyro_bias_s[:-1]
+        force, rate = force - np.outer(force @ up, up), np.outer(rate @ up, up)
+        inertial = linearize_inertial(graph.factors, self._factory.values(state), force, rate)
         rows = {r.name: r for r in self._rows(state, noise)}
+        inertial = inertial_after_errors(inertial, state.constants.as_vector() - graph.constants.as_vector())
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         for r in rows.values():
             rw.add_rows(system, r)
+        prior = self._priors
+        difference = state.constants.as_vector() - prior.constants
+        rw.add_constants_prior(system, difference, constants_sigma(prior, noise))
         return system, inertial, rows
 
     def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:
         d, prior = self._data, self._priors
         path = reading_path(self._binned, self.path(state), noise.inertial.accel)
+        rate_s = averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE)
         position = rw.position_rows(
-            state, path, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
+            state, path, rate_s, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
         )
-        velocity = rw.velocity_rows(state, path, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
+        velocity = rw.velocity_rows(state, path, rate_s, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
         out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
         bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
         sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
         out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
         out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
-        out.append(rw.constants_prior_row(state.constants.as_vector() - prior.constants, prior.constants_sigma))
         if len(d.still):
-            out.append(rw.standstill_rows(state, d.still, 0.03, 2e-3))
+            out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
         out.extend(make(state, noise) for make in d.extra)
         return out
+
+
+def constants_sigma(priors: Priors, noise: Noise) -> Array:
+    """Prior sigma (24,) of all constants."""
+    sigma = priors.constants_sigma.copy()
+    sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
+    return sigma
 
 
 def _robust(rows: rw.Rows) -> rw.Rows:
@@ -190,19 +239,17 @@ def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
     k = rows.interval
     P = solution.covariance
     left, right, constants = rows.left, rows.right, rows.constants
+    own = slice(0, ROW_CONSTANTS_SIZE)
+    S, cross = solution.constants_covariance[own, own], solution.constants_cross[:, :, own]
 
     def quadratic(A: Array, M: Array, B: Array) -> Array:
         return np.asarray(np.einsum("nri,nri->nr", A @ M, B))
 
     out = quadratic(left, P[k], left) + quadratic(right, P[k + 1], right)
     out += 2.0 * quadratic(left, solution.cross[k], right)
-    out += quadratic(
-        constants,
-        np.broadcast_to(solution.constants_covariance, (len(k), *solution.constants_covariance.shape)),
-        constants,
-    )
-    out += 2.0 * quadratic(left, solution.constants_cross[k], constants)
-    out += 2.0 * quadratic(right, solution.constants_cross[k + 1], constants)
+    out += quadratic(constants, np.broadcast_to(S, (len(k), *S.shape)), constants)
+    out += 2.0 * quadratic(left, cross[k], constants)
+    out += 2.0 * quadratic(right, cross[k + 1], constants)
     return out
 
 
@@ -226,6 +273,8 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
         inertial=new,
         position=noise.position * _row_ratio(position, solution, ((0, 1), (2,))),
         velocity=noise.velocity * _row_ratio(velocity, solution, ((0, 1), (2,))),
+        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
+        sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
 
@@ -249,6 +298,27 @@ def _row_ratio(rows: rw.Rows, solution: ChainSolution, groups: tuple[tuple[int, 
         redundancy = float(np.sum(np.where(known, rows.weight[:, None] - posterior[:, g] * information[:, g], 0.0)))
         out[g] = _bounded(chi2, redundancy, int(np.count_nonzero(known)))
     return out
+
+
+def _offset_ratio(solved: Solved) -> Array:
+    """Ratio (3,) for the sigma of the GPS offset: few of its steps stand out of the white noise, so it moves slowly."""
+    start, steps = solved.rows["gps_offset_start"], solved.rows["gps_offset"]
+    chi2, redundancy = np.zeros(3), np.zeros(3)
+    for rows in (start, steps):
+        chi2 += np.sum(rows.residual**2 * rows.information, axis=0)
+        redundancy += np.sum(1.0 - posterior_variance(rows, solved.solution) * rows.information, axis=0)
+    chi2[:2], redundancy[:2] = chi2[:2].mean(), redundancy[:2].mean()
+    return np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
+
+
+def _error_ratio(solved: Solved, noise: Noise) -> Array:
+    """Ratio (2,) for the spread of scale and misalignment: nine values each, of which a session shows six and three."""
+    out = []
+    for part, sigma in zip((ACCEL_ERROR, GYRO_ERROR), noise.sensor_error, strict=True):
+        chi2 = float(np.sum((solved.state.constants.as_vector()[part] / sigma) ** 2))
+        redundancy = 9.0 - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
+        out.append(np.clip(np.sqrt((chi2 + 1.0) / (max(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0))
+    return np.array(out)
 
 
 def _bounded(chi2: float, redundancy: float, count: int) -> float:

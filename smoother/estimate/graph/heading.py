@@ -3,8 +3,9 @@
 In a kart the magnetometer sits among iron and currents, and laps show only part of what a calibration needs: the kart
 stays nearly level. What laps do show is fitted here, field_s = A R_sn B_n + h, with the matrix drawn towards a multiple
 of one where the laps are silent. The graph then uses the heading of the corrected field, with an unknown offset of its
-own: relative to itself the field may steady the yaw, but it cannot contradict the course. Where it disagrees with the
-gyro it is left out.
+own: relative to itself the field may steady the yaw, but it cannot contradict the course. Only a field that needs no
+correction, because it was calibrated before, also says where north is. Where the field disagrees with the gyro it is
+left out.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from smoother.estimate.graph.state import ChainState
 from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
 
+NEEDS_NO_FIT = np.radians(4.0)  # rms and mean of the heading error of a field that was calibrated before
+CALIBRATED_OFFSET = np.radians(0.5)  # of such a field: the magnetic model's own error, and what calibration leaves
+UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
 SPACING = 1.0  # s between heading factors, since the field's errors last
@@ -24,12 +28,13 @@ RIDGE = 0.03  # weight of the prior on the matrix, relative to the data
 
 @dataclass(frozen=True, eq=False)
 class Heading:
-    """Heading measurements: intervals (N,), corrected field_s (N, 3), and sigma rad. rms rad of all that agreed."""
+    """Heading measurements: intervals (N,), corrected field_s (N, 3), sigma rad of each, and of their common offset."""
 
     interval: np.ndarray
     field_s: Array
     field_yaw: float
     sigma: float
+    offset_sigma: float
 
 
 def heading_from_field(mag: MagSamples, state: ChainState, declination: float, inclination: float) -> Heading | None:
@@ -56,13 +61,22 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     if np.linalg.cond(matrix) > 20.0:
         return None
     corrected = np.linalg.solve(matrix, (measured - iron).T).T
-    turned = np.einsum("kij,kj->ki", state.R_ns[at], corrected)
-    error = wrap_angle(np.arctan2(turned[:, 1], turned[:, 0]) + declination)
+    error = _heading_error(state.R_ns[at], measured, declination)
+    offset_sigma = CALIBRATED_OFFSET
+    if np.sqrt(np.median(error**2)) > 0.7 * NEEDS_NO_FIT or abs(float(np.median(error))) > 0.5 * NEEDS_NO_FIT:
+        offset_sigma, measured = UNKNOWN_OFFSET, corrected
+        error = _heading_error(state.R_ns[at], corrected, declination)
     rms = float(np.sqrt(np.average(error**2, weights=weight)))
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
     if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
         return None
-    return Heading(at[keep], corrected[keep], -declination, max(rms, FLOOR))
+    return Heading(at[keep], measured[keep], -declination, max(rms, FLOOR), offset_sigma)
+
+
+def _heading_error(R_ns: Array, field_s: Array, declination: float) -> Array:
+    """Yaw (N,) rad by which the field's direction in n differs from magnetic north."""
+    turned = np.einsum("kij,kj->ki", R_ns, field_s)
+    return wrap_angle(np.arctan2(turned[:, 1], turned[:, 0]) + declination)
 
 
 def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:

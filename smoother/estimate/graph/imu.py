@@ -7,10 +7,11 @@ makes GTSAM's first-order step, which rotates the force with the attitude at the
 order. Axes are s throughout: the graph estimates the attitude of the sensor, R_ns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
@@ -46,6 +47,15 @@ class BinnedImu:
     def edges(self) -> Array:
         """Times of all bin edges, ((K-1) n_bins + 1,) s."""
         return np.asarray(self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1))
+
+
+def corrected(binned: BinnedImu, accel_error: Array, gyro_error: Array) -> BinnedImu:
+    """Return the bins with errors (3, 3) of scale and misalignment taken out, to first order."""
+    return replace(
+        binned,
+        specific_force_s=binned.specific_force_s - binned.specific_force_s @ accel_error.T,
+        angular_rate_s=binned.angular_rate_s - binned.angular_rate_s @ gyro_error.T,
+    )
 
 
 @dataclass(frozen=True)
@@ -273,6 +283,26 @@ def reading_path(binned: BinnedImu, path: DensePath, accel_density: float) -> De
 def _flatten(stack: Array, last: Array) -> Array:
     """(K-1, n+1, ...) with shared ends -> ((K-1) n + 1, ...)."""
     return np.concatenate([stack[:, :-1].reshape(-1, *stack.shape[2:]), last[None]])
+
+
+YAW_JERK_RATE = 20.0  # rad/s^3 rms: how sharply a kart's turning rate bends
+JERK_RATE = 50.0  # m/s^4 rms, likewise of its acceleration
+
+
+def averaged(path: DensePath, values: Array, density: float, bend: float) -> Array:
+    """Average values of the bins (M-1, 3) against white noise of `density`. Returns them at the edges, (M, 3).
+
+    A Gaussian of width s leaves q^2 / (2 sqrt(pi) s) of white noise of density q and adds a bias of half s^2 times the
+    second derivative, whose rms is `bend`; the width that balances both is (q^2 / (3.54 bend^2))^(1/5).
+    """
+    width = (density**2 / (3.54 * bend**2)) ** 0.2
+    smooth = gaussian_filter1d(values, width / (path.t[1] - path.t[0]), axis=0, mode="nearest")
+    return np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
+
+
+def at_times(path: DensePath, values: Array, t: Array) -> Array:
+    """Interpolate values (M, 3) given at the edges of the path at t (N,). Returns (N, 3)."""
+    return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """The inertial part of the graph: GTSAM's CombinedImuFactor over every interval, linearised into the chain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -11,8 +11,10 @@ from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
+    ACCEL_ERROR,
     CONSTANTS_SIZE,
     GYRO_BIAS,
+    GYRO_ERROR,
     KEYFRAME_SIZE,
     ROTATION,
     TRANSLATION,
@@ -24,6 +26,7 @@ from smoother.estimate.graph.state import (
 _LEFT = np.r_[0:6, 6:9, 18:24]
 _RIGHT = np.r_[9:15, 15:18, 24:30]
 _INERTIAL = slice(0, 15)
+_ERRORS = slice(ACCEL_ERROR.start, GYRO_ERROR.stop)
 
 
 def inertial_graph(measured: Sequence[gtsam.PreintegratedCombinedMeasurements]) -> gtsam.NonlinearFactorGraph:
@@ -57,25 +60,44 @@ class ValuesFactory:
 
 @dataclass(frozen=True, eq=False)
 class LinearInertial:
-    """Whitened Jacobians left, right (K-1, 15, 15) by the inertial part of the ends, and residual (K-1, 15)."""
+    """Whitened Jacobians left, right (K-1, 15, 15) by the inertial part of the ends, errors (K-1, 15, 18) by the
+    errors of scale and misalignment, and residual (K-1, 15).
+    """
 
     left: Array
     right: Array
+    errors: Array
     residual: Array
 
 
-def linearize_inertial(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> LinearInertial:
-    """Linearise the graph by GTSAM. Rows: rotation, position, velocity, bias of force, bias of rate; whitened."""
+def linearize_inertial(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, mean_force: Array, mean_rate: Array
+) -> LinearInertial:
+    """Linearise the graph by GTSAM. Rows: rotation, position, velocity, bias of force, bias of rate; whitened.
+
+    mean_force, mean_rate (K-1, 3) in s are what errors of scale act on: an error E acts like a bias E @ mean. (The
+    Jacobian by the left bias contains its walk; that by the right one is the walk alone, so their sum is the motion's.)
+    """
     linear = graph.linearize(values)
     blocks = np.array([linear.at(k).augmentedJacobian() for k in range(linear.size())])
-    return LinearInertial(blocks[:, :, _LEFT], blocks[:, :, _RIGHT], -blocks[:, :, -1])
+    left, right = blocks[:, :, _LEFT], blocks[:, :, _RIGHT]
+    by_bias = left[:, :, 9:15] + right[:, :, 9:15]
+    shape = (len(blocks), 15, 9)
+    by_force = (by_bias[:, :, 0:3, None] * mean_force[:, None, None, :]).reshape(shape)
+    by_rate = (by_bias[:, :, 3:6, None] * mean_rate[:, None, None, :]).reshape(shape)
+    return LinearInertial(left, right, np.concatenate([by_force, by_rate], axis=2), -blocks[:, :, -1])
 
 
-def inertial_after_step(linear: LinearInertial, step: Array) -> LinearInertial:
-    """Return the factors with the residual that the linear model predicts after a step (K, 18)."""
+def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
+    """Return the factors with the residual for sensor errors that differ by `constants_step` (24,)."""
+    return replace(linear, residual=linear.residual + linear.errors @ constants_step[_ERRORS])
+
+
+def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Array) -> LinearInertial:
+    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (24,)."""
     moved = np.einsum("kri,ki->kr", linear.left, step[:-1, _INERTIAL])
     moved += np.einsum("kri,ki->kr", linear.right, step[1:, _INERTIAL])
-    return LinearInertial(linear.left, linear.right, linear.residual + moved)
+    return inertial_after_errors(replace(linear, residual=linear.residual + moved), constants_step)
 
 
 def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
@@ -87,6 +109,11 @@ def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
     system.upper[:, _INERTIAL, _INERTIAL] += left_t @ linear.right
     system.rhs[:-1, _INERTIAL] -= (left_t @ residual)[:, :, 0]
     system.rhs[1:, _INERTIAL] -= (right_t @ residual)[:, :, 0]
+    flat = linear.errors.reshape(-1, linear.errors.shape[2])
+    system.border[:-1, _INERTIAL, _ERRORS] += left_t @ linear.errors
+    system.border[1:, _INERTIAL, _ERRORS] += right_t @ linear.errors
+    system.corner[_ERRORS, _ERRORS] += flat.T @ flat
+    system.rhs_constants[_ERRORS] -= flat.T @ linear.residual.ravel()
 
 
 def empty_system(n_keyframes: int) -> ChainSystem:
@@ -124,13 +151,16 @@ def inertial_residuals(state: ChainState, linear: LinearInertial, solution: Chai
     root[:, :, VELOCITY] = linear.right[:, :, VELOCITY] @ R_i
     root[:, :, ACCEL_BIAS] = linear.right[:, :, ACCEL_BIAS]
     root[:, :, GYRO_BIAS] = linear.right[:, :, GYRO_BIAS]
-    stacked = np.concatenate([linear.left, linear.right, linear.residual[:, :, None]], axis=2)
+    stacked = np.concatenate([linear.left, linear.right, linear.errors, linear.residual[:, :, None]], axis=2)
     plain = np.linalg.solve(root, stacked)
-    left, right, residual = plain[:, :, :15], plain[:, :, 15:30], plain[:, :, 30]
+    left, right, errors, residual = plain[:, :, :15], plain[:, :, 15:30], plain[:, :, 30:48], plain[:, :, 48]
     P, cross = solution.covariance[:, _INERTIAL, _INERTIAL], solution.cross[:, _INERTIAL, _INERTIAL]
+    S, C = solution.constants_covariance[_ERRORS, _ERRORS], solution.constants_cross[:, _INERTIAL, _ERRORS]
     variance = (
         np.einsum("kri,kri->kr", left @ P[:-1], left)
         + np.einsum("kri,kri->kr", right @ P[1:], right)
+        + np.einsum("kri,kri->kr", errors @ S, errors)
         + 2.0 * np.einsum("kri,kri->kr", left @ cross, right)
+        + 2.0 * np.einsum("kri,kri->kr", left @ C[:-1] + right @ C[1:], errors)
     )
     return InertialResiduals(residual, variance)

@@ -3,12 +3,20 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.batch import Noise, Priors, Solved
-from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path, motion_at
+from smoother.estimate.graph.imu import (
+    JERK_RATE,
+    YAW_JERK_RATE,
+    BinnedImu,
+    at_times,
+    averaged,
+    corrected,
+    dense_path,
+    motion_at,
+)
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
@@ -34,8 +42,6 @@ from smoother.trajectory import (
 )
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
-JERK_RATE = 50.0  # m/s^4 rms: how sharply a kart's acceleration bends; sets how far noise may be averaged
-YAW_JERK_RATE = 20.0  # rad/s^3 rms, likewise of the turning rate
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
 
@@ -50,11 +56,13 @@ def build_trajectory(
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart."""
     state = solved.state
+    binned = corrected(binned, state.constants.accel_error, state.constants.gyro_error)
     path = dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
     arm_s, arm_observed = _reported_arm(solved, priors)
     t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
-    motion, smooth = motion_at(path, t), _smooth_motion(path, noise)
-    rate_s, acceleration_n = (_at(path, t, values) for values in smooth)
+    motion = motion_at(path, t)
+    rate_s = at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
+    acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
     R_nb = motion.R_ns @ mounting.R_bs.T
     swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate_s, arm_s))
     keyframes = _keyframes(solved, mounting, arm_s)
@@ -88,29 +96,6 @@ def _reported_arm(solved: Solved, priors: Priors) -> tuple[Array, np.ndarray]:
     P = solved.solution.constants_covariance[LEVER_ARM, LEVER_ARM]
     prior = priors.constants_sigma[LEVER_ARM]
     return solved.state.constants.lever_arm_s, np.sqrt(np.diag(P)) < np.maximum(OBSERVABLE * prior, 1e-3)
-
-
-def _smooth_motion(path: DensePath, noise: Noise) -> tuple[Array, Array]:
-    """Turning rate in s and acceleration in n at the edges of the path, (M, 3) each, averaged against vibration.
-
-    A Gaussian of width s leaves q^2 / (2 sqrt(pi) s) of white noise of density q and adds a bias of half s^2 times the
-    second derivative; the width that balances both is (q^2 / (3.54 c^2))^(1/5).
-    """
-    dt = path.t[1] - path.t[0]
-    out = []
-    for values, density, bend in (
-        (path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE),
-        (path.acceleration_n, noise.inertial.accel, JERK_RATE),
-    ):
-        width = (density**2 / (3.54 * bend**2)) ** 0.2
-        smooth = gaussian_filter1d(values, width / dt, axis=0, mode="nearest")
-        edges = np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
-        out.append(edges)
-    return out[0], out[1]
-
-
-def _at(path: DensePath, t: Array, values: Array) -> Array:
-    return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)
 
 
 def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array) -> Keyframes:

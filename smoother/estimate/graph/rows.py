@@ -15,15 +15,16 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSystem
-from smoother.estimate.graph.imu import DensePath, motion_at
+from smoother.estimate.graph.imu import DensePath, MotionAt, at_times, motion_at
 from smoother.estimate.graph.state import (
-    CONSTANTS_SIZE,
+    GYRO_BIAS,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
     LEVER_ARM,
     OFFSET,
     POSITION_LATENCY,
     ROTATION,
+    ROW_CONSTANTS_SIZE,
     TRANSLATION,
     VELOCITY,
     VELOCITY_LATENCY,
@@ -87,9 +88,11 @@ def hermite_velocity(b: Bracket) -> tuple[Array, Array, Array, Array]:
 
 
 def position_rows(
-    state: ChainState, path: DensePath, t: Array, measured_n: Array, sigma: Array, offset_latency: float
+    state: ChainState, path: DensePath, rate_s: Array, t: Array, measured_n: Array, sigma: Array, offset_latency: float
 ) -> Rows:
     """GPS position: antenna position plus slow offset. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m.
+
+    rate_s (M, 3) rad/s, angular rate at the edges of the path, averaged: a receiver does not follow vibration.
 
     The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
     (Reading that rough process at a moving time would make the fit of the latency overshoot.)
@@ -98,7 +101,7 @@ def position_rows(
     b, motion = bracket(state, at), motion_at(path, at)
     stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
     stamp = Bracket(b.interval, stamp_share, b.length)
-    rate = mean_rate(state, b)
+    rate = yaw_rate(motion, at_times(path, rate_s, at))
     arm_n = np.einsum("nij,j->ni", motion.R_ns, state.constants.lever_arm_s)
     swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, state.constants.lever_arm_s))
     residual = motion.position_n + arm_n + _between(stamp, state.offset_n) - measured_n
@@ -112,30 +115,36 @@ def position_rows(
     return _rows("gps_position", b, residual, sigma, left, right, constants)
 
 
-def velocity_rows(state: ChainState, path: DensePath, t: Array, measured_n: Array, sigma: Array) -> Rows:
-    """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s."""
+def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, measured_n: Array, sigma: Array) -> Rows:
+    """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s.
+
+    rate_s as in :func:`position_rows`.
+    """
     at = t - state.constants.velocity_latency
-    b, motion, rate = bracket(state, at), motion_at(path, at), mean_rate(state, bracket(state, at))
+    b, motion = bracket(state, at), motion_at(path, at)
+    rate = yaw_rate(motion, at_times(path, rate_s, at))
     arm = state.constants.lever_arm_s
     swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, arm))
     residual = motion.velocity_n + swing_n - measured_n
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, hermite_velocity(b))
     _put_turn(left, right, state, b, -so3.skew(swing_n))
-    # the rate between the keyframes is the turn from one to the other over its time
-    by_rate = -motion.R_ns @ so3.skew(np.broadcast_to(arm, (len(t), 3))) / b.length
-    turn = rate * b.length
-    left[:, :, ROTATION] -= by_rate @ so3.exp(-turn)
-    right[:, :, ROTATION] += by_rate
+    # the rate is measured minus bias, and the swing is minus [l]x times it
+    up_s = motion.R_ns[:, 2, :]
+    left[:, :, GYRO_BIAS] = np.einsum("ni,nj->nij", np.einsum("nij,nj->ni", motion.R_ns, np.cross(arm, up_s)), up_s)
     constants[:, :, VELOCITY_LATENCY] = -motion.acceleration_n[:, :, None]
     constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
 
 
-def mean_rate(state: ChainState, b: Bracket) -> Array:
-    """Angular rate (N, 3) rad/s in s over the interval: a receiver does not follow vibration."""
-    R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
-    return so3.log(R_left.transpose(0, 2, 1) @ R_right) / b.length
+def yaw_rate(motion: MotionAt, rate_s: Array) -> Array:
+    """Part about up of angular rates (N, 3) rad/s, in s.
+
+    Only this part swings the antenna: a kart's rates of roll and pitch are smaller than the noise of its gyro, and
+    multiplying the unknown height of the antenna by that noise would seem to observe it.
+    """
+    up_s = motion.R_ns[:, 2, :]
+    return np.asarray(up_s * np.sum(up_s * rate_s, axis=1, keepdims=True))
 
 
 def heading_rows(state: ChainState, interval: np.ndarray, field_s: Array, field_yaw: float, sigma: float) -> Rows:
@@ -195,11 +204,10 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
     return Rows(name, np.zeros(1, int), residual[None], sigma[None], left, right, constants, np.ones(1))
 
 
-def constants_prior_row(residual: Array, sigma: Array) -> Rows:
-    """Prior on the session's constants. residual, sigma (6,)."""
-    left, right, constants = _empty(1, CONSTANTS_SIZE)
-    constants[0] = np.eye(CONSTANTS_SIZE)
-    return Rows("constants", np.zeros(1, int), residual[None], sigma[None], left, right, constants, np.ones(1))
+def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (24,)."""
+    np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
+    system.rhs_constants[...] -= residual / sigma**2
 
 
 def add_rows(system: ChainSystem, rows: Rows) -> None:
@@ -210,17 +218,18 @@ def add_rows(system: ChainSystem, rows: Rows) -> None:
     total, n = normal @ jacobian, KEYFRAME_SIZE
     gradient = (normal @ rows.residual[:, :, None])[:, :, 0]
     i, j, c = slice(0, n), slice(n, 2 * n), slice(2 * n, None)
+    own = slice(0, ROW_CONSTANTS_SIZE)
     for once in _without_repeats(rows.interval):
         k, part, slope = rows.interval[once], total[once], gradient[once]
         system.diagonal[k] += part[:, i, i]
         system.diagonal[k + 1] += part[:, j, j]
         system.upper[k] += part[:, i, j]
-        system.border[k] += part[:, i, c]
-        system.border[k + 1] += part[:, j, c]
+        system.border[k, :, own] += part[:, i, c]
+        system.border[k + 1, :, own] += part[:, j, c]
         system.rhs[k] -= slope[:, i]
         system.rhs[k + 1] -= slope[:, j]
-    system.corner[...] += total[:, c, c].sum(axis=0)
-    system.rhs_constants[...] -= gradient[:, c].sum(axis=0)
+    system.corner[own, own] += total[:, c, c].sum(axis=0)
+    system.rhs_constants[own] -= gradient[:, c].sum(axis=0)
 
 
 def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
@@ -233,10 +242,10 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (6,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (24,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
-    return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step)
+    return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])
 
 
 def _rows(name: str, b: Bracket, residual: Array, sigma: Array, left: Array, right: Array, constants: Array) -> Rows:
@@ -254,7 +263,7 @@ def _rows(name: str, b: Bracket, residual: Array, sigma: Array, left: Array, rig
 
 
 def _empty(n: int, r: int) -> tuple[Array, Array, Array]:
-    return np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, CONSTANTS_SIZE))
+    return np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, ROW_CONSTANTS_SIZE))
 
 
 def _between(b: Bracket, values: Array) -> Array:

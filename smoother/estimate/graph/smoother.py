@@ -18,14 +18,14 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, update_noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.heading import Heading, heading_from_field
+from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.rows import Rows, heading_rows
-from smoother.estimate.graph.state import ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
-from smoother.fit.standstill import detect_standstill
+from smoother.fit.standstill import session_standstill
 from smoother.samples import Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
 from smoother.units import DEG
@@ -44,6 +44,7 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
+    sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. rounds: of solving and identifying.
     """
@@ -57,6 +58,7 @@ class GraphOptions:
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
     lever_arm_sigma: float = 0.5
+    sensor_error_sigma: float = 0.01
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
@@ -108,13 +110,13 @@ class GraphSmoother:
         with watch("solve"):
             batch = Batch(start.data, start.binned, start.priors)
             solved, noise = _identify(batch, start, options, watch)
-            data, problems = _with_heading(session, start.data, solved.state)
+            data, priors, problems = _with_heading(session, start, solved.state)
             if data is not start.data:
-                batch = Batch(data, start.binned, start.priors)
+                batch = Batch(data, start.binned, priors)
                 solved = batch.step(batch.graph(solved.state, noise), solved.state, noise)
         with watch("output"):
             mounting = _mounting(session, solved, start.alignment)
-            trajectory = build_trajectory(session, solved, noise, mounting, start.binned, start.priors, options.rate)
+            trajectory = build_trajectory(session, solved, noise, mounting, start.binned, priors, options.rate)
         report: EstimateReport = replace(
             trajectory.report, timings=watch.seconds, problems=trajectory.report.problems + problems
         )
@@ -171,18 +173,21 @@ def _start(session: Session, options: GraphOptions) -> _Start:
     n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
     binned = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
     return _Start(
-        path, alignment, state, binned, _first_noise(session, path, binned, options), _data(session, path, t), priors
+        path,
+        alignment,
+        state,
+        binned,
+        _first_noise(session, path, binned, options),
+        _data(session, path, t, alignment.R_bs[2]),
+        priors,
     )
 
 
-def _data(session: Session, path: GnssPath, t: Array) -> Data:
+def _data(session: Session, path: GnssPath, t: Array, up_s: Array) -> Data:
     gnss = session.gnss
     assert session.imu is not None
-    assert gnss.speed is not None
     assert gnss.sigma_velocity is not None
-    at_rest = detect_standstill(
-        session.imu.t, session.imu.specific_force_s, session.imu.angular_rate_s, gnss.t, gnss.speed
-    )
+    at_rest = session_standstill(session)
     first, last = np.searchsorted(session.imu.t, [t[:-1], t[1:]])
     resting = np.concatenate([[0], np.cumsum(at_rest)])
     still = np.flatnonzero((last > first) & (resting[last] - resting[first] == last - first))
@@ -193,6 +198,7 @@ def _data(session: Session, path: GnssPath, t: Array) -> Data:
         path.position_scale,
         _relative(gnss.sigma_velocity),
         still,
+        up_s,
     )
 
 
@@ -208,8 +214,9 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
     lag = float(np.clip(alignment.lag, 0.0, MAX_LATENCY))
     position = lag - (path.velocity_lag.value if has_velocity else 0.0)
-    mean = np.array([max(position, 0.0), lag, 0.0, 0.0, 0.0, 0.0])
-    sigma = np.array([options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0])
+    mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
+    mean[:2] = max(position, 0.0), lag
+    sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6
@@ -234,6 +241,7 @@ def _first_noise(session: Session, path: GnssPath, binned: BinnedImu, options: G
         path.velocity_sigma,
         np.array(options.offset_sigma),
         options.offset_tau,
+        np.full(2, options.sensor_error_sigma),
     )
 
 
@@ -261,20 +269,23 @@ def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwa
     return solved, noise
 
 
-def _with_heading(session: Session, data: Data, state: ChainState) -> tuple[Data, tuple[Problem, ...]]:
+def _with_heading(session: Session, start: _Start, state: ChainState) -> tuple[Data, Priors, tuple[Problem, ...]]:
     """Add heading factors where there is a magnetometer that agrees with the attitude found without it."""
+    data, priors = start.data, start.priors
     if session.mag is None or session.config.magnetometer.use is False:
-        return data, ()
+        return data, priors, ()
     earth, problems = session_field(session)
     heading = heading_from_field(session.mag, state, earth.declination, earth.inclination)
     if heading is None:
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
-        return data, (*problems, Problem("magnetometer_unused", text))
+        return data, priors, (*problems, Problem("magnetometer_unused", text))
 
-    def rows(state: ChainState, noise: Noise, found: Heading = heading) -> Rows:
-        return heading_rows(state, found.interval, found.field_s, found.field_yaw, found.sigma)
+    def rows(state: ChainState, noise: Noise) -> Rows:
+        return heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
 
-    return replace(data, extra=(rows,)), problems
+    sigma = priors.constants_sigma.copy()
+    sigma[HEADING_OFFSET] = heading.offset_sigma
+    return replace(data, extra=(rows,)), replace(priors, constants_sigma=sigma), problems
 
 
 def _mounting(session: Session, solved: Solved, alignment: Alignment) -> FittedMounting:

@@ -4,7 +4,7 @@ Tangent of a keyframe, in this order: rotation (s axes, `R_ns @ exp(w)`) and tra
 GTSAM's Pose3, velocity in n, bias of force, bias of rate, GPS offset in n. Poses are those of the sensor, T_ns.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,29 +15,48 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
+# Constants of the session. The first six enter the rows of rows.py, the two matrices only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
-CONSTANTS_SIZE = 6
+ROW_CONSTANTS_SIZE = 6
+ACCEL_ERROR, GYRO_ERROR = slice(6, 15), slice(15, 24)
+CONSTANTS_SIZE = 24
+
+
+def _no_error() -> Array:
+    return np.zeros((3, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
-    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large.
+    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; accel_error and gyro_error
+    (3, 3), scale and misalignment of the sensor: measured = (1 + error) true + bias.
     """
 
     position_latency: float
     velocity_latency: float
     lever_arm_s: Array
     heading_offset: float = 0.0
+    accel_error: Array = field(default_factory=_no_error)
+    gyro_error: Array = field(default_factory=_no_error)
 
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
-        return np.concatenate([[self.position_latency, self.velocity_latency], self.lever_arm_s, [self.heading_offset]])
+        scalars = [self.position_latency, self.velocity_latency]
+        parts = [scalars, self.lever_arm_s, [self.heading_offset], self.accel_error.ravel(), self.gyro_error.ravel()]
+        return np.concatenate(parts)
 
     @staticmethod
     def from_vector(x: Array) -> "Constants":
         """Inverse of :meth:`as_vector`."""
-        return Constants(float(x[0]), float(x[1]), np.array(x[LEVER_ARM]), float(x[5]))
+        return Constants(
+            float(x[0]),
+            float(x[1]),
+            np.array(x[LEVER_ARM]),
+            float(x[5]),
+            x[ACCEL_ERROR].reshape(3, 3),
+            x[GYRO_ERROR].reshape(3, 3),
+        )
 
     def retract(self, delta: Array) -> "Constants":
         """Return the constants moved by delta (CONSTANTS_SIZE,)."""
