@@ -14,6 +14,7 @@ from scipy import ndimage, stats
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.samples import Problem
 from smoother.session.rows import counted
+from smoother.units import MICROSECOND
 
 FEWEST_SAMPLES = 32
 PERIOD_WINDOW = 128  # samples over which a period is measured: longer than the bursts in which samples may arrive
@@ -39,6 +40,7 @@ TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the 
 FEWEST_FIXES = 20
 ENVELOPE_PERCENTILE = 10.0  # of the delays in a bin: the least delay is the steady one, single values may be odd
 FIXES_PER_BIN = 20
+FEWEST_PER_BIN = 5
 SHORTEST_BIN = 30.0  # s
 LARGEST_DRIFT = 2e-3  # of one clock against the other; more is not a clock
 WORST_ENVELOPE = 0.02  # s; how far the least delays may lie off the line
@@ -246,9 +248,9 @@ def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
     """Replace the receive times of fixes by the receiver's own times, on the clock of the receive times.
 
     t_receive (N,) s, strictly increasing; unix_s (N,) the UTC in each fix, NaN where unknown. The least delays follow
-    a line (two clocks and a constant latency); a fix that came later than that keeps only the line. Returns times
-    (N,) s with that constant latency still in them, and whether anything was changed: not without UTC, with too few
-    fixes, or where the two do not behave like two clocks.
+    a line (two clocks and a constant latency); every fix is put on it, raised to the typical delay, so that the latency
+    of the stamps as they were written stays the same. Returns times (N,) s and whether anything was changed: not
+    without UTC, with too few fixes, or where the two do not behave like two clocks.
     """
     known = np.isfinite(unix_s)
     if np.count_nonzero(known) < FEWEST_FIXES:
@@ -262,8 +264,12 @@ def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
     if envelope is None:
         return t_receive, False
     t = np.array(t_receive)
-    t[~odd] = utc[~odd] + np.interp(utc[~odd], *envelope)
-    t[odd] = _moved_alike(t_receive[odd], t_receive[~odd], t[~odd])
+    slope, offset = envelope
+    t[~odd] = utc[~odd] + offset + slope * utc[~odd]
+    t[~odd] += np.median(t_receive[~odd] - t[~odd])
+    if np.any(odd):
+        t[odd] = _moved_alike(t_receive[odd], t_receive[~odd], t[~odd])
+        t = _not_after_the_next(t)
     if not np.all(np.diff(t) > 0.0):
         return t_receive, False
     return t, True
@@ -274,18 +280,26 @@ def _moved_alike(t: Array, before: Array, after: Array) -> Array:
     return np.asarray(t + np.interp(t, before, after - before))
 
 
-def _envelope(utc: Array, delay: Array) -> tuple[Array, Array] | None:
-    """Times and values of a line through the least delays, None if it is none."""
+def _not_after_the_next(t: Array) -> Array:
+    """Times (N,) s with each moved back to a microsecond before the next, where it was not before it."""
+    tick = MICROSECOND * np.arange(t.size)
+    return np.asarray(np.minimum.accumulate((t - tick)[::-1])[::-1] + tick)
+
+
+def _envelope(utc: Array, delay: Array) -> tuple[float, float] | None:
+    """Slope and offset (s) of a line through the least delays over utc (N,) s, None if they follow none."""
     span = float(utc[-1] - utc[0])
     bins = int(max(2, min(utc.size // FIXES_PER_BIN, span // SHORTEST_BIN)))
-    member = np.minimum(((utc - utc[0]) / span * bins).astype(np.int64), bins - 1)
-    filled = [k for k in range(bins) if np.count_nonzero(member == k) >= 5]
+    member = np.clip(((utc - utc[0]) / max(span, 1e-9) * bins).astype(np.int64), 0, bins - 1)
+    filled = [k for k in range(bins) if np.count_nonzero(member == k) >= FEWEST_PER_BIN]
     if len(filled) < 2:
         return None
     centre = np.array([np.mean(utc[member == k]) for k in filled])
-    low = np.array([np.percentile(delay[member == k], ENVELOPE_PERCENTILE) for k in filled])
-    slope, offset, _, _ = stats.theilslopes(low, centre)
-    if abs(slope) > LARGEST_DRIFT or np.median(np.abs(low - offset - slope * centre)) > WORST_ENVELOPE:
-        return None
-    ends = np.array([utc[0], utc[-1]])
-    return ends, offset + slope * ends
+    slope = offset = 0.0
+    for _ in range(3):  # the least delay of a bin is only level once the drift within the bin is out
+        rest = delay - slope * utc
+        low = np.array([np.percentile(rest[member == k], ENVELOPE_PERCENTILE) for k in filled])
+        more, offset, _, _ = stats.theilslopes(low, centre)
+        slope += float(more)
+    scatter = np.median(np.abs(low - offset - more * centre))
+    return None if abs(slope) > LARGEST_DRIFT or scatter > WORST_ENVELOPE else (slope, float(offset))

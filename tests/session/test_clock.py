@@ -139,7 +139,7 @@ def test_only_a_constant_latency_is_left_of_the_receive_delay(count: int, period
     t, changed = true_fix_times(arrival, unix)
     assert changed
     assert np.std(t - true) < 0.0015  # 0.02 before; a percentile of 20 delays per bin is good to 1 ms
-    assert 0.12 <= np.mean(t - true) < 0.13
+    assert np.mean(t - true) == pytest.approx(np.median(arrival - true), abs=0.001)  # what a row's delay typically was
 
 
 def test_fixes_with_utc_before_leap_seconds_are_known_keep_their_receive_times() -> None:
@@ -147,7 +147,7 @@ def test_fixes_with_utc_before_leap_seconds_are_known_keep_their_receive_times()
     unix[:30] -= 18.0
     t, changed = true_fix_times(arrival, unix)
     assert changed
-    assert np.max(np.abs(t[:30] - true[:30] - 0.12)) < 0.15
+    assert np.max(np.abs(t[:30] - true[:30] - 0.12)) < 0.15  # the exponential delay exceeds 0.15 s once in 1800
     assert np.std((t - true)[30:]) < 0.0015
 
 
