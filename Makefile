@@ -3,6 +3,7 @@
 #   make test    run every test
 #   make lint    style and types
 #   make bench   the measurements behind the README's tables (minutes)
+#   make picture the README's picture, from the demo
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,7 +13,7 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench picture clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -27,6 +28,10 @@ lint: $(VENV)/for-linting
 
 bench: $(VENV)/for-benchmarks
 	@for file in tests/benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+picture: demo
+	mkdir -p notebooks/figures
+	cp $(DEMO)/smoothed/figures/overview.png notebooks/figures/demo.png
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -16,7 +16,8 @@ from smoother.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class QualityLimits:
-    """Limits of the gate. A fix is far when it lies beyond max(near_fix, near_fix_sigmas x reported accuracy).
+    """Limits of the gate. A fix is far when it lies beyond near_fix and beyond near_fix_sigmas times what the receiver
+    says of its accuracy, and times the trajectory's own sigma, which contains the receiver's slow wander.
 
     far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
@@ -60,21 +61,29 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
     """Share and longest stretch of fixes that the trajectory passes at a distance, each at the time it was true."""
-    fixes = session.gnss
     latency = estimate.report.identified.get("gps_position_latency")
-    t = fixes.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
+    t = session.gnss.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
     if not inside.any():
         return {}
-    gap = resample(estimate, t[inside]).position_n[:, :2] - session.fix_position_n[inside, :2]
-    accuracy = np.zeros(len(t)) if fixes.sigma_horizontal is None else np.nan_to_num(fixes.sigma_horizontal, nan=0.0)
+    at_fixes = resample(estimate, t[inside])
+    gap = at_fixes.position_n[:, :2] - session.fix_position_n[inside, :2]
     distance = np.hypot(gap[:, 0], gap[:, 1])
-    far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * accuracy[inside]))
+    sigma = _accuracy(session)[inside]
+    if at_fixes.sigmas is not None:
+        sigma = np.fmax(sigma, np.max(at_fixes.sigmas.position_n[:, :2], axis=1))
+    far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
     return {
         "median_fix_distance_m": float(np.median(distance)),
         "far_fix_share": float(np.mean(far)),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
+
+
+def _accuracy(session: Session) -> Array:
+    """What the receiver says of each fix, zero where it says nothing, (N,) m."""
+    reported = session.gnss.sigma_horizontal
+    return np.zeros(len(session.gnss)) if reported is None else np.nan_to_num(reported, nan=0.0)
 
 
 def _longest_stretch(t: Array, chosen: Array) -> float:

@@ -91,3 +91,9 @@ def test_residuals_far_from_their_sigma_are_stopped(residual: ResidualStatistics
     quality = assess(session(), estimate(report=EstimateReport(residuals={"gps_position": residual})))
     assert quality.passed == (words == "")
     assert words in "; ".join(quality.reasons)
+
+
+def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() -> None:
+    wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
+    assert assess(session(wander, hacc=0.0), estimate(sigma=3.0)).measures["far_fix_share"] == 0.0
+    assert assess(session(wander, hacc=0.0), estimate(sigma=0.1)).measures["far_fix_share"] > 0.1
