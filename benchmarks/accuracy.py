@@ -7,6 +7,7 @@ Errors count from 10 s after the kart drives off to the last fix, outages and al
 """
 
 import argparse
+import ast
 import dataclasses
 import json
 import os
@@ -51,14 +52,17 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--full-bound", action="store_true", help="bound with engine tone and unknown scale factors")
     parser.add_argument("--without-outages", action="store_true", help="errors and bound only where there are fixes")
+    parser.add_argument("--set", action="append", default=[], metavar="FIGURE=VALUE", help="e.g. gnss_jumps=()")
     parser.add_argument("--json", metavar="FILE", help="write everything measured, for further evaluation")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    changes = {key: ast.literal_eval(value) for key, _, value in (text.partition("=") for text in arguments.set)}
     scores: list[Score] = []
     for preset in arguments.preset or ["kart"]:
         print(f"\n{preset}: {arguments.duration:.0f} s each; error (times the bound), then values (z: error / sigma)")
         print(_heading())
-        batch = _run_all(cases(preset, seeds, arguments.duration, grid=arguments.grid), arguments)
+        wanted = cases(preset, seeds, arguments.duration, grid=arguments.grid)
+        batch = _run_all([dataclasses.replace(case, changes=changes) for case in wanted], arguments)
         print(_pooled(batch))
         print(_mountings(batch))
         print(_coverage(batch))

@@ -3,7 +3,9 @@
 Shared by the benchmarks. Angles are in degrees here, because everything ends in a table that people read.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -42,13 +44,14 @@ QUANTITIES = ("velocity", "relative", *ANGLES)
 
 @dataclass(frozen=True)
 class Case:
-    """Which session: preset, seed, track, length in s, and whether it begins standing on the grid."""
+    """Which session: preset, seed, track, length in s, whether it begins standing on the grid, figures changed."""
 
     preset: str
     seed: int
     track: str
     duration: float
     standing: bool
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -57,12 +60,9 @@ class Case:
 
     def simulate(self) -> Simulation:
         """Return the session; white keeps its 30 s of standstill, which its figures are about."""
-        if self.preset == "white" and self.standing:
-            return simulate_preset(self.preset, self.seed, track=self.track, duration=self.duration)
-        standstill = STANDING if self.standing else None
-        return simulate_preset(
-            self.preset, self.seed, track=self.track, duration=self.duration, motion_standstill=standstill
-        )
+        standstill = {"motion_standstill": STANDING if self.standing else None}
+        changes = self.changes if self.preset == "white" and self.standing else {**standstill, **self.changes}
+        return simulate_preset(self.preset, self.seed, track=self.track, duration=self.duration, **changes)
 
 
 def cases(preset: str, seeds: range, duration: float, *, grid: bool = False) -> list[Case]:
