@@ -27,6 +27,7 @@ MIN_POINTS = 12  # three more than there are unknowns
 OUTLIER_SIGMAS = 5.0  # of the noise; cuts off one good point in two million
 MIN_THICKNESS = 0.05  # of the largest extent; below this it is a plane
 MAX_RELATIVE_SIGMA = 0.2  # of a semi-axis; above this the points do not say how long it is
+MAX_RELATIVE_RMS = 0.25  # of the shortest semi-axis; a cloud of noise gives 0.4 and more
 MAD_TO_SIGMA = 1.4826
 COVERAGE_BANDS, COVERAGE_SECTORS = 6, 10  # 60 cells of equal area, 0.21 sr each
 CONVERGED = 1e-4  # last step, in standard deviations of the result
@@ -84,21 +85,29 @@ def fit_ellipsoid(points: Array) -> Ellipsoid:
     Raises FitError when the points hold NaN, are too few, constant, saturated, in a plane, or too one-sided to tell.
     """
     points = _checked(np.asarray(points, dtype=np.float64))
-    thinned = quadric.thin(points)
+    some = quadric.evenly_chosen(points)
+    thinned = quadric.one_per_voxel(some)
     _refuse_plane(thinned)
     _refuse_saturated(points)
-    low, high = np.percentile(thinned, [5.0, 95.0], axis=0)
-    middle, scale = (low + high) / 2.0, float(np.max(high - low)) / 2.0
-    normal, thinned = (points - middle) / scale, (thinned - middle) / scale
     try:
-        parameters = _start(thinned)
-        parameters, used = _refined(normal, thinned, parameters)
+        return _fit_from(thinned, points)
+    except FitError:
+        # Very wild outliers make the voxels so large that good points share theirs, and outnumber them.
+        return _fit_from(some, points)
+
+
+def _fit_from(some: Array, points: Array) -> Ellipsoid:
+    """Fit to all points (N, 3), starting from some of them, in coordinates of about one."""
+    low, high = np.percentile(some, [5.0, 95.0], axis=0)
+    middle, scale = (low + high) / 2.0, float(np.max(high - low)) / 2.0
+    normal, some = (points - middle) / scale, (some - middle) / scale
+    try:
+        parameters, used = _refined(normal, some, _start(some))
         surface = _Surface.at(normal[used], parameters)
         covariance = _covariance(surface)
     except np.linalg.LinAlgError as error:
         raise FitError("the points do not determine an ellipsoid; turn the sensor in every direction") from error
-    result = _ellipsoid(parameters, covariance, _coverage((normal[used] - parameters[:3]) @ _matrix(parameters)), used)
-    return _scaled(result, middle, scale, float(np.sqrt(np.mean(surface.distance**2))))
+    return _ellipsoid(parameters, covariance, surface, normal, used, middle, scale)
 
 
 # ---- input ----------------------------------------------------------------------------------------------------------
@@ -297,7 +306,10 @@ def _covariance(surface: _Surface) -> Array:
     return np.asarray(variance * np.linalg.solve(information, np.eye(9)))
 
 
-def _ellipsoid(parameters: Array, covariance: Array, coverage: float, used: BoolArray) -> Ellipsoid:
+def _ellipsoid(
+    parameters: Array, covariance: Array, surface: _Surface, normal: Array, used: BoolArray, middle: Array, scale: float
+) -> Ellipsoid:
+    """Check the fit and return it in the unit of the points, from coordinates `(points - middle) / scale`."""
     A = _matrix(parameters)
     inverse_axes, axes = np.linalg.eigh(A)
     if inverse_axes[0] <= 0.0:
@@ -306,24 +318,22 @@ def _ellipsoid(parameters: Array, covariance: Array, coverage: float, used: Bool
     by_entry = axes[ROWS] * axes[COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)[:, None]  # d(1 / s_i) / dA
     gradient = -(semi_axes**2) * by_entry
     sigma = np.sqrt(np.einsum("ai,ab,bi->i", gradient, covariance[3:, 3:], gradient))
+    rms = float(np.sqrt(np.mean(surface.distance**2)))
     if np.any(sigma > MAX_RELATIVE_SIGMA * semi_axes):
         raise FitError("the points cover too little of the sphere; turn the sensor in every direction")
-    return Ellipsoid(parameters[:3], A, covariance, 0.0, coverage, semi_axes, sigma, axes, used)
-
-
-def _scaled(fit: Ellipsoid, middle: Array, scale: float, rms: float) -> Ellipsoid:
-    """Return the ellipsoid in the unit of the points, from coordinates `(points - middle) / scale`."""
+    if rms > MAX_RELATIVE_RMS * semi_axes[-1]:
+        raise FitError("the points fill a cloud instead of lying on an ellipsoid; turn the sensor, away from iron")
     unit = np.concatenate([np.full(3, scale), np.full(6, 1.0 / scale)])
     return Ellipsoid(
-        centre=fit.centre * scale + middle,
-        to_unit_sphere=fit.to_unit_sphere / scale,
-        covariance=fit.covariance * unit[:, None] * unit,
+        centre=parameters[:3] * scale + middle,
+        to_unit_sphere=A / scale,
+        covariance=covariance * unit[:, None] * unit,
         rms=rms * scale,
-        coverage=fit.coverage,
-        semi_axes=fit.semi_axes * scale,
-        semi_axes_sigma=fit.semi_axes_sigma * scale,
-        axes=fit.axes,
-        is_used=fit.is_used,
+        coverage=_coverage((normal[used] - parameters[:3]) @ A),
+        semi_axes=semi_axes * scale,
+        semi_axes_sigma=sigma * scale,
+        axes=axes,
+        is_used=used,
     )
 
 
