@@ -23,7 +23,7 @@ UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
 SPACING = 1.0  # s between heading factors, since the field's errors last
-RIDGE = 0.03  # weight of the prior on the matrix, relative to the data
+RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,15 +124,17 @@ def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, m
     b, motion = bracket(state, at), motion_at(path, at)
     rate = yaw_rate(motion, at_times(path, rate_s, at))
     arm = state.constants.lever_arm_s
-    swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, arm))
+    rate_n, arm_n = np.einsum("nij,nj->ni", motion.R_ns, rate), np.einsum("nij,j->ni", motion.R_ns, arm)
+    swing_n = np.cross(rate_n, arm_n)
     residual = motion.velocity_n + swing_n - measured_n
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, hermite_velocity(b))
-    _put_turn(left, right, state, b, -so3.skew(swing_n))
+    # a tilt turns the arm, but not the axis it swings about, which is up
+    _put_turn(left, right, state, b, -so3.skew(rate_n) @ so3.skew(arm_n))
     # the rate is measured minus bias, and the swing is minus [l]x times it
     up_s = motion.R_ns[:, 2, :]
     left[:, :, GYRO_BIAS] = np.einsum("ni,nj->nij", np.einsum("nij,nj->ni", motion.R_ns, np.cross(arm, up_s)), up_s)
-    constants[:, :, VELOCITY_LATENCY] = -motion.acceleration_n[:, :, None]
+    constants[:, :, VELOCITY_LATENCY] = -(motion.acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
     constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
 

@@ -1,0 +1,156 @@
+"""The magnetometer calibrated against a driven attitude: hard and soft iron found, nonsense refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph.heading import FLOOR, heading_from_field
+from smoother.estimate.graph.rows import heading_rows
+from smoother.estimate.graph.state import ChainState, Constants
+from smoother.fit.magnetic_model import field_n
+from smoother.frames import rotation_from_euler, wrap_angle
+from smoother.samples import MagSamples
+from smoother.units import DEG
+
+K, INTERVAL = 1000, 0.2
+DECLINATION, INCLINATION = 4.0 * DEG, 61.0 * DEG
+EARTH_N = 47.0 * field_n(DECLINATION, INCLINATION)  # uT
+R_BS = so3.exp(np.array([0.4, -1.1, 2.0]))
+HARD_IRON = np.array([30.0, -22.0, 15.0])
+SOFT_IRON = np.eye(3) + np.array([[0.2, 0.1, -0.05], [0.1, -0.1, 0.08], [-0.05, 0.08, 0.1]])
+
+
+def laps(R_bs: np.ndarray = R_BS) -> ChainState:
+    """Laps on nearly level ground: all headings, a few degrees of roll and pitch."""
+    t = INTERVAL * np.arange(K)
+    R_nb = rotation_from_euler(
+        2.0 * DEG * np.sin(0.9 * t), 1.5 * DEG * np.cos(1.3 * t), 0.2 * t + 0.5 * np.sin(0.3 * t)
+    )
+    zeros = np.zeros((K, 3))
+    return ChainState(t, R_nb @ R_bs, zeros, zeros, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+
+
+def readings(
+    state: ChainState, hard: np.ndarray = HARD_IRON, soft: np.ndarray = SOFT_IRON, noise: float = 1.0, unit: float = 1.0
+) -> MagSamples:
+    """What the sensor reads at 10 Hz on the way, uT times `unit`."""
+    t = np.arange(state.t[0], state.t[-1], 0.1)
+    i = np.minimum((t / INTERVAL).astype(int), K - 2)
+    share = (t - state.t[i]) / INTERVAL
+    turn = so3.log(state.R_ns[i].transpose(0, 2, 1) @ state.R_ns[i + 1])
+    R = state.R_ns[i] @ so3.exp(share[:, None] * turn)
+    field_s = np.einsum("kji,j->ki", R, EARTH_N) @ soft.T + hard
+    return MagSamples(t, unit * (field_s + noise * np.random.default_rng(0).normal(size=field_s.shape)))
+
+
+def heading_error(state: ChainState, heading) -> np.ndarray:
+    """Yaw of the corrected field against the field's true one, rad, at the keyframes it was found for."""
+    field = np.einsum("kij,kj->ki", state.R_ns[heading.interval], heading.field_s)
+    return wrap_angle(np.arctan2(field[:, 1], field[:, 0]) - np.arctan2(EARTH_N[1], EARTH_N[0]))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1.0 / 47.0, 1000.0])
+def test_hard_and_soft_iron_are_found_from_laps_in_any_unit(unit: float) -> None:
+    state = laps()
+    heading = heading_from_field(readings(state, unit=unit), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    error = heading_error(state, heading)
+    assert abs(np.mean(error)) < 1.0 * DEG
+    assert np.std(error) < 4.0 * DEG  # 1 uT of noise against 23 uT of level field is 2.5 deg
+    assert heading.sigma < 4.0 * DEG
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_box_and_any_iron_within_a_kart_s_reach(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    state = laps(so3.exp(2.0 * rng.normal(size=3)))
+    crooked = rng.uniform(-0.15, 0.15, (3, 3))
+    heading = heading_from_field(
+        readings(state, rng.uniform(-30.0, 30.0, 3), np.eye(3) + crooked + crooked.T), state, DECLINATION, INCLINATION
+    )
+    assert heading is not None
+    assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 5.0 * DEG
+
+
+def test_its_rows_read_zero_at_the_true_attitude() -> None:
+    state = laps()
+    heading = heading_from_field(readings(state, noise=0.0), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    rows = heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
+    assert np.max(np.abs(rows.residual)) < 2.0 * DEG
+
+
+def test_a_field_that_was_calibrated_before_is_left_alone_and_says_where_north_is() -> None:
+    state = laps()
+    mag = readings(state, np.zeros(3), np.eye(3), noise=1.0, unit=1.0 / 47.0)
+    heading = heading_from_field(mag, state, DECLINATION, INCLINATION)
+    assert heading is not None
+    want = np.stack([np.interp(state.t[heading.interval], mag.t, mag.field_s[:, i]) for i in range(3)], axis=1)
+    np.testing.assert_allclose(heading.field_s, want)
+    assert heading.offset_sigma < 1.0 * DEG
+    corrected = heading_from_field(readings(state), state, DECLINATION, INCLINATION)
+    assert corrected is not None
+    assert corrected.offset_sigma > 30.0 * DEG  # corrected against the attitude: its mean is the attitude's own
+
+
+def test_sigma_never_claims_more_than_a_kart_s_iron_allows() -> None:
+    state = laps()
+    clean = heading_from_field(readings(state, np.zeros(3), np.eye(3), noise=0.0), state, DECLINATION, INCLINATION)
+    assert clean is not None
+    assert clean.sigma == FLOOR
+
+
+def test_headings_are_a_second_apart_since_their_errors_last() -> None:
+    state = laps()
+    heading = heading_from_field(readings(state), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    assert np.min(np.diff(state.t[heading.interval])) > 0.99
+    assert len(heading.interval) > 180
+
+
+def test_moments_under_a_bridge_are_left_out() -> None:
+    state = laps()
+    mag = readings(state)
+    field = mag.field_s.copy()
+    under = (mag.t % 40.0) < 3.0
+    field[under] += [80.0, 60.0, -90.0]
+    heading = heading_from_field(MagSamples(mag.t, field), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    kept = state.t[heading.interval]
+    assert np.mean((kept % 40.0) < 2.9) < 0.02
+    assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 5.0 * DEG
+
+
+class TestRefusal:
+    def test_a_field_that_has_nothing_to_do_with_the_heading_is_refused(self) -> None:
+        state = laps()
+        t = readings(state).t
+        noise = 20.0 * np.random.default_rng(0).normal(size=(len(t), 3))
+        assert heading_from_field(MagSamples(t, noise), state, DECLINATION, INCLINATION) is None
+
+    def test_a_sensor_that_stands_still_is_refused(self) -> None:
+        state = laps()
+        t = readings(state).t
+        stuck = np.tile([20.0, -3.0, 40.0], (len(t), 1))
+        assert heading_from_field(MagSamples(t, stuck), state, DECLINATION, INCLINATION) is None
+        assert heading_from_field(MagSamples(t, np.zeros((len(t), 3))), state, DECLINATION, INCLINATION) is None
+
+    def test_a_field_drowned_in_the_currents_of_the_engine_is_refused(self) -> None:
+        state = laps()
+        mag = readings(state)
+        current = 60.0 * np.sin(1.7 * mag.t)[:, None] * [1.0, -0.6, 0.3]
+        assert heading_from_field(MagSamples(mag.t, mag.field_s + current), state, DECLINATION, INCLINATION) is None
+
+    def test_another_clock_that_does_not_overlap_is_refused(self) -> None:
+        state = laps()
+        mag = readings(state)
+        assert heading_from_field(MagSamples(mag.t + 1e4, mag.field_s), state, DECLINATION, INCLINATION) is None
+
+    def test_fifteen_seconds_are_too_few_to_judge(self) -> None:
+        state = laps()
+        short = replace(
+            state, t=state.t[:75], **{name: getattr(state, name)[:75] for name in ("R_ns", "position_n", "velocity_n")}
+        )
+        assert heading_from_field(readings(state), short, DECLINATION, INCLINATION) is None

@@ -1,0 +1,405 @@
+"""Every residual against its formula, every Jacobian against a numerical one, at random states."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path
+from smoother.estimate.graph.inertial import empty_system
+from smoother.estimate.graph.rows import (
+    Rows,
+    add_constants_prior,
+    add_rows,
+    after_step,
+    bracket,
+    heading_rows,
+    hermite_position,
+    hermite_velocity,
+    offset_rows,
+    position_rows,
+    prior_row,
+    standstill_rows,
+    velocity_rows,
+)
+from smoother.estimate.graph.state import (
+    ACCEL_BIAS,
+    CONSTANTS_SIZE,
+    GYRO_BIAS,
+    HEADING_OFFSET,
+    KEYFRAME_SIZE,
+    LEVER_ARM,
+    OFFSET,
+    POSITION_LATENCY,
+    ROTATION,
+    ROW_CONSTANTS_SIZE,
+    TRANSLATION,
+    VELOCITY,
+    VELOCITY_LATENCY,
+    ChainState,
+    Constants,
+)
+from smoother.frames import GRAVITY_N
+
+# Many bins: between their edges velocities are read off a straight line, which is not what is tested here
+K, T, N_BINS = 7, 0.2, 50
+START = 3.0
+TIMES = START + np.array([0.23, 0.31, 0.59, 0.6, 0.87, 1.03, 1.199])
+N = len(TIMES)
+
+
+def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
+    """Keyframes with random positions and velocities that contradict their inertial samples by decimetres.
+
+    turning: rad/s about up; without it the box keeps one random attitude, and every Jacobian is exact.
+    """
+    rng = np.random.default_rng(seed)
+    t = START + T * np.arange(K)
+    R0 = so3.exp(rng.normal(size=3))
+    rate = turning * R0[2]
+    R_ns = R0 @ so3.exp((t - START)[:, None] * rate)
+    velocity = rng.normal(size=(K, 3)) + 10.0 * rng.normal(size=3)
+    position = np.cumsum(velocity * T, axis=0) + 0.1 * rng.normal(size=(K, 3))
+    accel_bias, gyro_bias = np.tile(0.3 * rng.normal(size=3), (K, 1)), np.tile(0.1 * rng.normal(size=3), (K, 1))
+    constants = Constants(
+        rng.uniform(0.02, 0.2),
+        rng.uniform(0.02, 0.2),
+        0.5 * rng.normal(size=3),
+        rng.normal(),
+        0.01 * rng.normal(size=(3, 3)),
+        0.01 * rng.normal(size=(3, 3)),
+    )
+    state = ChainState(t, R_ns, position, velocity, accel_bias, gyro_bias, rng.normal(size=(K, 3)), constants)
+    force = np.einsum("kji,kj->ki", R_ns[:-1], 3.0 * rng.normal(size=(K - 1, 3)) - GRAVITY_N) + accel_bias[0]
+    rates = np.broadcast_to(rate + gyro_bias[0], (K - 1, N_BINS, 3))
+    no = np.zeros(K - 1)
+    return state, BinnedImu(t, T / N_BINS, np.repeat(force[:, None], N_BINS, axis=1), rates, no, no)
+
+
+def path_of(state: ChainState, binned: BinnedImu) -> DensePath:
+    return dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
+
+
+def numerical(make: Callable[[ChainState], Rows], state: ChainState) -> list[np.ndarray]:
+    """Jacobians of every row by its left and right keyframe and by the constants, by central differences."""
+    size = K * KEYFRAME_SIZE
+
+    def moved(x: np.ndarray) -> np.ndarray:
+        constants = np.zeros(CONSTANTS_SIZE)
+        constants[:ROW_CONSTANTS_SIZE] = x[size:]
+        return make(state.retract(x[:size].reshape(K, KEYFRAME_SIZE), constants)).residual
+
+    J = so3.numerical_jacobian(moved, np.zeros(size + ROW_CONSTANTS_SIZE), step=1e-5)
+    by_keyframe = J[:, :, :size].reshape(*J.shape[:2], K, KEYFRAME_SIZE)
+    rows = make(state)
+    row = np.arange(len(rows.interval))
+    ends = [by_keyframe[row, :, rows.interval + i] for i in range(2)]
+    others = by_keyframe.copy()
+    for i in range(2):
+        others[row, :, rows.interval + i] = 0.0
+    np.testing.assert_allclose(others, 0.0, atol=1e-9)  # nothing but the keyframes around it moves a row
+    return [*ends, J[:, :, size:]]
+
+
+def assert_jacobians(make: Callable[[ChainState], Rows], state: ChainState, tolerance: float = 1e-7) -> None:
+    """Every column of every row. `tolerance` is of the largest entry of a row's Jacobian."""
+    rows = make(state)
+    analytic = [rows.left, rows.right, rows.constants]
+    for name, have, want in zip(("left", "right", "constants"), analytic, numerical(make, state), strict=True):
+        scale = np.maximum(1.0, np.max(np.abs(want), axis=(1, 2), keepdims=True))
+        np.testing.assert_allclose(have / scale, want / scale, rtol=0.0, atol=tolerance, err_msg=name)
+
+
+def gyro_without_bias(state: ChainState, gyro: np.ndarray) -> np.ndarray:
+    """What the rows of the receiver are given: rates at the edges of the path, the bias of their interval removed."""
+    return gyro - state.gyro_bias_s[np.minimum(np.arange((K - 1) * N_BINS + 1) // N_BINS, K - 2)]
+
+
+def position_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
+    def make(state: ChainState) -> Rows:
+        shape = (len(t), 3)
+        rate_s = gyro_without_bias(state, gyro)
+        return position_rows(state, path_of(state, binned), rate_s, t, np.ones(shape), np.ones(shape), 0.05)
+
+    return make
+
+
+def velocity_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
+    def make(state: ChainState) -> Rows:
+        shape = (len(t), 3)
+        rate_s = gyro_without_bias(state, gyro)
+        return velocity_rows(state, path_of(state, binned), rate_s, t, np.ones(shape), np.ones(shape))
+
+    return make
+
+
+@pytest.mark.parametrize("make", [position_maker, velocity_maker])
+class TestReceiverJacobians:
+    @pytest.mark.parametrize("seed", range(4))
+    def test_they_are_exact_at_random_states(self, make, seed: int) -> None:
+        state, binned = random_state(seed, turning=0.0)
+        # in bins of 4 ms velocities are straight lines, to this share of the Jacobian
+        assert_jacobians(make(binned, state.gyro_bias_s[0]), state, 4e-3)
+
+    @pytest.mark.parametrize("rate", [-1.5, 1.5])
+    def test_they_hold_while_turning_to_the_share_of_a_turn_that_fits_between_two_keyframes(self, make, rate) -> None:
+        state, binned = random_state(1, turning=rate)
+        gyro = rate * state.R_ns[0][2] + state.gyro_bias_s[0]
+        # turns of 0.3 rad, arms of 0.5 m: a tilt of one end is spread along straight lines, not along the turn, which
+        # is wrong by a quarter of the turn in the middle
+        assert_jacobians(make(binned, gyro), state, 0.25 * 0.3 * 0.5 * np.sqrt(3.0))
+
+    def test_at_the_ends_of_the_chain_and_beyond_they_stay_finite(self, make) -> None:
+        state, binned = random_state(2, turning=1.0)
+        t = np.array([START - 5.0, START, START + (K - 1) * T, START + (K - 1) * T + 5.0])
+        rows = make(binned, np.zeros(3), t)(state)
+        for part in (rows.residual, rows.left, rows.right, rows.constants):
+            assert np.all(np.isfinite(part))
+        assert np.all((rows.interval >= 0) & (rows.interval <= K - 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+class TestOtherJacobians:
+    def test_heading(self, seed: int) -> None:
+        state, _ = random_state(seed, turning=1.0)
+        field_s = np.einsum("kji,kj->ki", state.R_ns[[0, 2, 5]], np.random.default_rng(seed).normal(size=(3, 3)))
+        interval = np.array([0, 2, 5])
+
+        def make(state: ChainState) -> Rows:
+            return heading_rows(state, interval, field_s, 0.1, 0.05)
+
+        # the field's dip couples roll and pitch into its yaw; the rows leave that out on purpose
+        rows = make(state)
+        for row, (k, left, right, constants) in enumerate(zip(interval, *numerical(make, state), strict=True)):
+            up_s = state.R_ns[k][2]
+            assert rows.left[row, 0, ROTATION] @ up_s == pytest.approx(left[0, ROTATION] @ up_s, abs=1e-7)
+            np.testing.assert_allclose(
+                rows.left[row, 0, ROTATION] - up_s * (rows.left[row, 0, ROTATION] @ up_s), 0.0, atol=1e-12
+            )
+            np.testing.assert_allclose(rows.left[row, 0, ROTATION.stop :], left[0, ROTATION.stop :], atol=1e-9)
+            np.testing.assert_allclose(rows.right[row], right, atol=1e-9)
+            np.testing.assert_allclose(rows.constants[row], constants, atol=1e-7)
+
+    def test_standstill(self, seed: int) -> None:
+        state, _ = random_state(seed, turning=1e-3)  # turns by no more than a kart at rest
+        assert_jacobians(lambda s: standstill_rows(s, np.array([0, 3, 5]), 0.03, 2e-3), state, 1e-3)
+
+    def test_offset(self, seed: int) -> None:
+        state, _ = random_state(seed, turning=1.0)
+        for part in range(2):
+            assert_jacobians(lambda s, part=part: offset_rows(s, np.array([2.0, 2.0, 3.4]), 60.0)[part], state)
+
+    def test_prior(self, seed: int) -> None:
+        state, _ = random_state(seed, turning=1.0)
+        part = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
+
+        def make(state: ChainState) -> Rows:
+            return prior_row("bias", np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0]]), np.ones(6), part)
+
+        assert_jacobians(make, state)
+
+
+class TestResiduals:
+    def test_an_antenna_s_position_and_velocity_are_those_of_a_point_of_a_turning_body(self) -> None:
+        """A circle at constant speed, seen late by an antenna off the centre: residuals vanish at the truth."""
+        radius, pace, arm_s = 20.0, 0.6, np.array([0.4, -0.3, 0.5])
+        position_latency, velocity_latency, offset_n = 0.13, 0.21, np.array([1.5, -0.7, 2.0])
+        t = START + T * np.arange(K)
+
+        def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            yaw = pace * t
+            R = so3.exp(np.stack([0.0 * t, 0.0 * t, yaw], axis=1))
+            p = radius * np.stack([np.sin(yaw), -np.cos(yaw), 0.0 * t], axis=1)
+            return R, p, radius * pace * np.stack([np.cos(yaw), np.sin(yaw), 0.0 * t], axis=1)
+
+        zeros = np.zeros((K, 3))
+        constants = Constants(position_latency, velocity_latency, arm_s)
+        state = ChainState(t, *at(t), zeros, zeros, np.tile(offset_n, (K, 1)), constants)
+        force = np.array([0.0, radius * pace**2, 9.80665])
+        rate = np.array([0.0, 0.0, pace])
+        binned = BinnedImu(
+            t,
+            T / N_BINS,
+            np.tile(force, (K - 1, N_BINS, 1)),
+            np.tile(rate, (K - 1, N_BINS, 1)),
+            zeros[1:, 0],
+            zeros[1:, 0],
+        )
+        rates, ask, ones = np.tile(rate, ((K - 1) * N_BINS + 1, 1)), t[0] + np.array([0.5, 0.83, 1.1]), np.ones((3, 3))
+        R, p, _ = at(ask - position_latency)
+        fix = p + R @ arm_s + offset_n
+        rows = position_rows(state, path_of(state, binned), rates, ask, fix, ones, position_latency)
+        np.testing.assert_allclose(rows.residual, 0.0, atol=1e-4)
+        R, _, v = at(ask - velocity_latency)
+        doppler = v + np.einsum("nij,j->ni", R, np.cross(rate, arm_s))
+        rows = velocity_rows(state, path_of(state, binned), rates, ask, doppler, ones)
+        np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
+
+    def test_only_the_rate_about_up_swings_the_antenna(self) -> None:
+        state, binned = random_state(0, turning=0.0)
+        up_s = state.R_ns[0][2]
+        level = np.cross(up_s, [0.3, 0.5, -0.2])
+        still = velocity_maker(binned, state.gyro_bias_s[0])(state).residual
+        rolling = velocity_maker(binned, state.gyro_bias_s[0] + level)(state).residual
+        turning = velocity_maker(binned, state.gyro_bias_s[0] + up_s)(state).residual
+        np.testing.assert_allclose(rolling, still, atol=1e-12)
+        swing = state.R_ns[0] @ np.cross(up_s, state.constants.lever_arm_s)
+        np.testing.assert_allclose(turning - still, np.broadcast_to(swing, (N, 3)), atol=1e-12)
+
+    def test_a_component_that_is_not_known_has_no_weight_and_spoils_nothing(self) -> None:
+        state, binned = random_state(0, turning=1.0)
+        measured, sigma = np.zeros((N, 3)), np.ones((N, 3))
+        measured[:, 2], sigma[1, 0], measured[2] = np.nan, np.inf, np.nan
+        rates = np.zeros(((K - 1) * N_BINS + 1, 3))
+        for rows in (
+            position_rows(state, path_of(state, binned), rates, TIMES, measured, sigma, 0.0),
+            velocity_rows(state, path_of(state, binned), rates, TIMES, measured, sigma),
+        ):
+            np.testing.assert_array_equal(rows.information[:, 2], 0.0)
+            assert rows.information[1, 0] == 0.0
+            np.testing.assert_array_equal(rows.information[2], 0.0)
+            np.testing.assert_array_equal(rows.information[0, :2], 1.0)
+            assert np.all(np.isfinite(rows.residual))
+
+    def test_heading_is_the_yaw_of_the_field_and_wraps(self) -> None:
+        state, _ = random_state(0, turning=0.0)
+        constants = replace(state.constants, heading_offset=0.2)
+        state = replace(state, constants=constants)
+        field_n = np.array([-1.0, -1e-3, -2.0])  # yaw just above minus half a turn
+        rows = heading_rows(state, np.array([1]), (state.R_ns[1].T @ field_n)[None], 3.1, 0.05)
+        want = np.arctan2(-1e-3, -1.0) - 3.1 - 0.2 + 2.0 * np.pi
+        np.testing.assert_allclose(rows.residual, [[want]], atol=1e-12)
+        np.testing.assert_array_equal(rows.sigma, [[0.05]])
+
+    def test_standstill_asks_for_no_speed_and_no_turn(self) -> None:
+        state, _ = random_state(0, turning=1.0)
+        rows = standstill_rows(state, np.array([2]), 0.03, 2e-3)
+        np.testing.assert_allclose(rows.residual[0, :3], state.velocity_n[2])
+        np.testing.assert_allclose(so3.exp(rows.residual[0, 3:]), state.R_ns[2].T @ state.R_ns[3], atol=1e-12)
+        np.testing.assert_array_equal(rows.sigma[0], [0.03] * 3 + [2e-3] * 3)
+
+    def test_the_offset_s_process_is_stationary(self) -> None:
+        """Start and steps together give every keyframe the sigma asked for, and neighbours the right correlation."""
+        sigma, tau = np.array([2.0, 3.0, 4.0]), 5.0
+        state, _ = random_state(0, turning=0.0)
+        start, steps = offset_rows(state, sigma, tau)
+        H = np.zeros((3 * K, 3 * K))
+        for rows in (start, steps):
+            for row, k in enumerate(rows.interval):
+                J = np.zeros((3, 3 * K))
+                J[:, 3 * k : 3 * k + 3], J[:, 3 * k + 3 : 3 * k + 6] = (
+                    rows.left[row][:, OFFSET],
+                    rows.right[row][:, OFFSET],
+                )
+                H += (J.T * rows.information[row]) @ J
+        P = np.linalg.inv(H).reshape(K, 3, K, 3)
+        for k in range(K):
+            np.testing.assert_allclose(np.sqrt(np.diag(P[k, :, k])), sigma)
+        np.testing.assert_allclose(np.diag(P[1, :, 4]), sigma**2 * np.exp(-3.0 * T / tau))
+
+
+class TestHermite:
+    def test_times_fall_between_the_keyframes_around_them(self) -> None:
+        state, _ = random_state(0, turning=0.0)
+        b = bracket(state, START + np.array([0.0, 0.05, 0.3, 1.2, 9.0, -9.0]))
+        np.testing.assert_array_equal(b.interval, [0, 0, 1, 5, 5, 0])
+        np.testing.assert_allclose(b.share, [0.0, 0.25, 0.5, 1.0, 1.0, 0.0], atol=1e-9)
+        assert b.length == pytest.approx(T)
+
+    def test_weights_reproduce_any_cubic_and_its_slope(self) -> None:
+        state, _ = random_state(0, turning=0.0)
+        cubic = np.polynomial.Polynomial([0.3, -2.0, 1.5, 4.0])
+        slope = cubic.deriv()
+        b = bracket(state, TIMES)
+        left, right = state.t[b.interval], state.t[b.interval + 1]
+        ends = (cubic(left), slope(left), cubic(right), slope(right))
+        np.testing.assert_allclose(sum(w * e for w, e in zip(hermite_position(b), ends, strict=True)), cubic(TIMES))
+        np.testing.assert_allclose(sum(w * e for w, e in zip(hermite_velocity(b), ends, strict=True)), slope(TIMES))
+
+
+def random_rows(count: int, seed: int, components: int = 3) -> Rows:
+    """Several rows in one interval, none in another."""
+    rng = np.random.default_rng(seed)
+    interval = rng.choice([0, 2, 2, 3, 5], count)
+    sigma = rng.uniform(0.5, 2.0, (count, components))
+    sigma[0, 1] = np.inf
+    return Rows(
+        "random",
+        interval,
+        rng.normal(size=(count, components)),
+        sigma,
+        rng.normal(size=(count, components, KEYFRAME_SIZE)),
+        rng.normal(size=(count, components, KEYFRAME_SIZE)),
+        rng.normal(size=(count, components, ROW_CONSTANTS_SIZE)),
+        rng.uniform(0.1, 1.0, count),
+    )
+
+
+def dense_jacobian(rows: Rows) -> np.ndarray:
+    """The whole Jacobian, (N, r, K * 18 + all constants)."""
+    n = KEYFRAME_SIZE
+    J = np.zeros((*rows.residual.shape, K * n + CONSTANTS_SIZE))
+    for row, k in enumerate(rows.interval):
+        J[row, :, k * n : (k + 1) * n] = rows.left[row]
+        J[row, :, (k + 1) * n : (k + 2) * n] = rows.right[row]
+        J[row, :, K * n : K * n + ROW_CONSTANTS_SIZE] = rows.constants[row]
+    return J
+
+
+class TestNormalEquations:
+    def test_they_are_those_of_the_dense_jacobian_also_with_many_rows_in_one_interval(self) -> None:
+        system, H, g = empty_system(K), 0.0, 0.0
+        for seed, count in enumerate((1, 12, 40)):
+            rows = random_rows(count, seed)
+            add_rows(system, rows)
+            J, weight = dense_jacobian(rows), rows.weight[:, None] / rows.sigma**2
+            H = H + np.einsum("nri,nr,nrj->ij", J, weight, J)
+            g = g - np.einsum("nri,nr,nr->i", J, weight, rows.residual)
+        n, c = KEYFRAME_SIZE, K * KEYFRAME_SIZE
+        blocks, k = H[:c, :c].reshape(K, n, K, n).transpose(0, 2, 1, 3), np.arange(K)
+        np.testing.assert_allclose(system.diagonal, blocks[k, k], atol=1e-10)
+        np.testing.assert_allclose(system.upper, blocks[k[:-1], k[1:]], atol=1e-10)
+        np.testing.assert_allclose(system.border, H[:c, c:].reshape(K, n, -1), atol=1e-10)
+        np.testing.assert_allclose(system.corner, H[c:, c:], atol=1e-10)
+        np.testing.assert_allclose(system.rhs, g[:c].reshape(K, n), atol=1e-10)
+        np.testing.assert_allclose(system.rhs_constants, g[c:], atol=1e-10)
+
+    def test_no_rows_add_nothing(self) -> None:
+        system, rows = empty_system(K), random_rows(3, 0)
+        empty = replace(rows, **{name: getattr(rows, name)[:0] for name in vars(rows) if name != "name"})
+        add_rows(system, empty)
+        assert not any(np.any(part) for part in vars(system).values())
+
+    def test_a_prior_on_the_constants_is_a_row_on_each(self) -> None:
+        system, rng = empty_system(K), np.random.default_rng(0)
+        residual, sigma = rng.normal(size=CONSTANTS_SIZE), rng.uniform(0.1, 2.0, CONSTANTS_SIZE)
+        add_constants_prior(system, residual, sigma)
+        np.testing.assert_allclose(system.corner, np.diag(1.0 / sigma**2))
+        np.testing.assert_allclose(np.linalg.solve(system.corner, system.rhs_constants), -residual)
+
+    def test_residuals_after_a_step_are_those_the_linear_model_predicts(self) -> None:
+        rows, rng = random_rows(12, 0), np.random.default_rng(1)
+        step, constants = rng.normal(size=(K, KEYFRAME_SIZE)), rng.normal(size=CONSTANTS_SIZE)
+        moved = after_step(rows, step, constants)
+        want = rows.residual + dense_jacobian(rows) @ np.concatenate([step.ravel(), constants])
+        np.testing.assert_allclose(moved.residual, want, atol=1e-12)
+        assert moved.left is rows.left
+
+    def test_a_small_step_moves_the_real_residual_as_predicted(self) -> None:
+        state, binned = random_state(3, turning=0.0)
+        rng = np.random.default_rng(0)
+        step, constants = 1e-4 * rng.normal(size=(K, KEYFRAME_SIZE)), 1e-4 * rng.normal(size=CONSTANTS_SIZE)
+        step[:, GYRO_BIAS] = step[0, GYRO_BIAS]
+        make = position_maker(binned, state.gyro_bias_s[0])
+        predicted = after_step(make(state), step, constants)
+        np.testing.assert_allclose(make(state.retract(step, constants)).residual, predicted.residual, atol=5e-6)
+
+
+def test_the_parts_of_the_tangent_do_not_overlap() -> None:
+    for size, parts in (
+        (KEYFRAME_SIZE, (ROTATION, TRANSLATION, VELOCITY, ACCEL_BIAS, GYRO_BIAS, OFFSET)),
+        (ROW_CONSTANTS_SIZE, (POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET)),
+    ):
+        assert sorted(i for part in parts for i in range(part.start, part.stop)) == list(range(size))
