@@ -60,7 +60,7 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     matrix, iron, weight = _fit(expected, measured)
     if np.linalg.cond(matrix) > 20.0:
         return None
-    corrected = np.linalg.solve(matrix, (measured - iron).T).T
+    corrected = np.asarray(np.linalg.solve(matrix, (measured - iron).T).T, dtype=np.float64)
     error = _heading_error(state.R_ns[at], measured, declination)
     offset_sigma = CALIBRATED_OFFSET
     if np.sqrt(np.median(error**2)) > 0.7 * NEEDS_NO_FIT or abs(float(np.median(error))) > 0.5 * NEEDS_NO_FIT:

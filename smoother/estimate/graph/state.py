@@ -42,9 +42,8 @@ class Constants:
 
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
-        scalars = [self.position_latency, self.velocity_latency]
-        parts = [scalars, self.lever_arm_s, [self.heading_offset], self.accel_error.ravel(), self.gyro_error.ravel()]
-        return np.concatenate(parts)
+        latencies, offset = np.array([self.position_latency, self.velocity_latency]), np.array([self.heading_offset])
+        return np.concatenate([latencies, self.lever_arm_s, offset, self.accel_error.ravel(), self.gyro_error.ravel()])
 
     @staticmethod
     def from_vector(x: Array) -> "Constants":
