@@ -21,13 +21,12 @@ PERIOD_WINDOW = 128  # samples over which a period is measured: longer than the 
 LOSSY_SHARE = 0.15  # up to this share of long intervals they are lost samples, above it is how samples arrive
 WHOLE = 0.2  # periods; how near to a whole number of periods lost samples leave an interval
 STEP_WINDOWS = (1, 4, 16, 64)  # samples on either side of a step; wide ones see single lost samples through jitter
-BURST_HASTE = (
-    0.2  # periods; if most intervals are shorter by more, samples arrive in bursts: only wide windows see steps
-)
+BURST_HASTE = 0.2  # periods; most intervals shorter by more: samples arrive in bursts, only wide windows see steps
 STEP_SIGMAS = 5.0
 SMALLEST_STEP = 0.5  # periods
 STAYING_SHARE = 0.6  # of a step's height that the least lags before and after must differ by
 UNSTEADY_GAP = 4.0  # periods
+JITTER_WORTH_SAYING = 0.1  # periods; less is the rounding of stamps
 ENVELOPE_WINDOW = 256  # samples; late samples are made up for within it, lost ones never
 EVEN_ENOUGH = 1e-3  # periods; stamps with less jitter are left as they are
 BLOCK_JITTER = 0.05  # periods; blocks are long enough for their mean to be this good ...
@@ -113,7 +112,7 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
         gap_count = counted(gaps.size, "gap")
         text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.3g} s, {gaps.sum():.3g} s in all"
         problems.append(Problem(f"{prefix}_gap", text, int(gaps.size)))
-    if base.jitter > BLOCK_JITTER * base.period:
+    if base.jitter > JITTER_WORTH_SAYING * base.period:
         text = f"{file}: stamps jitter by {1e3 * base.jitter:.1f} ms rms; evened out"
         problems.append(Problem(f"{prefix}_jitter", text))
     return problems

@@ -269,7 +269,7 @@ def test_missing_truth_is_one_clear_line(folder: Folder) -> None:
     ("name", "fixes", "samples", "expected"),
     [
         ("kart_adria_first_half", 2626, 33708, {"imu_gap", "imu_jitter"}),
-        ("kart_lignano_racebox", 31527, 31527, {"imu_gap", "imu_jitter"}),
+        ("kart_lignano_racebox", 31527, 31527, {"imu_gap"}),
         ("kart_massafinalese_racechrono", 10390, 0, {"imu_too_slow"}),
         ("kart_okc_doves", 22691, 0, {"imu_missing"}),
         ("car_hi600_rtk", 867, 86716, set()),

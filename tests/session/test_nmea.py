@@ -181,6 +181,13 @@ def test_sentences_without_a_fix_are_counted_and_not_used() -> None:
     assert codes(reading) == {"gps_no_fix": 3}
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_one_sentence_that_denies_the_fix_is_believed(first: bool) -> None:
+    denied = [rmc(START, status="V"), gga(START)]
+    reading = read("".join(denied if first else denied[::-1]) + rmc(START + 1))
+    np.testing.assert_array_equal(reading.gnss.t, [1.0])
+
+
 def test_missing_fields_are_unknown_and_never_zero() -> None:
     fixes = read(sentence("GPGGA,100000.00,4502.0,N,01208.9,E,1,,,,M,,M,,")).gnss
     assert np.isnan(fixes.alt_m[0]) and np.isnan(fixes.hdop[0]) and fixes.num_sv[0] == -1
