@@ -1,0 +1,243 @@
+"""The inertial factors in the chain against GTSAM itself, against numbers, and against the formula."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, V, X
+
+from smoother import so3
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, corrected, preintegrate
+from smoother.estimate.graph.inertial import (
+    LinearInertial,
+    ValuesFactory,
+    add_inertial,
+    empty_system,
+    inertial_after_errors,
+    inertial_after_step,
+    inertial_graph,
+    inertial_residuals,
+    linearize_inertial,
+)
+from smoother.estimate.graph.state import (
+    ACCEL_ERROR,
+    CONSTANTS_SIZE,
+    GYRO_ERROR,
+    KEYFRAME_SIZE,
+    TRANSLATION,
+    VELOCITY,
+    ChainState,
+    Constants,
+)
+from smoother.frames import GRAVITY_N
+
+K, T, N_BINS, INERTIAL = 5, 0.2, 10, 15
+NOISE = InertialNoise(0.3, 0.02, 0.01, 0.002)
+
+
+def drive(seed: int, crooked: float = 0.01) -> tuple[ChainState, BinnedImu]:
+    """A few intervals of random motion; keyframes disagree with it by random steps of `crooked`."""
+    rng = np.random.default_rng(seed)
+    t = T * np.arange(K)
+    force = rng.normal(size=(K - 1, N_BINS, 3)) * 2.0 + [1.0, 3.0, 9.8]
+    rate = rng.normal(size=(K - 1, N_BINS, 3)) * 0.2 + [0.1, -0.2, 0.8]
+    binned = BinnedImu(t, T / N_BINS, force, rate, np.zeros(K - 1), np.zeros(K - 1))
+    accel_bias = 0.2 * rng.normal(size=3) + 0.01 * rng.normal(size=(K, 3))
+    gyro_bias = 0.05 * rng.normal(size=3) + 0.002 * rng.normal(size=(K, 3))
+    state = gtsam.NavState(gtsam.Rot3(so3.exp(rng.normal(size=3))), 10.0 * rng.normal(size=3), 5.0 * rng.normal(size=3))
+    states = [state]
+    for k, measured in enumerate(preintegrate(binned, NOISE, accel_bias[:-1], gyro_bias[:-1])):
+        states.append(measured.predict(states[-1], gtsam.imuBias.ConstantBias(accel_bias[k], gyro_bias[k])))
+    R = np.array([s.attitude().matrix() for s in states]) @ so3.exp(crooked * rng.normal(size=(K, 3)))
+    p = np.array([s.position() for s in states]) + crooked * rng.normal(size=(K, 3))
+    v = np.array([s.velocity() for s in states]) + crooked * rng.normal(size=(K, 3))
+    chain = ChainState(t, R, p, v, accel_bias, gyro_bias, np.zeros((K, 3)), Constants(0.0, 0.0, np.zeros(3)))
+    return chain, binned
+
+
+def factors(state: ChainState, binned: BinnedImu) -> gtsam.NonlinearFactorGraph:
+    return inertial_graph(preintegrate(binned, NOISE, state.accel_bias_s[:-1], state.gyro_bias_s[:-1]))
+
+
+def linearized(graph: gtsam.NonlinearFactorGraph, state: ChainState, binned: BinnedImu) -> LinearInertial:
+    mean_force = binned.specific_force_s.mean(axis=1) - state.accel_bias_s[:-1]
+    mean_rate = binned.angular_rate_s.mean(axis=1) - state.gyro_bias_s[:-1]
+    return linearize_inertial(graph, ValuesFactory(K).values(state), mean_force, mean_rate)
+
+
+def test_values_are_the_state_under_gtsam_s_keys() -> None:
+    state, _ = drive(0)
+    values = ValuesFactory(K).values(state)
+    assert values.size() == 3 * K
+    for k in range(K):
+        np.testing.assert_allclose(values.atPose3(X(k)).rotation().matrix(), state.R_ns[k], atol=1e-12)
+        np.testing.assert_array_equal(values.atPose3(X(k)).translation(), state.position_n[k])
+        np.testing.assert_array_equal(values.atVector(V(k)), state.velocity_n[k])
+        bias = values.atConstantBias(B(k))
+        np.testing.assert_allclose(bias.accelerometer(), state.accel_bias_s[k], atol=1e-15)
+        np.testing.assert_allclose(bias.gyroscope(), state.gyro_bias_s[k], atol=1e-15)
+
+
+def test_a_factory_makes_each_values_from_scratch() -> None:
+    factory = ValuesFactory(K)
+    first, second = drive(0)[0], drive(1)[0]
+    factory.values(first)
+    np.testing.assert_allclose(factory.values(second).atConstantBias(B(2)).gyroscope(), second.gyro_bias_s[2])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_residuals_weigh_what_gtsam_says_they_weigh(seed: int) -> None:
+    state, binned = drive(seed)
+    graph = factors(state, binned)
+    linear, values = linearized(graph, state, binned), ValuesFactory(K).values(state)
+    for k in range(K - 1):
+        assert 0.5 * np.sum(linear.residual[k] ** 2) == pytest.approx(graph.at(k).error(values), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobians_are_the_numerical_ones_of_the_chain_s_own_retraction(seed: int) -> None:
+    state, binned = drive(seed)
+    graph = factors(state, binned)
+    linear = linearized(graph, state, binned)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        step = np.zeros((K, KEYFRAME_SIZE))
+        step[:, :INERTIAL] = x.reshape(K, INERTIAL)
+        return linearized(graph, state.retract(step, np.zeros(CONSTANTS_SIZE)), binned).residual
+
+    J = so3.numerical_jacobian(residual, np.zeros(K * INERTIAL), step=1e-6).reshape(K - 1, INERTIAL, K, INERTIAL)
+    for k in range(K - 1):
+        scale = np.max(np.abs(linear.right[k]), axis=1, keepdims=True)  # rows are whitened, each by its own sigma
+        np.testing.assert_allclose(linear.left[k] / scale, J[k, :, k] / scale, atol=1e-5)
+        np.testing.assert_allclose(linear.right[k] / scale, J[k, :, k + 1] / scale, atol=1e-5)
+
+
+def test_errors_of_scale_move_the_residual_as_predicted() -> None:
+    state, binned = drive(0)
+    base = linearized(factors(state, binned), state, binned)
+    rng = np.random.default_rng(1)
+    for part in (ACCEL_ERROR, GYRO_ERROR):
+        step = np.zeros(CONSTANTS_SIZE)
+        step[part] = 0.01 * rng.normal(size=9)
+        errors = Constants.from_vector(step)
+        moved = linearized(factors(state, corrected(binned, errors.accel_error, errors.gyro_error)), state, binned)
+        want = moved.residual - base.residual
+        have = inertial_after_errors(base, step).residual - base.residual
+        # an error acts on each bin, the model on their mean; here the bins of an interval are as unlike as in a crash
+        assert np.linalg.norm(have - want) < 0.15 * np.linalg.norm(want)
+
+
+def test_taking_sensor_errors_out_undoes_them_to_second_order() -> None:
+    _, binned = drive(0)
+    rng = np.random.default_rng(2)
+    accel_error, gyro_error = 0.02 * rng.normal(size=(2, 3, 3))
+    wrong = replace(
+        binned,
+        specific_force_s=binned.specific_force_s @ (np.eye(3) + accel_error).T,
+        angular_rate_s=binned.angular_rate_s @ (np.eye(3) + gyro_error).T,
+    )
+    mended = corrected(wrong, accel_error, gyro_error)
+    np.testing.assert_allclose(mended.specific_force_s, binned.specific_force_s, atol=12.0 * 3.0 * 0.06**2)
+    np.testing.assert_allclose(mended.angular_rate_s, binned.angular_rate_s, atol=1.5 * 3.0 * 0.06**2)
+    assert np.max(np.abs(wrong.specific_force_s - binned.specific_force_s)) > 10.0 * np.max(
+        np.abs(mended.specific_force_s - binned.specific_force_s)
+    )
+
+
+def test_after_a_step_the_residual_is_that_of_the_linear_model() -> None:
+    state, binned = drive(0)
+    linear = linearized(factors(state, binned), state, binned)
+    rng = np.random.default_rng(3)
+    step, constants = rng.normal(size=(K, KEYFRAME_SIZE)), rng.normal(size=CONSTANTS_SIZE)
+    moved = inertial_after_step(linear, step, constants)
+    errors = constants[ACCEL_ERROR.start : GYRO_ERROR.stop]
+    for k in range(K - 1):
+        want = linear.residual[k] + linear.left[k] @ step[k, :INERTIAL] + linear.right[k] @ step[k + 1, :INERTIAL]
+        np.testing.assert_allclose(moved.residual[k], want + linear.errors[k] @ errors, rtol=1e-9)
+
+
+def dense_jacobian(linear: LinearInertial) -> np.ndarray:
+    """The whole Jacobian ((K-1) * 15, K * 18 + constants)."""
+    J, n = np.zeros((K - 1, INERTIAL, K * KEYFRAME_SIZE + CONSTANTS_SIZE)), KEYFRAME_SIZE
+    for k in range(K - 1):
+        J[k, :, k * n : k * n + INERTIAL] = linear.left[k]
+        J[k, :, (k + 1) * n : (k + 1) * n + INERTIAL] = linear.right[k]
+        J[k, :, K * n + ACCEL_ERROR.start : K * n + GYRO_ERROR.stop] = linear.errors[k]
+    return J.reshape((K - 1) * INERTIAL, -1)
+
+
+def test_the_normal_equations_are_those_of_the_dense_jacobian() -> None:
+    state, binned = drive(0)
+    linear = linearized(factors(state, binned), state, binned)
+    system = empty_system(K)
+    add_inertial(system, linear)
+    J = dense_jacobian(linear)
+    H, g, n, c = J.T @ J, -J.T @ linear.residual.ravel(), KEYFRAME_SIZE, K * KEYFRAME_SIZE
+    blocks, k = H[:c, :c].reshape(K, n, K, n).transpose(0, 2, 1, 3), np.arange(K)
+    for have, want in (
+        (system.diagonal, blocks[k, k]),
+        (system.upper, blocks[k[:-1], k[1:]]),
+        (system.border, H[:c, c:].reshape(K, n, -1)),
+        (system.corner, H[c:, c:]),
+        (system.rhs, g[:c].reshape(K, n)),
+        (system.rhs_constants, g[c:]),
+    ):
+        np.testing.assert_allclose(have, want, rtol=1e-9, atol=1e-9 * np.max(np.abs(want)))
+
+
+def no_covariance() -> ChainSolution:
+    n, m = KEYFRAME_SIZE, CONSTANTS_SIZE
+    zeros = np.zeros
+    return ChainSolution(
+        zeros((K, n)), zeros(m), zeros((K, n, n)), zeros((K - 1, n, n)), zeros((m, m)), zeros((K, n, m)), 0.0
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_unwhitened_residuals_are_those_of_the_formula(seed: int) -> None:
+    """Forster et al. 2017, eq. 45, in axes of the left keyframe: what the keyframes say minus what was integrated."""
+    state, binned = drive(seed, crooked=1e-3)
+    measured = preintegrate(binned, NOISE, state.accel_bias_s[:-1], state.gyro_bias_s[:-1])
+    linear = linearized(inertial_graph(measured), state, binned)
+    found = inertial_residuals(state, linear, no_covariance())
+    R, p, v = state.R_ns, state.position_n, state.velocity_n
+    for k in range(K - 1):
+        Rt = R[k].T
+        want = np.concatenate(
+            [
+                so3.log(measured[k].deltaRij().matrix().T @ Rt @ R[k + 1]),
+                Rt @ (p[k + 1] - p[k] - v[k] * T - 0.5 * GRAVITY_N * T**2) - measured[k].deltaPij(),
+                Rt @ (v[k + 1] - v[k] - GRAVITY_N * T) - measured[k].deltaVij(),
+                state.accel_bias_s[k + 1] - state.accel_bias_s[k],
+                state.gyro_bias_s[k + 1] - state.gyro_bias_s[k],
+            ]
+        )
+        # the residual's own turn, some mrad, counts as none: that share of residuals of some mm is left
+        np.testing.assert_allclose(found.residual[k], want, atol=2e-5)
+    np.testing.assert_array_equal(found.posterior_variance, np.zeros((K - 1, INERTIAL)))
+
+
+def test_posterior_variance_is_that_of_the_dense_covariance() -> None:
+    state, binned = drive(0, crooked=1e-4)
+    linear = linearized(factors(state, binned), state, binned)
+    n, m, c = KEYFRAME_SIZE, CONSTANTS_SIZE, K * KEYFRAME_SIZE
+    A = np.random.default_rng(0).normal(size=(c + m, c + m))
+    P = A @ A.T / (c + m)  # any covariance will do
+    blocks, k = P[:c, :c].reshape(K, n, K, n).transpose(0, 2, 1, 3), np.arange(K)
+    solution = replace(
+        no_covariance(),
+        covariance=blocks[k, k],
+        cross=blocks[k[:-1], k[1:]],
+        constants_covariance=P[c:, c:],
+        constants_cross=P[:c, c:].reshape(K, n, m),
+    )
+    found = inertial_residuals(state, linear, solution)
+    R_i, R_j = state.R_ns[:-1], state.R_ns[1:]
+    for i, J in enumerate(dense_jacobian(linear).reshape(K - 1, INERTIAL, -1)):
+        by_right = np.eye(INERTIAL)
+        by_right[TRANSLATION, TRANSLATION] = R_i[i].T @ R_j[i]
+        by_right[VELOCITY, VELOCITY] = R_i[i].T
+        plain = by_right @ np.linalg.solve(linear.right[i], J)
+        np.testing.assert_allclose(found.posterior_variance[i], np.diag(plain @ P @ plain.T), rtol=1e-6)
