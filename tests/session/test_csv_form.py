@@ -215,6 +215,16 @@ def test_a_position_written_again_while_moving_is_stale_but_not_while_standing(t
     assert len(fixes) == 50 and problems == []
 
 
+def test_of_a_position_that_hangs_while_the_kart_starts_only_the_moving_rows_are_stale(tmp_path: Path) -> None:
+    rows = gps_rows(60)
+    for k in range(20, 40):
+        speed = "0.0" if k < 35 else "8.0"  # 3 s of standing, then 1 s under way with the position still held
+        rows[k] = f"{0.2 * k:.2f}," + rows[19].partition(",")[2].replace(",10.0,", f",{speed},")
+    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
+    assert codes(problems) == {"gps_repeated": 5}
+    assert np.count_nonzero((fixes.t > 3.9) & (fixes.t < 6.9)) == 15
+
+
 def test_stale_positions_are_found_without_a_speed_too(tmp_path: Path) -> None:
     rows = [",".join(row.split(",")[:3]) for row in gps_rows(50)]
     rows[20] = "4.00," + rows[19].partition(",")[2]
