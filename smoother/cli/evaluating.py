@@ -33,6 +33,8 @@ _ROWS = (  # what people read, key, digits
     ("horizontal, over 1 s (m)", "relative_1s_rms_m", 3),
     ("along the track (m)", "along_track_rms_m", 3),
     ("across the track (m)", "cross_track_rms_m", 3),
+    ("late by, best fit (s)", "lag_s", 3),
+    ("horizontal, lag taken out (m)", "horizontal_rms_at_lag_m", 3),
     ("up (m)", "up_rms_m", 3),
     ("velocity, horizontal (m/s)", "horizontal_velocity_rms_mps", 3),
     ("roll (deg)", "roll_rms_deg", 2),
@@ -75,7 +77,7 @@ def evaluate(sessions: tuple[Path, ...], solver: str, skip: float, as_json: bool
 
 def score(path: Path, options: Options, skip: float, progress: Progress) -> tuple[dict[str, Figures], Quality]:
     """Return the figures of each estimator by its key in LABELS, and the smoother's verdict about itself."""
-    from smoother.estimate.evaluate import at_fixes
+    from smoother.estimate.evaluate import at_fixes, without_doubtful_velocity
     from smoother.estimate.evaluate import evaluate as evaluate_against
     from smoother.estimate.gps_alone import GpsAlone
     from smoother.session.truth import load_truth
@@ -83,7 +85,10 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     progress("reading", 0.0)
     directory = session_directory(path)
     session = calibrated(read(path), directory)
-    truth = load_truth(directory, session.origin)
+    told = load_truth(directory, session.origin)
+    truth = without_doubtful_velocity(told)
+    if truth is not told:
+        warn(f"{path}: the velocity in truth.csv contradicts its positions, so it is not used")
     estimates = estimate(session, options, Stopwatch(), progress)
     trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
     if estimates.baseline is not None:

@@ -94,10 +94,10 @@ def _shown_unit(unit: str) -> tuple[str, float, int]:
 
 
 def _values(value: Any, factor: float, digits: int) -> str:
-    items = value if isinstance(value, (list, tuple)) else [value]
-    return ", ".join(
-        _values(item, factor, digits) if isinstance(item, list) else number(item * factor, digits) for item in items
-    )
+    """Numbers with commas between, two digits more where all of them are small."""
+    items = [float(item) * factor for item in (value if isinstance(value, (list, tuple)) else [value])]
+    digits += 2 if max(map(abs, items)) < 0.1 else 0
+    return ", ".join(number(round(item, digits) + 0.0, digits) for item in items)
 
 
 def _problem(problem: Problem) -> str:

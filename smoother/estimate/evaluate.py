@@ -4,19 +4,22 @@ Errors are estimate - truth, at the times of the truth inside the estimate's spa
 caller says so. Truth may know less than the estimate (a reference receiver has no attitude); what is unknown is NaN.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.estimate.resample import is_known, known_rotation, resample
+from smoother.estimate.resample import is_known, known_rotation, position_at, resample
 from smoother.frames import wrap_angle
 from smoother.samples import Session
 from smoother.trajectory import Keyframes, Trajectory
 from smoother.units import DEG
 
+LONGEST_LAG = 1.0  # s, of an estimate against a reference whose own delay nobody knows
+VELOCITY_DOUBT = 0.5, 0.1  # m/s, and share of the speed, by which a truth's velocity may differ from its own positions
 TRUTH_GAP = 0.5  # s; between truth rows farther apart than this nothing is interpolated
 NEES_DIMENSION = 9
 _AXES = ("north", "west", "up")
@@ -41,8 +44,10 @@ class Evaluation:
 
     horizontal_rms_m is of the 2-D error, velocity_rms_mps of the 3-D one; relative_1s_rms_m is the horizontal error of
     the change of position over 1 s. along_track and cross_track split the horizontal error by the true direction of
-    travel. coverage_1sigma and coverage_2sigma: share of position errors, per axis, within one and two sigma;
-    `coverage` gives both for each quantity.
+    travel. lag_s is the constant shift of time that fits best (positive: the estimate is late) and
+    horizontal_rms_at_lag_m what is left then: for references with a delay of their own. coverage_1sigma and
+    coverage_2sigma are the share of position errors, per axis, within one and two sigma; `coverage` gives both for each
+    quantity.
     """
 
     count: int
@@ -51,6 +56,8 @@ class Evaluation:
     up_rms_m: float
     along_track_rms_m: float
     cross_track_rms_m: float
+    lag_s: float
+    horizontal_rms_at_lag_m: float
     velocity_rms_mps: float
     horizontal_velocity_rms_mps: float
     roll_rms_deg: float
@@ -79,6 +86,7 @@ def evaluate(estimate: Trajectory, truth: Trajectory, skip: float = 0.0) -> Eval
     Raises SessionError when the two do not overlap.
     """
     truth = _overlap(truth, estimate, skip)
+    lag, rms_at_lag = best_lag(estimate, truth)
     at_truth = resample(estimate, truth.t)
     errors = errors_between(at_truth, truth)
     along, cross = _split_by_direction(errors.position_n, _direction(truth))
@@ -93,6 +101,8 @@ def evaluate(estimate: Trajectory, truth: Trajectory, skip: float = 0.0) -> Eval
         up_rms_m=_rms(errors.position_n[:, 2]),
         along_track_rms_m=_rms(along),
         cross_track_rms_m=_rms(cross),
+        lag_s=lag,
+        horizontal_rms_at_lag_m=rms_at_lag,
         velocity_rms_mps=_rms(np.linalg.norm(errors.velocity_n, axis=1)),
         horizontal_velocity_rms_mps=_rms(np.hypot(errors.velocity_n[:, 0], errors.velocity_n[:, 1])),
         roll_rms_deg=roll,
@@ -121,6 +131,35 @@ def relative_rms(errors: Errors, interval: float) -> float:
     near = np.abs(errors.t[j] - errors.t[i] - interval) <= 0.1 * interval
     change = errors.position_n[j[near], :2] - errors.position_n[i[near], :2]
     return _rms(np.hypot(change[:, 0], change[:, 1]))
+
+
+def best_lag(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
+    """Return the lag (s) of the estimate behind the truth, within LONGEST_LAG, and the horizontal rms (m) it leaves."""
+    inside = (truth.t - LONGEST_LAG >= estimate.t[0]) & (truth.t + LONGEST_LAG <= estimate.t[-1])
+    t, position_n = truth.t[inside], truth.position_n[inside]
+    if t.size < 3:
+        return np.nan, np.nan
+
+    def rms(lag: float) -> float:
+        error = position_at(estimate, t + lag)[:, :2] - position_n[:, :2]
+        return _rms(np.hypot(error[:, 0], error[:, 1]))
+
+    best = minimize_scalar(rms, bounds=(-LONGEST_LAG, LONGEST_LAG), method="bounded", options={"xatol": 1e-4})
+    return float(best.x), float(best.fun)
+
+
+def without_doubtful_velocity(truth: Trajectory) -> Trajectory:
+    """Return the truth, its velocity unknown where most of it contradicts the positions (a wrong sign or frame)."""
+    step = np.diff(truth.t)[:, None]
+    moved, told = np.diff(truth.position_n, axis=0) / step, 0.5 * (truth.velocity_n[1:] + truth.velocity_n[:-1])
+    difference = np.linalg.norm((moved - told)[:, :2], axis=1)
+    known = np.isfinite(difference) & (step[:, 0] < 2.0)  # over longer steps the mean of two ends is not the velocity
+    if not known.any():
+        return truth
+    limit = VELOCITY_DOUBT[0] + VELOCITY_DOUBT[1] * np.linalg.norm(moved[known, :2], axis=1)
+    if np.median(difference[known] - limit) < 0.0:
+        return truth
+    return replace(truth, velocity_n=np.full_like(truth.velocity_n, np.nan))
 
 
 def nees(keyframes: Keyframes | None, truth: Trajectory) -> Nees | None:

@@ -46,6 +46,11 @@ def resample(trajectory: Trajectory, t: Array, longest_gap: float = np.inf) -> T
     )
 
 
+def position_at(trajectory: Trajectory, t: Array) -> Array:
+    """Position in n, (N, 3) m, at times t (N,) inside the span, as :func:`resample` gives it."""
+    return _hermite(trajectory.position_n, trajectory.velocity_n, bracket(trajectory.t, t))
+
+
 def bracket(rows: Array, t: Array) -> Bracket:
     """Find times t (N,) among the increasing times `rows` (M,); a single row is before and after everything."""
     before = np.clip(np.searchsorted(rows, t, side="right") - 1, 0, max(len(rows) - 2, 0)).astype(np.int64)

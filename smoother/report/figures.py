@@ -27,7 +27,9 @@ CLOSE_UP = 10.0  # m from the middle of a close-up of the map to its nearest edg
 CORNER_TIME = 4.0  # s that a close-up of a corner covers
 PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
-SLOWEST_CORNER = 5.0  # m/s; turning on the spot is no corner
+SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
+STANDING = 2.0  # m/s, below which a kart is not being driven
+MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +331,8 @@ def _tightest(trajectory: Trajectory) -> int:
         return len(trajectory) // 2
     before, here, after = velocity[: -2 * step], velocity[step:-step], velocity[2 * step :]
     course_change = np.abs(np.arctan2(*_turn(before, after)))
-    driven = np.hypot(here[:, 0], here[:, 1]) > SLOWEST_CORNER
+    speed = np.hypot(here[:, 0], here[:, 1])
+    driven = speed > SLOWEST_CORNER * np.median(speed[speed > STANDING]) if np.any(speed > STANDING) else speed < 0.0
     turning = np.where(driven & np.isfinite(course_change), course_change, 0.0)
     return step + int(np.argmax(turning))
 
@@ -348,7 +351,8 @@ def _limit_of_most(values: Array) -> float:
 def _draw_speed(axes: Axes, shown: Shown) -> None:
     fixes = shown.session.gnss
     raw = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1])
-    axes.plot(fixes.t - shown.start, raw / KMH, ".", markersize=2.5, color=style.RAW, label="GPS")
+    size = 2.5 if len(fixes) < MANY_FIXES else 1.0
+    axes.plot(fixes.t - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
         _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--")
     _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED)

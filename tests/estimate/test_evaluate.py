@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.estimate.evaluate import at_fixes, evaluate, nees
+from smoother.estimate.evaluate import at_fixes, evaluate, nees, without_doubtful_velocity
 from smoother.estimate.gps_alone import GpsAlone, fixes_as_trajectory
 from smoother.estimate.resample import resample
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
@@ -85,6 +85,8 @@ def test_an_error_along_the_path_is_along_track():
     result = evaluate(late, truth)
     assert result.along_track_rms_m == pytest.approx(RADIUS * RATE * 0.01, rel=1e-3)
     assert result.cross_track_rms_m < 1e-3
+    assert result.lag_s == pytest.approx(0.01, abs=2e-4)
+    assert result.horizontal_rms_at_lag_m < 5e-3  # xatol of the search times the speed
 
 
 def test_yaw_errors_are_taken_across_the_half_turn():
@@ -221,3 +223,12 @@ def test_a_single_fix_is_a_trajectory_too():
 def test_an_estimate_without_keyframes_has_no_nees():
     truth = circle(np.arange(0.0, 2.0, 0.02))
     assert evaluate(Trajectory(**{**vars(truth), "report": EstimateReport()}), truth).nees is None
+
+
+def test_a_truth_whose_velocity_contradicts_its_positions_loses_it() -> None:
+    truth = circle(np.arange(0.0, 60.0, 1.0))
+    assert without_doubtful_velocity(truth) is truth
+    mirrored = Trajectory(**{**vars(truth), "velocity_n": truth.velocity_n * [1.0, -1.0, 1.0]})
+    assert np.isnan(without_doubtful_velocity(mirrored).velocity_n).all()
+    silent = Trajectory(**{**vars(truth), "velocity_n": np.full((len(truth), 3), np.nan)})
+    assert without_doubtful_velocity(silent) is silent
