@@ -22,6 +22,10 @@ START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
+# What nobody need call an outlier, m and m/s, added to sigma when weighing. Receivers wander and converge again by
+# metres within seconds; without Doppler as a witness nothing tells that from driving, and the path stays with the fixes.
+UNREMARKABLE = np.array([0.5, 3.0, 0.3, 0.3])
+UNREMARKABLE_ALONE = 2.0  # m, horizontal position of a fix without Doppler
 IN = 0.5  # weight from which a measurement counts as accepted
 BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of the length of 2 or 1 standard normals
 
@@ -58,10 +62,13 @@ def normalised_sizes(done: Round, n_fixes: int) -> Array:
     group is then scaled to what is usual in it. NaN where not measured.
     """
     rows = done.rows
-    share = np.minimum(done.weight * done.leverage / done.variance, 0.999)
-    left_out = (done.residual / (1.0 - share)) ** 2 / (done.variance + done.leverage / (1.0 - share))
     squared = np.full((n_fixes, system.GROUPS), np.nan)
     squared[rows.fix, rows.group] = 0.0
+    alone = np.isnan(squared[rows.fix, system.HORIZONTAL_VELOCITY]) & (rows.group == system.HORIZONTAL_POSITION)
+    slack = np.where(alone, UNREMARKABLE_ALONE, UNREMARKABLE[rows.group])
+    share = np.minimum(done.weight * done.leverage / done.variance, 0.999)
+    expected = done.variance + slack**2 + done.leverage / (1.0 - share)
+    left_out = (done.residual / (1.0 - share)) ** 2 / expected
     np.add.at(squared, (rows.fix, rows.group), left_out)
     size = np.sqrt(squared)
     for group in np.unique(rows.group):
@@ -80,8 +87,9 @@ def robust_weights(size: Array, before: Array, graduation: float) -> Array:
     weight = np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2)
     inside = before >= IN
     beside = inside.copy()
-    beside[1:] |= inside[:-1]
-    beside[:-1] |= inside[1:]
+    if graduation <= 1.0:
+        beside[1:] |= inside[:-1]
+        beside[:-1] |= inside[1:]
     return np.asarray(np.where(beside, weight, np.minimum(weight, before)))
 
 

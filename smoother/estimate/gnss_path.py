@@ -25,7 +25,7 @@ GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the f
 FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
 SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
 RELAXATION = 0.6  # of the constants' steps: lag and acceleration form a product, and full steps can go in a circle
-END_MARGIN = (0.6, 0.2)  # s of nodes before the first and after the last time of truth: room for the lag of Doppler
+END_MARGIN = (0.6, 0.5)  # s of nodes before the first and after the last time of truth: room for the lag of Doppler
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,20 @@ class VelocityLag:
 
 @dataclass(frozen=True, eq=False)
 class GnssMotion:
-    """The path at some times: position_n m, velocity_n m/s, acceleration_n m/s^2 and offset_n m, each (N, 3)."""
+    """The path at some times: position_n m, velocity_n m/s, acceleration_n m/s^2 and offset_n m, each (N, 3).
+
+    position_n has the slow offset of the fixes taken out as far as Doppler shows it; `track_n` has it left in.
+    """
 
     position_n: Array
     velocity_n: Array
     acceleration_n: Array
     offset_n: Array
+
+    @property
+    def track_n(self) -> Array:
+        """Positions in the frame of the fixes, (N, 3) m."""
+        return self.position_n + self.offset_n
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +101,8 @@ class GnssPath:
     position_residual_n, velocity_residual_n (M, 3) path - fix with the offset on the path's side;
     position_weight, velocity_weight (M,) horizontal and up_weight (M,), robust, 0..1.
     position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
-    position_scale (M,) factor of a fix's own sigma over the usual. position_latency s. velocity_bias and its sigma (3,)
-    m/s: mean of Doppler minus path.
+    position_scale, up_scale, velocity_scale (M,) factor of a fix's own sigma over the usual. position_latency s.
+    velocity_bias and its sigma (3,) m/s: mean of Doppler minus path.
     """
 
     t: Array
@@ -109,6 +117,8 @@ class GnssPath:
     velocity_weight: Array
     up_weight: Array
     position_scale: Array
+    up_scale: Array
+    velocity_scale: Array
     position_sigma: Array
     velocity_sigma: Array
     jerk_density: Array
@@ -196,7 +206,7 @@ def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> G
         state = _improve(known, before, rounds)
         if rounds > len(GRADUATION) and _is_settled(before, state):
             break
-    return _result(known, state, scales[0][:, 0], latency, rounds)
+    return _result(known, state, scales, latency, rounds)
 
 
 def _constants(session: Session, options: GnssPathOptions) -> tuple[float, Array, Array]:
@@ -338,7 +348,7 @@ def _is_settled(before: _State, after: _State) -> bool:
     return bool(sigma < SETTLED_SIGMA and jerk < SETTLED_JERK and weight < SETTLED_WEIGHT)
 
 
-def _result(known: _Known, state: _State, position_scale: Array, latency: float, rounds: int) -> GnssPath:
+def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: float, rounds: int) -> GnssPath:
     rows, n_fixes = known.rows, known.true_t.size
     residuals, measured = np.full((n_fixes, 6), np.nan), np.zeros((n_fixes, system.GROUPS), dtype=np.bool_)
     residuals[rows.fix, rows.axis + system.AXES * rows.is_velocity] = state.design.residual
@@ -358,7 +368,9 @@ def _result(known: _Known, state: _State, position_scale: Array, latency: float,
         position_weight=weight[:, system.HORIZONTAL_POSITION],
         velocity_weight=weight[:, system.HORIZONTAL_VELOCITY],
         up_weight=weight[:, system.UP_POSITION],
-        position_scale=position_scale,
+        position_scale=scales[0][:, 0],
+        up_scale=scales[0][:, 2],
+        velocity_scale=scales[1][:, 0],
         position_sigma=sigma[[0, 0, 1]],
         velocity_sigma=sigma[[2, 2, 3]],
         jerk_density=state.noise.jerk[[0, 0, 1]],
@@ -374,5 +386,5 @@ def _lag(known: _Known, state: _State) -> VelocityLag:
     value, sigma, prior_sigma = float(state.at.constants[0]), float(state.constants_sigma[0]), known.constants_sigma[0]
     if prior_sigma <= 0.0:
         return VelocityLag(value, 0.0, False, "configured")
-    observable = bool(sigma < prior_sigma / 3.0)
-    return VelocityLag(value, sigma, observable, "identified" if observable else "default")
+    found = sigma < 0.9 * prior_sigma
+    return VelocityLag(value, sigma, bool(sigma < prior_sigma / 3.0), "identified" if found else "default")

@@ -17,7 +17,8 @@ JUMP = 5.0  # m; what the median of fix minus dead reckoning must be left by
 JUMP_SPREADS = 5.0  # and in units of its usual scatter
 ABSURD_DISTANCE, ABSURD_SPEED = 60.0, 70.0  # m, m/s: from the median of a few neighbours, whatever the vehicle does
 ABSURD_CHANGE, ABSURD_ACCELERATION = 4.0, 20.0  # m/s, m/s^2: likewise for velocity
-MAD_TO_SIGMA = 1.4826
+MEDIAN_TO_SIGMA = 0.849  # of the length of two normal numbers
+FAST, LONGEST_DELAY = 3.0, 0.6  # m/s from which a lag of velocity shows, s
 
 
 def plausible_positions(t: Array, position_n: Array, velocity_n: Array) -> BoolArray:
@@ -76,10 +77,21 @@ def _follows_velocity(t: Array, position: Array, velocity: Array) -> BoolArray:
     velocity = _running_median(velocity, min(VELOCITY_WINDOW / interval, len(t)))
     path = np.zeros_like(position)
     path[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None], axis=0)
-    apart = position - path
-    apart = apart - _running_median(apart, min(DEAD_RECKONING_WINDOW / interval, len(t)))
+    size = min(DEAD_RECKONING_WINDOW / interval, len(t))
+    apart, moved = position - path, velocity
+    apart, moved = apart - _running_median(apart, size), moved - _running_median(moved, size)
+    apart = apart - _delay(apart, moved) * moved
     distance = np.hypot(apart[:, 0], apart[:, 1])
-    return np.asarray(distance <= max(JUMP, JUMP_SPREADS * MAD_TO_SIGMA * float(np.median(distance))))
+    return np.asarray(distance <= max(JUMP, JUMP_SPREADS * MEDIAN_TO_SIGMA * float(np.median(distance))))
+
+
+def _delay(apart: Array, velocity: Array) -> float:
+    """How long (s) the velocity lags the position: the median of what each fix says of it, so that jumps do not."""
+    fast = np.hypot(velocity[:, 0], velocity[:, 1]) > FAST
+    if not fast.any():
+        return 0.0
+    share = np.sum(apart[fast] * velocity[fast], axis=1) / np.sum(velocity[fast] ** 2, axis=1)
+    return float(np.clip(np.median(share), -LONGEST_DELAY, LONGEST_DELAY))
 
 
 def _running_median(values: Array, size: float) -> Array:

@@ -1,0 +1,170 @@
+"""The smoother for sessions without a usable IMU: the path through the fixes, as a Trajectory.
+
+Positions are in the frame of the fixes: the path with the slow GPS offset left in it, because telling the two apart
+takes a Doppler better than real receivers have. (Beside RTK, five receivers walked 840 s: taking out the offset that
+their own Doppler showed made three of four worse, by up to a factor of two.) Attitude stays unknown; acceleration and
+yaw rate are those of a level vehicle that points where it goes, and unknown where it hardly moves.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas, fit_gnss_path
+from smoother.samples import Session
+from smoother.trajectory import (
+    EstimateReport,
+    FixResiduals,
+    Identified,
+    ResidualStatistics,
+    Sigmas,
+    Trajectory,
+)
+
+ACCEPTED = 0.5  # robust weight below which a fix counts as rejected
+
+
+@dataclass(frozen=True)
+class GnssOnlyOptions:
+    """rate: rows per second, Hz. slowest, m/s, and speed_sigmas: above both, the direction of travel is known.
+
+    position_latency_sigma s: how far the default of the unobservable position latency may be off (0.05-0.5 s seen).
+    """
+
+    rate: float = 50.0
+    slowest: float = 1.0
+    speed_sigmas: float = 4.0
+    position_latency_sigma: float = 0.15
+    path: GnssPathOptions = field(default_factory=GnssPathOptions)
+
+
+class GnssSmoother:
+    """Positions and Doppler velocity smoothed together, no inertial sensor; an Estimator."""
+
+    name = "gps-only"
+
+    def __init__(self, options: GnssOnlyOptions | None = None) -> None:
+        self._options = GnssOnlyOptions() if options is None else options
+
+    def estimate(self, session: Session) -> Trajectory:
+        """Return the trajectory from the first fix to the last; without a height the Up of the origin, 100 m unsure."""
+        options, started = self._options, time.perf_counter()
+        path = fit_gnss_path(session, options.path)
+        fitted = time.perf_counter()
+        first, last = session.gnss.t[0], session.gnss.t[-1]
+        t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate
+        motion, sigma = path.at(t), path.sigma_at(t)
+        acceleration_b, angular_rate_b = _body_motion(motion, sigma, options)
+        report = EstimateReport(
+            identified=_identified(session, path, options),
+            residuals=_statistics(path),
+            fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
+            timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
+            mode="gps-only",
+        )
+        return Trajectory(
+            t=t,
+            position_n=motion.track_n,
+            velocity_n=motion.velocity_n,
+            R_nb=np.full((t.size, 3, 3), np.nan),
+            acceleration_b=acceleration_b,
+            angular_rate_b=angular_rate_b,
+            sigmas=_sigmas(motion, sigma, np.asarray(options.path.offset_sigma)),
+            report=report,
+        )
+
+
+def _body_motion(motion: GnssMotion, sigma: GnssPathSigmas, options: GnssOnlyOptions) -> tuple[Array, Array]:
+    """Acceleration and rotation rate (N, 3) of a level vehicle that points where it goes, NaN where it hardly moves."""
+    velocity, acceleration = motion.velocity_n[:, :2], motion.acceleration_n[:, :2]
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    moves = speed > np.maximum(options.slowest, options.speed_sigmas * sigma.velocity_n[:, :2].max(axis=1))
+    along = velocity / np.where(moves, speed, np.nan)[:, None]
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    acceleration_b, angular_rate_b = np.full((speed.size, 3), np.nan), np.full((speed.size, 3), np.nan)
+    acceleration_b[:, 0] = np.sum(acceleration * along, axis=1)
+    acceleration_b[:, 1] = np.sum(acceleration * left, axis=1)
+    angular_rate_b[moves, 2] = acceleration_b[moves, 1] / speed[moves]
+    return acceleration_b, angular_rate_b
+
+
+def _sigmas(motion: GnssMotion, sigma: GnssPathSigmas, offset_sigma: Array) -> Sigmas:
+    """Absolute position carries the whole population's offset, which is left in; the track does not."""
+    velocity = motion.velocity_n[:, :2]
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    share = np.where(speed[:, None] > 0.0, velocity / np.where(speed > 0.0, speed, 1.0)[:, None], np.sqrt(0.5)) ** 2
+    return Sigmas(
+        position_n=np.hypot(sigma.track_n, offset_sigma),
+        velocity_n=sigma.velocity_n,
+        speed=np.sqrt(np.sum(share * sigma.velocity_n[:, :2] ** 2, axis=1)),
+        attitude=np.full(motion.velocity_n.shape, np.nan),
+        track=np.sqrt(np.mean(sigma.track_n[:, :2] ** 2, axis=1)),
+    )
+
+
+def _statistics(path: GnssPath) -> dict[str, ResidualStatistics]:
+    """Residuals of horizontal position, height and horizontal velocity, of the accepted ones; per axis."""
+    position, velocity = path.position_residual_n, path.velocity_residual_n
+    parts = {
+        "gps_position": ("m", position[:, :2], path.position_weight, path.position_sigma[0] * path.position_scale),
+        "gps_height": ("m", position[:, 2:], path.up_weight, path.position_sigma[2] * path.up_scale),
+        "gps_velocity": ("m/s", velocity[:, :2], path.velocity_weight, path.velocity_sigma[0] * path.velocity_scale),
+    }
+    return {
+        name: _statistic(unit, residual, weight, sigma)
+        for name, (unit, residual, weight, sigma) in parts.items()
+        if np.isfinite(residual).any()
+    }
+
+
+def _statistic(unit: str, residual: Array, weight: Array, sigma: Array) -> ResidualStatistics:
+    measured = np.isfinite(residual).all(axis=1)
+    used = measured & (weight >= ACCEPTED)
+    values, normalised = residual[used], residual[used] / sigma[used, None]
+    return ResidualStatistics(
+        unit=unit,
+        count=int(np.count_nonzero(measured)),
+        mean=float(np.mean(values)) if used.any() else np.nan,
+        rms=_rms(values),
+        normalised_rms=_rms(normalised),
+        rejected=int(np.count_nonzero(measured & ~used)),
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else np.nan
+
+
+def _identified(session: Session, path: GnssPath, options: GnssOnlyOptions) -> dict[str, Identified]:
+    """What the session's values are and where from; those that only an IMU could show are left out."""
+    lag, latency = path.velocity_lag, path.position_latency
+    stated = session.config.gps.position_latency is not None or options.path.position_latency is not None
+    latency_sigma = 0.0 if stated else options.position_latency_sigma
+    has_velocity = bool(np.any(path.velocity_weight > 0.0))
+    found = {
+        "gps_position_latency": Identified(
+            latency, None if stated else latency_sigma, "s", stated, "configured" if stated else "default"
+        ),
+        "gps_velocity_latency": Identified(
+            latency + lag.value,
+            None if lag.source == "configured" else float(np.hypot(lag.sigma, latency_sigma)),
+            "s",
+            lag.source == "configured" or (stated and lag.observable),
+            lag.source,
+        ),
+        "gps_velocity_lag": Identified(
+            lag.value, lag.sigma, "s", lag.observable or lag.source == "configured", lag.source
+        ),
+        "gps_position_noise": Identified(path.position_sigma.tolist(), None, "m", True, "identified"),
+        "gps_offset_sigma": Identified(list(options.path.offset_sigma), None, "m", False, "default"),
+        "gps_offset_tau": Identified(options.path.offset_tau, None, "s", False, "default"),
+    }
+    if has_velocity:
+        found["gps_velocity_noise"] = Identified(path.velocity_sigma.tolist(), None, "m/s", True, "identified")
+        bias, bias_sigma = path.velocity_bias.tolist(), path.velocity_bias_sigma.tolist()
+        found["gps_velocity_bias"] = Identified(
+            bias, bias_sigma, "m/s", max(bias_sigma[:2]) < 0.5 * options.path.velocity_bias_sigma, "identified"
+        )
+    return found
