@@ -53,6 +53,10 @@ from smoother.estimate.graph.state import (
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 2e-4), (TRANSLATION, 2e-3), (VELOCITY, 2e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data sheet allows 3 % at the worst
+SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
+SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
+UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
+LONGEST_TAU = 3600.0  # s
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
 
@@ -84,6 +88,18 @@ class Noise:
     def _levels(self) -> Array:
         densities = [self.inertial.accel, self.inertial.gyro]
         return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """Bounds of the identified noise. accel, gyro densities below which the samples' own scatter lies; population of
+    the offset: sigma (3,) m and tau s, what receivers do where a session is too short or too smooth to tell.
+    """
+
+    accel: float
+    gyro: float
+    offset_sigma: Array
+    offset_tau: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +269,7 @@ def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
     return out
 
 
-def update_noise(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
+def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFloor) -> Noise:
     """One step of variance component estimation: each variance becomes squared residuals over redundancy.
 
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
@@ -265,17 +281,39 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
     good = (binned.missing == 0.0) & (binned.clipped == 0.0)
     gyro_ratio = _ratio(inertial, ROTATION, gyro[:, None] ** 2 * T, good)
     accel_ratio = _ratio(inertial, VELOCITY, accel[:, None] ** 2 * T, good)
-    new = replace(noise.inertial, gyro=noise.inertial.gyro * gyro_ratio, accel=noise.inertial.accel * accel_ratio)
-    position = solved.rows["gps_position"]
-    velocity = solved.rows["gps_velocity"]
+    new = replace(
+        noise.inertial,
+        gyro=max(noise.inertial.gyro * gyro_ratio, floor.gyro),
+        accel=max(noise.inertial.accel * accel_ratio, floor.accel),
+    )
+    white = noise.position * _row_ratio(solved.rows["gps_position"], solution, ((0, 1), (2,)))
+    velocity = noise.velocity * _row_ratio(solved.rows["gps_velocity"], solution, ((0, 1), (2,)))
+    sigma, tau = _offset_process(noise, _offset_ratio(solved), white, floor)
     return replace(
         noise,
         inertial=new,
-        position=noise.position * _row_ratio(position, solution, ((0, 1), (2,))),
-        velocity=noise.velocity * _row_ratio(velocity, solution, ((0, 1), (2,))),
-        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
+        position=np.maximum(white, SMALLEST_POSITION),
+        velocity=np.maximum(velocity, SMALLEST_VELOCITY),
+        offset_sigma=sigma,
+        offset_tau=tau,
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
+
+
+def _offset_process(noise: Noise, ratio: Array, white: Array, floor: NoiseFloor) -> tuple[Array, float]:
+    """Sigma (3,) m and tau s of the GPS offset from its driving noise, which is what a session shows best.
+
+    A receiver with little white noise has filtered its fixes: they wander, slowly, by more than laps can tell, since
+    integrated Doppler is no judge of minutes. Then the population's sigma is a lower bound and a quiet drive means a
+    longer tau. With white noise beyond a metre the fixes are not filtered and the data may find no offset at all.
+    """
+    q = noise.offset_q * ratio**2
+    if white[0] > UNFILTERED:
+        return np.sqrt(0.5 * q * floor.offset_tau), floor.offset_tau
+    horizontal = max(float(np.sqrt(0.5 * q[0] * floor.offset_tau)), float(floor.offset_sigma[0]))
+    tau = float(np.clip(2.0 * horizontal**2 / q[0], floor.offset_tau, LONGEST_TAU))
+    up = max(float(np.sqrt(0.5 * q[2] * tau)), float(floor.offset_sigma[2]))
+    return np.array([horizontal, horizontal, up]), tau
 
 
 def _ratio(inertial: InertialResiduals, part: slice, variance: Array, good: BoolArray) -> float:

@@ -53,8 +53,12 @@ def build_trajectory(
     binned: BinnedImu,
     priors: Priors,
     rate: float,
+    population: float,
 ) -> Trajectory:
-    """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart."""
+    """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
+
+    population m: sigma of the GPS offset to which a session that does not show it falls back.
+    """
     state = solved.state
     binned = corrected(binned, state.constants.accel_error, state.constants.gyro_error)
     path = dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
@@ -75,7 +79,7 @@ def build_trajectory(
         angular_rate_b=rate_s @ mounting.R_bs.T,
         sigmas=_sigmas(t, solved, keyframes, R_nb, motion.velocity_n),
         report=EstimateReport(
-            identified=_identified(solved, noise, priors, mounting, arm_s, arm_observed, session),
+            identified=_identified(solved, noise, priors, mounting, arm_s, arm_observed, session, population),
             residuals={
                 name: _statistics(solved.rows[name], unit) for name, unit in _UNITS.items() if name in solved.rows
             },
@@ -204,6 +208,7 @@ def _identified(
     arm_s: Array,
     arm_observed: np.ndarray,
     session: Session,
+    population: float,
 ) -> dict[str, Identified]:
     config, S = session.config, solved.solution.constants_covariance
     sigma = np.sqrt(np.diag(S))
@@ -240,8 +245,11 @@ def _identified(
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
     out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
     out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
-    out["gps_offset_sigma"] = Identified(noise.offset_sigma.tolist(), None, "m", False, "default")
-    out["gps_offset_tau"] = Identified(noise.offset_tau, None, "s", False, "default")
+    # the population's sigma is the lower bound of a filtered receiver; anything else the fixes have shown
+    shown = not np.isclose(noise.offset_sigma[0], population)
+    source = "identified" if shown else "default"
+    out["gps_offset_sigma"] = Identified(noise.offset_sigma.tolist(), None, "m", shown, source)
+    out["gps_offset_tau"] = Identified(noise.offset_tau, None, "s", False, "default" if shown else "identified")
     return out
 
 

@@ -16,7 +16,7 @@ from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, update_noise
+from smoother.estimate.graph.batch import Batch, Data, Noise, NoiseFloor, Priors, Solved, update_noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
@@ -34,6 +34,7 @@ Progress = Callable[[str, float], None]
 
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
+OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 SETTLED = 0.03  # relative change of the noise densities below which another round changes no digit people read
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 
@@ -116,7 +117,9 @@ class GraphSmoother:
                 solved = batch.step(batch.graph(solved.state, noise), solved.state, noise)
         with watch("output"):
             mounting = _mounting(session, solved, start.alignment)
-            trajectory = build_trajectory(session, solved, noise, mounting, start.binned, priors, options.rate)
+            trajectory = build_trajectory(
+                session, solved, noise, mounting, start.binned, priors, options.rate, options.offset_sigma[0]
+            )
         report: EstimateReport = replace(
             trajectory.report, timings=watch.seconds, problems=trajectory.report.problems + problems
         )
@@ -256,11 +259,17 @@ def _density(bins: Array, dt: float, floor: float) -> float:
 def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Solved, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
     state, noise = start.state, start.noise
+    floor = NoiseFloor(
+        max(OWN_SCATTER * noise.inertial.accel, 2.0 * DATA_SHEET_ACCEL),
+        max(OWN_SCATTER * noise.inertial.gyro, 2.0 * DATA_SHEET_GYRO),
+        np.array(options.offset_sigma),
+        options.offset_tau,
+    )
     state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
     for turn in range(options.rounds):
         solved = batch.step(batch.graph(state, noise), state, noise)
         state = solved.state
-        better = update_noise(solved, noise, start.binned)
+        better = update_noise(solved, noise, start.binned, floor)
         settled = noise.change(better) < SETTLED
         noise = better
         watch.say((turn + 1) / options.rounds)
