@@ -71,9 +71,11 @@ class Result:
 
 
 def read(path: Path) -> RawSession:
-    """Read a session. Raises SmootherError in one line with file and remedy."""
+    """Read a session. Raises SmootherError in one line with file and remedy, also for a folder of results."""
     from smoother.session.load import load_raw
 
+    if all((path / name).is_file() for name in (TRAJECTORY, FIXES, SUMMARY)):
+        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
     return load_raw(path)
 
 
@@ -133,14 +135,13 @@ def output_directory(path: Path, out: Path | None, name: str) -> Path:
     """Create and return the directory of the results.
 
     A session on a locked card cannot take them: without `out` they then go to ./smoothed/NAME. Raises UsageError when
-    `out` is the session's own directory, whose gps.csv would be overwritten, or cannot be created.
+    `out` holds a recording, whose gps.csv would be overwritten, or cannot be created.
     """
     source = session_directory(path)
     if out is not None:
-        if out.resolve() == source.resolve():
-            raise UsageError(
-                f"--out {out}: is the session itself, its gps.csv would be overwritten; name another place"
-            )
+        is_recording = (out / FIXES).exists() and not (out / TRAJECTORY).exists()
+        if is_recording or out.resolve() == source.resolve():
+            raise UsageError(f"--out {out}: holds a recording, its files would be overwritten; name another place")
         return _created(out)
     try:
         return _created(source / OUTPUT_DIRECTORY)

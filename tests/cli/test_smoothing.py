@@ -103,11 +103,19 @@ def test_fixes_alone_are_smoothed_as_such_and_said_so(monday: Path, capsys: Capt
     assert np.isnan(attitude).all()
 
 
-def test_the_session_s_own_folder_is_no_place_for_results(monday: Path, capsys: Captured) -> None:
-    before = contents(monday)
-    assert run([str(monday), "--out", str(monday)]) == 2
-    assert "would be overwritten" in capsys.readouterr().err
-    assert contents(monday) == before
+def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_path: Path, capsys: Captured) -> None:
+    tuesday = Path(shutil.copytree(simulated, tmp_path / "tuesday"))
+    for place in (monday, tuesday):
+        before = contents(place)
+        assert run([str(monday), "--out", str(place)]) == 2
+        assert "would be overwritten" in capsys.readouterr().err
+        assert contents(place) == before
+
+
+def test_results_are_no_recording(monday: Path, capsys: Captured) -> None:
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    assert run([str(monday / "smoothed"), *TABLES_ONLY]) == 2
+    assert "holds results, not a recording" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_one_line(monday: Path, tmp_path: Path, capsys: Captured) -> None:
