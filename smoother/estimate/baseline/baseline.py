@@ -27,6 +27,8 @@ from smoother.frames import GRAVITY_N, euler_from_rotation, geodetic_to_nwu
 from smoother.samples import MagSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Sigmas, Trajectory
 
+UNITY = np.array([1.0, 0.0, 0.0, 0.0])
+UNITY.flags.writeable = False
 LONGEST_STEP = 0.5  # s; over a longer gap of the IMU nothing is known about the turn
 
 
@@ -138,14 +140,18 @@ def _attitude(
         declination, problems = session_declination(session)
         field = _field_at(steps.t, mag)
         yaw = _starting_yaw(mag, rest)
-    start = so3.quaternion_wxyz(alignment.turned_about_up(yaw) @ rest.R_ls)
-    interval, rate = np.minimum(steps.interval, LONGEST_STEP), steps.angular_rate_s - rest.gyro_bias
-    after, _ = run_madgwick(interval, steps.specific_force_s, rate, field, start, options.beta, options.zeta)
+    # As in listing 5.G all readings are first turned by the attitude at the start, and the filter begins at unity.
+    R_0s = alignment.turned_about_up(yaw) @ rest.R_ls
+    force, rate = steps.specific_force_s @ R_0s.T, (steps.angular_rate_s - rest.gyro_bias) @ R_0s.T
+    field = None if field is None else field @ R_0s.T
+    after, _ = run_madgwick(
+        np.minimum(steps.interval, LONGEST_STEP), force, rate, field, UNITY, options.beta, options.zeta
+    )
     # The filter knows the attitude at the end of each step; half way there it was between two of them.
-    middle = after + np.vstack([start, after[:-1]])
+    middle = after + np.vstack([UNITY, after[:-1]])
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     # Its x axis is magnetic north, which lies the declination east of true north.
-    return alignment.turned_about_up(-declination) @ so3.from_quaternion_wxyz(middle), problems
+    return alignment.turned_about_up(-declination) @ so3.from_quaternion_wxyz(middle) @ R_0s, problems
 
 
 def _field_at(t: Array, mag: MagSamples) -> Array:
@@ -273,8 +279,8 @@ def _sigmas(filtered: KalmanOutput) -> Sigmas:
     """Sigmas of the Kalman filter. It believes the fixes' errors independent, so they are its own, not honest ones."""
     n = len(filtered.position)
     variance = filtered.velocity_covariance
-    speed = np.maximum(np.hypot(filtered.velocity[:, 0], filtered.velocity[:, 1]), 1e-9)
-    along = filtered.velocity / speed[:, None]
+    speed = np.hypot(filtered.velocity[:, 0], filtered.velocity[:, 1])[:, None]
+    along = np.where(speed > 0.0, filtered.velocity / np.where(speed > 0.0, speed, 1.0), [1.0, 0.0])
     return Sigmas(
         position_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", filtered.position_covariance))),
         velocity_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", variance))),

@@ -5,9 +5,9 @@ numbers in the code are that report's. Symbols: q is the attitude of the sensor 
 magnetic north and z up (the conjugate of the report's, so `R(q)` takes sensor to Earth); beta, rad/s, weighs the
 correction; zeta, rad/s^2, lets the gyro's bias follow it.
 
-The thesis rotates all readings into North-West-Up first and starts from the unit quaternion; starting from the
-initial attitude with readings in sensor axes is the same filter, because a constant rotation of the sensor's axes
-multiplies q from the right and leaves lengths in the gradient unchanged.
+The gradient is that of a function on all quaternions, not only on unit ones, so it has a part along q that the length
+takes away again; how large it is depends on the sensor's axes. The filter is therefore not quite the same for readings
+in other axes, and the baseline turns them first and starts from the unit quaternion, as the thesis does.
 
 Erratum: listing 5.G sets the two gains as `beta=.13, alpha=.04`, and eq. 2.45 speaks of alpha. The report has no such
 gain; its second one is zeta, and the value is read so.
