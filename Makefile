@@ -27,7 +27,9 @@ lint: $(VENV)/for-linting
 	$(BIN)/mypy
 
 bench: $(VENV)/for-benchmarks
-	@for file in tests/benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/thinning.py --jobs $(JOBS)
+	$(BIN)/python benchmarks/accuracy.py --preset white --preset kart --preset kart_harsh --jobs $(JOBS)
 
 picture: demo
 	mkdir -p notebooks/figures

@@ -6,9 +6,9 @@ Every recording is thinned to one fix in 1, 2 and 5 s; the error is that of the 
 fixes. A fix stamped t was true at t - latency, so an estimator is read there, with the latency it found itself from the
 thinned data. The fixes contain the slow GPS offset; `+ offset` adds the estimator's own estimate of it, which is what
 predicts a fix, as interpolation does. The Hermite interpolation is given the lag of the Doppler velocity that suits it
-best; `all Doppler` takes the velocities at its knots from the dropped fixes too, which nobody else has. Not scored: rows
-that repeat a position (the reader drops them), dropped fixes whose own reported accuracy is worse than three times the
-median, and the first second.
+best; `all Doppler` takes the velocities at its knots from the dropped fixes too, which nobody else has. Not scored:
+rows that repeat a position (the reader drops them), dropped fixes whose own reported accuracy is worse than three times
+the median, and the first second.
 """
 
 import argparse
