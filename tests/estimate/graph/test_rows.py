@@ -67,9 +67,9 @@ def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
         rng.uniform(0.02, 0.2),
         rng.uniform(0.02, 0.2),
         0.5 * rng.normal(size=3),
-        rng.normal(),
-        0.01 * rng.normal(size=(3, 3)),
-        0.01 * rng.normal(size=(3, 3)),
+        heading_offset=rng.normal(),
+        accel_error=0.01 * rng.normal(size=(3, 3)),
+        gyro_error=0.01 * rng.normal(size=(3, 3)),
     )
     state = ChainState(t, R_ns, position, velocity, accel_bias, gyro_bias, rng.normal(size=(K, 3)), constants)
     force = np.einsum("kji,kj->ki", R_ns[:-1], 3.0 * rng.normal(size=(K - 1, 3)) - GRAVITY_N) + accel_bias[0]

@@ -1,0 +1,314 @@
+"""The whole batch against GTSAM itself, and the noise it estimates against the noise that was put in."""
+
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, L, V, X
+
+from smoother import so3
+from smoother.estimate.graph.batch import (
+    Batch,
+    Data,
+    Noise,
+    NoiseFloor,
+    Priors,
+    Solved,
+    posterior_variance,
+    update_noise,
+)
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.imu import YAW_JERK_RATE, BinnedImu, InertialNoise, averaged, bin_imu
+from smoother.estimate.graph.inertial import ValuesFactory
+from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.state import (
+    CONSTANTS_SIZE,
+    HEADING_OFFSET,
+    KEYFRAME_SIZE,
+    LEVER_ARM,
+    ROW_CONSTANTS_SIZE,
+    VELOCITY,
+    ChainState,
+    Constants,
+)
+from smoother.frames import GRAVITY_N
+from smoother.samples import ImuSamples
+
+K, T, N_BINS = 41, 0.2, 10
+ARM_S = np.array([0.3, -0.2, 0.4])
+STILL = np.array([0, 1, 2, 3])
+GYRO_BIAS_MEAN = np.array([0.01, 0.02, -0.015])
+TINY = 1e-5  # a sigma that fixes what GTSAM's graph does not have: sensor errors, the slow offset
+LATE = 1e-7  # s by which fixes follow their keyframe, so that rounding does not move them to the interval before it
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A small session whose fixes fall on keyframes, and the state to start from. Latencies are stated to be none."""
+
+    data: Data
+    binned: BinnedImu
+    priors: Priors
+    noise: Noise
+    state: ChainState
+
+
+def problem(seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int = K) -> Problem:
+    """Eight seconds (or K keyframes) from a standstill into a bend, in a box mounted anyhow."""
+    rng = np.random.default_rng(seed)
+    rate_imu = 200.0
+    t = np.arange(1, round((K * T + 0.2) * rate_imu) + 1) / rate_imu
+    moving = np.clip((t - 1.0) / 0.5, 0.0, 1.0)
+    R_bs, turn = so3.exp(np.array([0.2, -0.4, 2.0])), 0.5 * moving * np.sin(0.8 * t)
+    yaw = np.cumsum(turn) / rate_imu
+    speed = np.cumsum(3.0 * moving * np.cos(0.3 * t)) / rate_imu
+    v = np.stack([speed * np.cos(yaw), speed * np.sin(yaw), np.zeros_like(t)], axis=1)
+    p = np.cumsum(v, axis=0) / rate_imu
+    R_ns = so3.exp(np.stack([0.0 * yaw, 0.0 * yaw, yaw], axis=1)) @ R_bs
+    rate_n = np.stack([0.0 * turn, 0.0 * turn, turn], axis=1)
+    acceleration = np.gradient(v, t, axis=0)
+    noise = Noise(
+        InertialNoise(0.1, 0.01, 0.003, 1e-4),
+        np.full(3, position),
+        np.full(3, velocity),
+        np.full(3, TINY),
+        T,
+        np.full(2, TINY),
+    )
+    force = np.einsum("nji,nj->ni", R_ns, acceleration - GRAVITY_N) + np.array([0.2, -0.1, 0.15])
+    rate = np.einsum("nji,nj->ni", R_ns, rate_n) + GYRO_BIAS_MEAN
+    force += noise.inertial.accel * np.sqrt(rate_imu) * rng.normal(size=force.shape)
+    rate += noise.inertial.gyro * np.sqrt(rate_imu) * rng.normal(size=rate.shape)
+    keyframes = 0.1 + T * np.arange(K)
+    i = np.searchsorted(t, keyframes - 1e-9)
+    swing = np.cross(rate_n[i], R_ns[i] @ ARM_S)
+    fixes = np.arange(0, K - 1, 2)
+    data = Data(
+        t=keyframes[fixes] + LATE,
+        position_n=(p[i] + R_ns[i] @ ARM_S + position * rng.normal(size=(K, 3)))[fixes],
+        velocity_n=(v[i] + swing + velocity * rng.normal(size=(K, 3)))[fixes],
+        position_scale=np.ones(len(fixes)),
+        velocity_scale=np.ones(len(fixes)),
+        still=STILL,
+        up_s=R_bs.T[:, 2],
+    )
+    sigma = np.full(CONSTANTS_SIZE, TINY)
+    sigma[:2], sigma[LEVER_ARM], sigma[HEADING_OFFSET] = 1e-9, 0.5, 1.0
+    state = ChainState(
+        keyframes,
+        R_ns[i] @ so3.exp(0.05 * rng.normal(size=(K, 3))),
+        p[i] + 0.5 * rng.normal(size=(K, 3)),
+        v[i] + 0.3 * rng.normal(size=(K, 3)),
+        *np.zeros((3, K, 3)),
+        Constants(0.0, 0.0, np.zeros(3)),
+    )
+    binned = bin_imu(ImuSamples(t, force, rate), keyframes, N_BINS, np.zeros(3), np.zeros(3))
+    priors = Priors(0.5, 0.05, GYRO_BIAS_MEAN, np.zeros(CONSTANTS_SIZE), sigma)
+    return Problem(data, binned, priors, noise, state)
+
+
+def solve(p: Problem, steps: int = 12) -> tuple[Batch, Solved, gtsam.NonlinearFactorGraph]:
+    """Solve far below any sigma; the preintegration stays about the biases of the fourth step."""
+    batch = Batch(p.data, p.binned, p.priors)
+    state = batch.converge(batch.graph(p.state, p.noise), p.state, p.noise, 4)
+    graph = batch.graph(state, p.noise)
+    for _ in range(steps):
+        solved = batch.step(graph, state, p.noise)
+        state = solved.state
+    assert np.max(np.abs(solved.solution.x)) < 1e-6
+    return batch, solved, graph.factors
+
+
+def sigmas(values: object) -> gtsam.noiseModel.Diagonal:
+    return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(values, dtype=float))
+
+
+def doppler_factor(k: int, measured: np.ndarray, rate_s: np.ndarray, gyro_bias: np.ndarray, model: object) -> object:
+    """Velocity of the antenna: v + r up x R l, with r the gyro's turn about up. Keys X V B L.
+
+    rate_s (3,) is the rate with `gyro_bias` removed.
+    """
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[np.ndarray] | None) -> np.ndarray:
+        R, arm = values.atPose3(X(k)).rotation().matrix(), values.atPoint3(L(0))
+        rate = rate_s - (values.atConstantBias(B(k)).gyroscope() - gyro_bias)
+        up_s, up, arm_n = R[2], np.array([0.0, 0.0, 1.0]), R @ arm
+        turn = up_s @ rate
+        if H is not None:
+            H[0] = np.zeros((3, 6), order="F")
+            H[0][:, :3] = -turn * so3.skew(up) @ so3.skew(arm_n) @ R
+            H[1] = np.eye(3, order="F")
+            H[2] = np.zeros((3, 6), order="F")
+            H[2][:, 3:] = -np.outer(np.cross(up, arm_n), up_s)
+            H[3] = np.asfortranarray(turn * so3.skew(up) @ R)
+        return values.atVector(V(k)) + turn * np.cross(up, arm_n) - measured
+
+    return gtsam.CustomFactor(model, [X(k), V(k), B(k), L(0)], error)
+
+
+def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.NonlinearFactorGraph):
+    """The same session in GTSAM alone."""
+    state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
+    path = batch.path(state)
+    rates = averaged(path, path.angular_rate_s, p.noise.inertial.gyro, YAW_JERK_RATE)[::N_BINS]
+    for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
+        k = round((t - state.t[0]) / T)
+        graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))
+        graph.add(doppler_factor(k, doppler, rates[k], state.gyro_bias_s[k], sigmas(p.noise.velocity)))
+    for k in p.data.still:
+        graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), sigmas(np.full(3, 0.02))))
+        no_turn = sigmas([3e-4] * 3 + [1e8] * 3)
+        graph.add(gtsam.BetweenFactorPose3(X(k), X(k + 1), gtsam.Pose3(), no_turn))
+    # the start's weak prior moves along with the state
+    pose = gtsam.Pose3(gtsam.Rot3(state.R_ns[0]), state.position_n[0])
+    graph.add(gtsam.PriorFactorPose3(X(0), pose, sigmas([3.0] * 3 + [1e4] * 3)))
+    graph.add(gtsam.PriorFactorVector(V(0), state.velocity_n[0], sigmas(np.full(3, 1e3))))
+    mean = gtsam.imuBias.ConstantBias(np.zeros(3), p.priors.gyro_bias_mean)
+    bias_sigma = sigmas(np.repeat([p.priors.accel_bias, p.priors.gyro_bias], 3))
+    graph.add(gtsam.PriorFactorConstantBias(B(0), mean, bias_sigma))
+    graph.add(gtsam.PriorFactorPoint3(L(0), np.zeros(3), sigmas(np.full(3, 0.5))))
+    return graph
+
+
+@pytest.fixture(scope="module")
+def compared() -> tuple[Problem, Solved, gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Our solution, and GTSAM's graph with its own, found from a start that is off by decimetres and degrees."""
+    p = problem()
+    batch, solved, inertial = solve(p)
+    assert np.all(solved.rows["gps_position"].weight == 1.0)  # no outlier: both minimise squares
+    assert np.all(solved.rows["gps_velocity"].weight == 1.0)
+    graph = reference_graph(p, batch, solved, inertial)
+    start = ValuesFactory(K).values(p.state)
+    start.insert(L(0), np.zeros(3))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    parameters.setAbsoluteErrorTol(1e-14)
+    return p, solved, graph, gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
+
+
+class TestAgainstGtsam:
+    def test_the_solutions_are_one(self, compared) -> None:
+        _, solved, _, values = compared
+        state = solved.state
+        for k in range(K):
+            pose, bias = values.atPose3(X(k)), values.atConstantBias(B(k))
+            turn = so3.log(pose.rotation().matrix().T @ state.R_ns[k])
+            np.testing.assert_allclose(turn, 0.0, atol=2e-6)
+            np.testing.assert_allclose(pose.translation(), state.position_n[k], atol=1e-5)
+            np.testing.assert_allclose(values.atVector(V(k)), state.velocity_n[k], atol=1e-5)
+            np.testing.assert_allclose(bias.accelerometer(), state.accel_bias_s[k], atol=1e-5)
+            np.testing.assert_allclose(bias.gyroscope(), state.gyro_bias_s[k], atol=1e-6)
+        np.testing.assert_allclose(values.atPoint3(L(0)), state.constants.lever_arm_s, atol=1e-5)
+
+    def test_the_covariances_are_one(self, compared) -> None:
+        _, solved, graph, values = compared
+        marginals, solution = gtsam.Marginals(graph, values), solved.solution
+        for k in range(K):
+            keys, parts = [X(k), V(k), B(k)], [slice(0, 6), slice(6, 9), slice(9, 15)]
+            joint = marginals.jointMarginalCovariance(keys)
+            for a, first in zip(keys, parts, strict=True):
+                for b, second in zip(keys, parts, strict=True):
+                    want, have = joint.at(a, b), solution.covariance[k, first, second]
+                    scale = np.sqrt(np.outer(np.diag(joint.at(a, a)), np.diag(joint.at(b, b))))
+                    np.testing.assert_allclose(have / scale, want / scale, atol=1e-4)
+        np.testing.assert_allclose(
+            solution.constants_covariance[LEVER_ARM, LEVER_ARM],
+            marginals.marginalCovariance(L(0)),
+            rtol=1e-3,
+            atol=1e-7,
+        )
+
+    def test_neighbours_and_the_lever_arm_go_together_as_in_gtsam(self, compared) -> None:
+        _, solved, graph, values = compared
+        marginals, solution = gtsam.Marginals(graph, values), solved.solution
+        for k in (0, 7, K - 2):
+            joint = marginals.jointMarginalCovariance([X(k), X(k + 1), V(k + 1), L(0)])
+            pose, velocity = slice(0, 6), VELOCITY
+
+            def scaled(have: np.ndarray, a: int, b: int, joint=joint) -> tuple[np.ndarray, np.ndarray]:
+                scale = np.sqrt(np.outer(np.diag(joint.at(a, a)), np.diag(joint.at(b, b))))
+                return have / scale, joint.at(a, b) / scale
+
+            for have, want in (
+                scaled(solution.cross[k, pose, pose], X(k), X(k + 1)),
+                scaled(solution.cross[k, pose, velocity], X(k), V(k + 1)),
+                scaled(solution.constants_cross[k, pose, LEVER_ARM], X(k), L(0)),
+            ):
+                np.testing.assert_allclose(have, want, atol=1e-4)
+
+
+def random_solution(n_keyframes: int) -> tuple[np.ndarray, ChainSolution]:
+    """Any covariance, dense and as the chain would hold it."""
+    n, m, c = KEYFRAME_SIZE, CONSTANTS_SIZE, n_keyframes * KEYFRAME_SIZE
+    A = np.random.default_rng(0).normal(size=(c + m, c + m))
+    P = A @ A.T / (c + m)
+    blocks, k = P[:c, :c].reshape(n_keyframes, n, n_keyframes, n).transpose(0, 2, 1, 3), np.arange(n_keyframes)
+    cross = P[:c, c:].reshape(n_keyframes, n, m)
+    zeros = np.zeros((n_keyframes, n)), np.zeros(m)
+    return P, ChainSolution(*zeros, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross, 0.0)
+
+
+def test_posterior_variance_of_rows_is_that_of_the_dense_covariance() -> None:
+    rng, n, k = np.random.default_rng(1), KEYFRAME_SIZE, np.array([0, 2, 2, 1])
+    left, right, constants = (rng.normal(size=(4, 3, size)) for size in (n, n, ROW_CONSTANTS_SIZE))
+    rows = Rows("random", k, np.zeros((4, 3)), np.ones((4, 3)), left, right, constants, np.ones(4))
+    P, solution = random_solution(4)
+    found = posterior_variance(rows, solution)
+    for row in range(4):
+        J = np.zeros((3, len(P)))
+        J[:, k[row] * n : (k[row] + 1) * n], J[:, (k[row] + 1) * n : (k[row] + 2) * n] = left[row], right[row]
+        J[:, 4 * n : 4 * n + ROW_CONSTANTS_SIZE] = constants[row]
+        np.testing.assert_allclose(found[row], np.diag(J @ P @ J.T))
+
+
+class TestRobustness:
+    def test_a_fix_a_street_away_moves_the_path_by_centimetres(self) -> None:
+        clean = problem(1)
+        position_n = clean.data.position_n.copy()
+        position_n[10] += [30.0, -20.0, 0.0]
+        thrown = replace(clean, data=replace(clean.data, position_n=position_n))
+        _, want, _ = solve(clean)
+        batch = Batch(thrown.data, thrown.binned, thrown.priors)
+        found = batch.step(batch.graph(want.state, clean.noise), want.state, clean.noise)
+        assert found.rows["gps_position"].weight[10] < 0.01
+        moved = np.linalg.norm(found.state.position_n - want.state.position_n, axis=1)
+        assert np.max(moved) < 0.3  # far below the sigma of a fix, let alone 36 m
+
+    def test_fixes_within_three_sigma_keep_their_weight(self) -> None:
+        _, solved, _ = solve(problem(1))
+        assert np.all(solved.rows["gps_position"].weight == 1.0)
+
+    def test_a_session_without_doppler_is_solved_from_positions(self) -> None:
+        p = problem(0)
+        blind = replace(p, data=replace(p.data, velocity_n=np.full_like(p.data.velocity_n, np.nan)))
+        _, solved, _ = solve(blind, steps=20)
+        assert np.all(np.isfinite(solved.solution.covariance))
+        assert np.all(solved.rows["gps_velocity"].information == 0.0)
+
+
+class TestNoise:
+    @pytest.mark.parametrize("factor", [1.0 / 3.0, 3.0])
+    def test_it_is_found_from_the_residuals_wherever_it_starts(self, factor: float) -> None:
+        """A minute with a known noise of everything; started off by a factor of three."""
+        p = problem(2, K=301)
+        inertial = replace(p.noise.inertial, accel=p.noise.inertial.accel * factor, gyro=p.noise.inertial.gyro * factor)
+        noise = replace(
+            p.noise, inertial=inertial, position=p.noise.position * factor, velocity=p.noise.velocity / factor
+        )
+        batch = Batch(p.data, p.binned, p.priors)
+        floor = NoiseFloor(accel=1e-4, gyro=1e-5, offset_sigma=noise.offset_sigma, offset_tau=noise.offset_tau)
+        state = batch.converge(batch.graph(p.state, noise), p.state, noise, 5)
+        for _ in range(25):  # from above the acceleration's density comes down by a few per cent a round
+            solved = batch.step(batch.graph(state, noise), state, noise)
+            state, noise = solved.state, update_noise(solved, noise, p.binned, floor)
+        # 150 fixes of 3 components tell their sigma to 4 %; what the solution takes up widens the others
+        np.testing.assert_allclose(noise.position, p.noise.position, rtol=0.15)
+        np.testing.assert_allclose(noise.velocity, p.noise.velocity, rtol=0.25)
+        assert noise.inertial.accel == pytest.approx(p.noise.inertial.accel, rel=0.3)
+        assert noise.inertial.gyro == pytest.approx(p.noise.inertial.gyro, rel=0.3)
+
+    def test_change_is_the_largest_relative_difference(self) -> None:
+        noise = problem().noise
+        assert noise.change(noise) == 0.0
+        assert noise.change(replace(noise, position=noise.position * [1.0, 1.0, 0.5])) == pytest.approx(np.log(2.0))
