@@ -56,7 +56,6 @@ SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data shee
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
-LONGEST_TAU = 3600.0  # s
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
 
@@ -90,21 +89,17 @@ class Noise:
         return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class NoiseFloor:
-    """Bounds of the identified noise. accel, gyro densities below which the samples' own scatter lies; population of
-    the offset: sigma (3,) m and tau s, what receivers do where a session is too short or too smooth to tell.
-    """
+    """Densities of the inertial samples that no estimate may fall below: their own scatter is not far above it."""
 
     accel: float
     gyro: float
-    offset_sigma: Array
-    offset_tau: float
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (24,)."""
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (27,)."""
 
     accel_bias: float
     gyro_bias: float
@@ -235,7 +230,7 @@ class Batch:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (24,) of all constants."""
+    """Prior sigma (27,) of all constants."""
     sigma = priors.constants_sigma.copy()
     sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
     return sigma
@@ -288,32 +283,27 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFl
     )
     white = noise.position * _row_ratio(solved.rows["gps_position"], solution, ((0, 1), (2,)))
     velocity = noise.velocity * _row_ratio(solved.rows["gps_velocity"], solution, ((0, 1), (2,)))
-    sigma, tau = _offset_process(noise, _offset_ratio(solved), white, floor)
     return replace(
         noise,
         inertial=new,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
-        offset_sigma=sigma,
-        offset_tau=tau,
+        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
 
-def _offset_process(noise: Noise, ratio: Array, white: Array, floor: NoiseFloor) -> tuple[Array, float]:
-    """Sigma (3,) m and tau s of the GPS offset from its driving noise, which is what a session shows best.
+def unseen_offset(noise: Noise, population: Array) -> Array:
+    """Variance (3,) m^2 of the GPS offset beyond what the session shows, to be added to absolute positions.
 
-    A receiver with little white noise has filtered its fixes: they wander, slowly, by more than laps can tell, since
-    integrated Doppler is no judge of minutes. Then the population's sigma is a lower bound and a quiet drive means a
-    longer tau. With white noise beyond a metre the fixes are not filtered and the data may find no offset at all.
+    A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
+    neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
+    population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
+    that there is no offset at all.
     """
-    q = noise.offset_q * ratio**2
-    if white[0] > UNFILTERED:
-        return np.sqrt(0.5 * q * floor.offset_tau), floor.offset_tau
-    horizontal = max(float(np.sqrt(0.5 * q[0] * floor.offset_tau)), float(floor.offset_sigma[0]))
-    tau = float(np.clip(2.0 * horizontal**2 / q[0], floor.offset_tau, LONGEST_TAU))
-    up = max(float(np.sqrt(0.5 * q[2] * tau)), float(floor.offset_sigma[2]))
-    return np.array([horizontal, horizontal, up]), tau
+    if noise.position[0] > UNFILTERED:
+        return np.zeros(3)
+    return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
 
 
 def _ratio(inertial: InertialResiduals, part: slice, variance: Array, good: BoolArray) -> float:

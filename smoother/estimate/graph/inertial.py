@@ -89,12 +89,12 @@ def linearize_inertial(
 
 
 def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual for sensor errors that differ by `constants_step` (24,)."""
+    """Return the factors with the residual for sensor errors that differ by `constants_step` (27,)."""
     return replace(linear, residual=linear.residual + linear.errors @ constants_step[_ERRORS])
 
 
 def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (24,)."""
+    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (27,)."""
     moved = np.einsum("kri,ki->kr", linear.left, step[:-1, _INERTIAL])
     moved += np.einsum("kri,ki->kr", linear.right, step[1:, _INERTIAL])
     return inertial_after_errors(replace(linear, residual=linear.residual + moved), constants_step)

@@ -6,7 +6,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.graph.batch import Noise, Priors, Solved
+from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
 from smoother.estimate.graph.imu import (
     JERK_RATE,
     YAW_JERK_RATE,
@@ -53,11 +53,11 @@ def build_trajectory(
     binned: BinnedImu,
     priors: Priors,
     rate: float,
-    population: float,
+    population: Array,
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
 
-    population m: sigma of the GPS offset to which a session that does not show it falls back.
+    population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
     state = solved.state
     binned = corrected(binned, state.constants.accel_error, state.constants.gyro_error)
@@ -69,7 +69,8 @@ def build_trajectory(
     acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
     R_nb = motion.R_ns @ mounting.R_bs.T
     swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate_s, arm_s))
-    keyframes = _keyframes(solved, mounting, arm_s)
+    unseen = unseen_offset(noise, population)
+    keyframes = _keyframes(solved, mounting, arm_s, unseen)
     return Trajectory(
         t=t,
         position_n=motion.position_n + motion.R_ns @ arm_s,
@@ -79,7 +80,7 @@ def build_trajectory(
         angular_rate_b=rate_s @ mounting.R_bs.T,
         sigmas=_sigmas(t, solved, keyframes, R_nb, motion.velocity_n),
         report=EstimateReport(
-            identified=_identified(solved, noise, priors, mounting, arm_s, arm_observed, session, population),
+            identified=_identified(solved, noise, priors, mounting, arm_s, arm_observed, session, unseen),
             residuals={
                 name: _statistics(solved.rows[name], unit) for name, unit in _UNITS.items() if name in solved.rows
             },
@@ -102,7 +103,7 @@ def _reported_arm(solved: Solved, priors: Priors) -> tuple[Array, np.ndarray]:
     return solved.state.constants.lever_arm_s, np.sqrt(np.diag(P)) < np.maximum(OBSERVABLE * prior, 1e-3)
 
 
-def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array) -> Keyframes:
+def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array, unseen: Array) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
     state, P = solved.state, solved.solution.covariance
     R = state.R_ns
@@ -120,6 +121,7 @@ def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array) -> Keyfra
     S, cross = solved.solution.constants_covariance, J @ solved.solution.constants_cross @ C.transpose(0, 2, 1)
     covariance = J @ P @ J.transpose(0, 2, 1) + C @ S @ C.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
     R_nb = R @ mounting.R_bs.T
+    covariance[:, 6:9, 6:9] += np.diag(unseen)
     covariance[:, 0:3, 0:3] += (R_nb * mounting.sigma**2) @ R_nb.transpose(0, 2, 1)
     sigma = np.sqrt(np.einsum("kii->ki", P))
     return Keyframes(
@@ -208,7 +210,7 @@ def _identified(
     arm_s: Array,
     arm_observed: np.ndarray,
     session: Session,
-    population: float,
+    unseen: Array,
 ) -> dict[str, Identified]:
     config, S = session.config, solved.solution.constants_covariance
     sigma = np.sqrt(np.diag(S))
@@ -245,11 +247,10 @@ def _identified(
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
     out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
     out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
-    # the population's sigma is the lower bound of a filtered receiver; anything else the fixes have shown
-    shown = not np.isclose(noise.offset_sigma[0], population)
+    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
     source = "identified" if shown else "default"
-    out["gps_offset_sigma"] = Identified(noise.offset_sigma.tolist(), None, "m", shown, source)
-    out["gps_offset_tau"] = Identified(noise.offset_tau, None, "s", False, "default" if shown else "identified")
+    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown, source)
+    out["gps_offset_tau"] = Identified(noise.offset_tau, None, "s", False, "default")
     return out
 
 

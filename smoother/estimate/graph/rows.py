@@ -17,6 +17,7 @@ from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.imu import DensePath, MotionAt, at_times, motion_at
 from smoother.estimate.graph.state import (
+    DOPPLER_BIAS,
     GYRO_BIAS,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
@@ -37,7 +38,7 @@ from smoother.frames import wrap_angle
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 6). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 9). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -126,7 +127,7 @@ def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, m
     arm = state.constants.lever_arm_s
     rate_n, arm_n = np.einsum("nij,nj->ni", motion.R_ns, rate), np.einsum("nij,j->ni", motion.R_ns, arm)
     swing_n = np.cross(rate_n, arm_n)
-    residual = motion.velocity_n + swing_n - measured_n
+    residual = motion.velocity_n + swing_n + state.constants.doppler_bias_n - measured_n
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, hermite_velocity(b))
     # a tilt turns the arm, but not the axis it swings about, which is up
@@ -134,6 +135,7 @@ def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, m
     # the rate is measured minus bias, and the swing is minus [l]x times it
     up_s = motion.R_ns[:, 2, :]
     left[:, :, GYRO_BIAS] = np.einsum("ni,nj->nij", np.einsum("nij,nj->ni", motion.R_ns, np.cross(arm, up_s)), up_s)
+    constants[:, :, DOPPLER_BIAS] = np.eye(3)
     constants[:, :, VELOCITY_LATENCY] = -(motion.acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
     constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
@@ -207,7 +209,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (24,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (27,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -244,7 +246,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (24,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (27,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])

@@ -23,7 +23,7 @@ from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyfr
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.rows import Rows, heading_rows
-from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Problem, Session
@@ -45,7 +45,8 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
-    sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread.
+    doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
+    limit, not the spread.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. rounds: of solving and identifying.
     """
@@ -59,6 +60,7 @@ class GraphOptions:
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
     lever_arm_sigma: float = 0.5
+    doppler_bias_sigma: float = 0.03
     sensor_error_sigma: float = 0.01
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
@@ -78,6 +80,7 @@ class _Start:
     noise: Noise
     data: Data
     priors: Priors
+    receiver: float  # how the reported accuracy compares with the population's, at most 1
 
 
 @dataclass
@@ -118,7 +121,14 @@ class GraphSmoother:
         with watch("output"):
             mounting = _mounting(session, solved, start.alignment)
             trajectory = build_trajectory(
-                session, solved, noise, mounting, start.binned, priors, options.rate, options.offset_sigma[0]
+                session,
+                solved,
+                noise,
+                mounting,
+                start.binned,
+                priors,
+                options.rate,
+                np.array(options.offset_sigma) * start.receiver,
             )
         report: EstimateReport = replace(
             trajectory.report, timings=watch.seconds, problems=trajectory.report.problems + problems
@@ -183,6 +193,7 @@ def _start(session: Session, options: GraphOptions) -> _Start:
         _first_noise(session, path, binned, options),
         _data(session, path, t, alignment.R_bs[2]),
         priors,
+        _receiver(session, options),
     )
 
 
@@ -212,6 +223,14 @@ def _relative(reported: Array) -> Array:
     return np.fmax(1.0, np.where(np.isfinite(reported), reported / np.nanmedian(reported), 1.0))
 
 
+def _receiver(session: Session, options: GraphOptions) -> float:
+    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so."""
+    reported = session.gnss.sigma_horizontal
+    if reported is None or not np.any(np.isfinite(reported)):
+        return 1.0
+    return float(np.clip(np.nanmedian(reported) / options.offset_sigma[0], 0.1, 1.0))
+
+
 def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
@@ -220,6 +239,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
+    sigma[DOPPLER_BIAS] = options.doppler_bias_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6
@@ -262,8 +282,6 @@ def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwa
     floor = NoiseFloor(
         max(OWN_SCATTER * noise.inertial.accel, 2.0 * DATA_SHEET_ACCEL),
         max(OWN_SCATTER * noise.inertial.gyro, 2.0 * DATA_SHEET_GYRO),
-        np.array(options.offset_sigma),
-        options.offset_tau,
     )
     state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
     for turn in range(options.rounds):

@@ -15,11 +15,16 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
-# Constants of the session. The first six enter the rows of rows.py, the two matrices only the inertial factors.
+# Constants of the session. The first nine enter the rows of rows.py, the two matrices only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
-ROW_CONSTANTS_SIZE = 6
-ACCEL_ERROR, GYRO_ERROR = slice(6, 15), slice(15, 24)
-CONSTANTS_SIZE = 24
+DOPPLER_BIAS = slice(6, 9)
+ROW_CONSTANTS_SIZE = 9
+ACCEL_ERROR, GYRO_ERROR = slice(9, 18), slice(18, 27)
+CONSTANTS_SIZE = 27
+
+
+def _no_bias() -> Array:
+    return np.zeros(3)
 
 
 def _no_error() -> Array:
@@ -29,21 +34,23 @@ def _no_error() -> Array:
 @dataclass(frozen=True, eq=False)
 class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
-    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; accel_error and gyro_error
-    (3, 3), scale and misalignment of the sensor: measured = (1 + error) true + bias.
+    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
+    receiver's velocity; accel_error and gyro_error (3, 3), scale and misalignment: measured = (1 + error) true + bias.
     """
 
     position_latency: float
     velocity_latency: float
     lever_arm_s: Array
     heading_offset: float = 0.0
+    doppler_bias_n: Array = field(default_factory=_no_bias)
     accel_error: Array = field(default_factory=_no_error)
     gyro_error: Array = field(default_factory=_no_error)
 
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
         latencies, offset = np.array([self.position_latency, self.velocity_latency]), np.array([self.heading_offset])
-        return np.concatenate([latencies, self.lever_arm_s, offset, self.accel_error.ravel(), self.gyro_error.ravel()])
+        errors = [self.accel_error.ravel(), self.gyro_error.ravel()]
+        return np.concatenate([latencies, self.lever_arm_s, offset, self.doppler_bias_n, *errors])
 
     @staticmethod
     def from_vector(x: Array) -> "Constants":
@@ -53,6 +60,7 @@ class Constants:
             float(x[1]),
             np.array(x[LEVER_ARM]),
             float(x[5]),
+            np.array(x[DOPPLER_BIAS]),
             x[ACCEL_ERROR].reshape(3, 3),
             x[GYRO_ERROR].reshape(3, 3),
         )
