@@ -23,9 +23,9 @@ LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
 # What nobody need call an outlier, m and m/s, added to sigma when weighing. Receivers wander and converge again by
-# metres within seconds; without Doppler as a witness nothing tells that from driving, and the path stays with the fixes.
+# metres within seconds; without Doppler as a witness nothing tells that from driving, so the path stays with fixes.
 UNREMARKABLE = np.array([0.5, 3.0, 0.3, 0.3])
-UNREMARKABLE_ALONE = 2.0  # m, horizontal position of a fix without Doppler
+UNREMARKABLE_ALONE = 1.0  # m, horizontal position of a fix without Doppler
 IN = 0.5  # weight from which a measurement counts as accepted
 BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of the length of 2 or 1 standard normals
 
@@ -82,8 +82,10 @@ def robust_weights(size: Array, before: Array, graduation: float) -> Array:
     What was out comes back only beside what was in (weights `before`), so that a run of rejected fixes must prove its
     ends first: in the middle of the run the path knows little and would believe anything.
     """
+    alone = np.isnan(size[:, system.HORIZONTAL_VELOCITY])
     size = np.nan_to_num(size, nan=0.0) / graduation
     taper = np.clip((DROP - size) / (DROP - KEEP), 0.0, 1.0)
+    taper[alone & (before[:, system.HORIZONTAL_POSITION] > 0.0), system.HORIZONTAL_POSITION] = 1.0
     weight = np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2)
     inside = before >= IN
     beside = inside.copy()
@@ -104,7 +106,7 @@ def _sigma(done: Round) -> Array:
     rows, weight = done.rows, done.weight
     count = np.bincount(rows.group, weight, system.GROUPS)
     checked = np.bincount(rows.group, weight * (1.0 - weight * done.leverage / done.variance), system.GROUPS)
-    leaning = PRIOR_COUNT + count * (1.0 - checked / np.maximum(count, 1.0)) ** 2
+    leaning = PRIOR_COUNT + count * (1.0 - checked / np.maximum(count, 1.0)) ** 3
     squares = np.bincount(rows.group, weight * (done.residual / rows.scale) ** 2, system.GROUPS)
     sigma = np.sqrt((squares + leaning * USUAL_SIGMA**2) / (checked + leaning))
     return np.asarray(np.maximum(sigma, LEAST_SIGMA))

@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 from smoother.arrays import Array, BoolArray
 
 LONGEST_STEP = 2.5  # s; across a longer gap fixes are not compared with one another
+QUICK = 0.3  # s between fixes, up to which their own steps tell a jump from driving
 FEWEST_FIXES = 10  # in a run; fewer do not outvote anything
 VELOCITY_WINDOW = 1.0  # s; a kart's velocity is nearly straight for as long
 DEAD_RECKONING_WINDOW = 24.0  # s; jumps shorter than half of it are outvoted
@@ -32,7 +33,7 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array) -> BoolA
     measured = known & sent
     use_sent = np.count_nonzero(measured) > 0.5 * np.count_nonzero(known)
     for rows in _runs(t, np.flatnonzero(measured if use_sent else known)):
-        if rows.size >= FEWEST_FIXES:
+        if rows.size >= FEWEST_FIXES and (use_sent or np.median(np.diff(t[rows])) <= QUICK):
             position = position_n[rows, :2]
             velocity = velocity_n[rows, :2] if use_sent else _steps(t[rows], position)
             good[rows] &= _follows_velocity(t[rows], position, velocity)
