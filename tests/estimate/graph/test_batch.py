@@ -16,6 +16,7 @@ from smoother.estimate.graph.batch import (
     Priors,
     Solved,
     posterior_variance,
+    unseen_offset,
     update_noise,
 )
 from smoother.estimate.graph.chain import ChainSolution
@@ -297,7 +298,7 @@ class TestNoise:
             p.noise, inertial=inertial, position=p.noise.position * factor, velocity=p.noise.velocity / factor
         )
         batch = Batch(p.data, p.binned, p.priors)
-        floor = NoiseFloor(accel=1e-4, gyro=1e-5, offset_sigma=noise.offset_sigma, offset_tau=noise.offset_tau)
+        floor = NoiseFloor(accel=1e-4, gyro=1e-5)
         state = batch.converge(batch.graph(p.state, noise), p.state, noise, 5)
         for _ in range(25):  # from above the acceleration's density comes down by a few per cent a round
             solved = batch.step(batch.graph(state, noise), state, noise)
@@ -312,3 +313,15 @@ class TestNoise:
         noise = problem().noise
         assert noise.change(noise) == 0.0
         assert noise.change(replace(noise, position=noise.position * [1.0, 1.0, 0.5])) == pytest.approx(np.log(2.0))
+
+    def test_no_estimate_falls_below_the_scatter_of_the_samples(self) -> None:
+        p = problem(0)
+        _, solved, _ = solve(p)
+        better = update_noise(solved, p.noise, p.binned, NoiseFloor(accel=0.5, gyro=0.05))
+        assert (better.inertial.accel, better.inertial.gyro) == (0.5, 0.05)
+
+    def test_a_filtered_receiver_wanders_by_what_receivers_wander_though_the_drive_shows_less(self) -> None:
+        noise, population = replace(problem().noise, offset_sigma=np.array([0.5, 0.5, 4.0])), np.array([2.0, 2.0, 3.4])
+        np.testing.assert_allclose(unseen_offset(noise, population), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
+        white = replace(noise, position=np.full(3, 2.5))
+        np.testing.assert_array_equal(unseen_offset(white, population), np.zeros(3))

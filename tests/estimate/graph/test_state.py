@@ -1,0 +1,87 @@
+"""The unknowns: where each sits in the tangent, and what a step along the tangent does."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph import state as st
+from smoother.estimate.graph.state import ChainState, Constants
+
+K = 4
+
+
+def random_state() -> ChainState:
+    rng = np.random.default_rng(0)
+    R_ns = so3.exp(rng.normal(size=(K, 3)))
+    return ChainState(0.2 * np.arange(K), R_ns, *rng.normal(size=(5, K, 3)), random_constants())
+
+
+def random_constants() -> Constants:
+    return Constants.from_vector(np.random.default_rng(1).normal(size=st.CONSTANTS_SIZE))
+
+
+@pytest.mark.parametrize(
+    ("size", "parts"),
+    [
+        (st.KEYFRAME_SIZE, (st.ROTATION, st.TRANSLATION, st.VELOCITY, st.ACCEL_BIAS, st.GYRO_BIAS, st.OFFSET)),
+        (
+            st.ROW_CONSTANTS_SIZE,
+            (st.POSITION_LATENCY, st.VELOCITY_LATENCY, st.LEVER_ARM, st.HEADING_OFFSET, st.DOPPLER_BIAS),
+        ),
+        (st.CONSTANTS_SIZE, (slice(0, st.ROW_CONSTANTS_SIZE), st.ACCEL_ERROR, st.GYRO_ERROR)),
+    ],
+)
+def test_the_parts_of_a_tangent_fill_it_without_overlap(size: int, parts: tuple[slice, ...]) -> None:
+    assert [i for part in parts for i in range(part.start, part.stop)] == list(range(size))
+
+
+def test_each_constant_sits_where_its_name_says() -> None:
+    vector = np.arange(float(st.CONSTANTS_SIZE))
+    constants = Constants.from_vector(vector)
+    np.testing.assert_array_equal(constants.as_vector(), vector)
+    assert constants.position_latency == vector[st.POSITION_LATENCY]
+    assert constants.velocity_latency == vector[st.VELOCITY_LATENCY]
+    assert constants.heading_offset == vector[st.HEADING_OFFSET]
+    np.testing.assert_array_equal(constants.lever_arm_s, vector[st.LEVER_ARM])
+    np.testing.assert_array_equal(constants.doppler_bias_n, vector[st.DOPPLER_BIAS])
+    np.testing.assert_array_equal(constants.accel_error.ravel(), vector[st.ACCEL_ERROR])
+    np.testing.assert_array_equal(constants.gyro_error.ravel(), vector[st.GYRO_ERROR])
+
+
+def test_constants_move_by_the_step() -> None:
+    constants, step = random_constants(), np.random.default_rng(2).normal(size=st.CONSTANTS_SIZE)
+    np.testing.assert_allclose(constants.retract(step).as_vector(), constants.as_vector() + step)
+
+
+def test_a_step_moves_poses_in_their_own_axes_as_gtsam_does() -> None:
+    state, rng = random_state(), np.random.default_rng(3)
+    step = 1e-4 * rng.normal(size=(K, st.KEYFRAME_SIZE))
+    moved = state.retract(step, np.zeros(st.CONSTANTS_SIZE))
+    for k in range(K):
+        pose = gtsam.Pose3(gtsam.Rot3(state.R_ns[k]), state.position_n[k]).retract(step[k, :6])
+        np.testing.assert_allclose(moved.R_ns[k], pose.rotation().matrix(), atol=1e-12)
+        # GTSAM's step turns on its way, which is of second order
+        np.testing.assert_allclose(moved.position_n[k], pose.translation(), atol=1e-7)
+
+
+def test_a_step_adds_to_everything_else() -> None:
+    state, rng = random_state(), np.random.default_rng(4)
+    step, constants = rng.normal(size=(K, st.KEYFRAME_SIZE)), rng.normal(size=st.CONSTANTS_SIZE)
+    moved = state.retract(step, constants)
+    for name, part in (
+        ("velocity_n", st.VELOCITY),
+        ("accel_bias_s", st.ACCEL_BIAS),
+        ("gyro_bias_s", st.GYRO_BIAS),
+        ("offset_n", st.OFFSET),
+    ):
+        np.testing.assert_allclose(getattr(moved, name), getattr(state, name) + step[:, part])
+    np.testing.assert_allclose(moved.constants.as_vector(), state.constants.as_vector() + constants)
+    assert moved.interval == state.interval == pytest.approx(0.2)
+
+
+def test_a_zero_step_changes_nothing() -> None:
+    state = random_state()
+    same = state.retract(np.zeros((K, st.KEYFRAME_SIZE)), np.zeros(st.CONSTANTS_SIZE))
+    np.testing.assert_allclose(same.R_ns, state.R_ns, atol=1e-15)
+    np.testing.assert_array_equal(same.position_n, state.position_n)
