@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.imu import (
@@ -26,15 +26,14 @@ from smoother.estimate.graph.imu import (
     reading_path,
 )
 from smoother.estimate.graph.inertial import (
-    InertialResiduals,
     LinearInertial,
     ValuesFactory,
     add_inertial,
     empty_system,
     inertial_after_errors,
     inertial_after_step,
+    inertial_components,
     inertial_graph,
-    inertial_residuals,
     linearize_inertial,
 )
 from smoother.estimate.graph.state import (
@@ -270,12 +269,10 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFl
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
     """
     state, solution = solved.state, solved.solution
-    inertial = inertial_residuals(state, solved.inertial, solution)
-    accel, gyro = interval_noise(binned, noise.inertial)
-    T = state.interval
+    accel, _ = interval_noise(binned, noise.inertial)
     good = (binned.missing == 0.0) & (binned.clipped == 0.0)
-    gyro_ratio = _ratio(inertial, ROTATION, gyro[:, None] ** 2 * T, good)
-    accel_ratio = _ratio(inertial, VELOCITY, accel[:, None] ** 2 * T, good)
+    components = inertial_components(state, solved.inertial, solution, accel, good)
+    accel_ratio, gyro_ratio = (_bounded(c.squares, c.redundancy, c.count) for c in components)
     new = replace(
         noise.inertial,
         gyro=max(noise.inertial.gyro * gyro_ratio, floor.gyro),
@@ -304,13 +301,6 @@ def unseen_offset(noise: Noise, population: Array) -> Array:
     if noise.position[0] > UNFILTERED:
         return np.zeros(3)
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
-
-
-def _ratio(inertial: InertialResiduals, part: slice, variance: Array, good: BoolArray) -> float:
-    residual, posterior = inertial.residual[good, part], inertial.posterior_variance[good, part]
-    variance = np.broadcast_to(variance, inertial.residual[:, part].shape)[good]
-    weight = 1.0 / variance
-    return _bounded(float(np.sum(residual**2 * weight)), float(np.sum(1.0 - posterior * weight)), residual.size)
 
 
 def _row_ratio(rows: rw.Rows, solution: ChainSolution, groups: tuple[tuple[int, ...], ...]) -> Array:

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -129,19 +129,49 @@ def empty_system(n_keyframes: int) -> ChainSystem:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class InertialResiduals:
-    """Unwhitened residuals (K-1, 15) of the inertial factors and the variance (K-1, 15) the solution leaves in them."""
+@dataclass(frozen=True)
+class VarianceComponent:
+    """Weighted squared residuals that one source of noise answers for, and how many independent ones they amount to."""
 
-    residual: Array
-    posterior_variance: Array
+    squares: float
+    redundancy: float
+    count: int
 
 
-def inertial_residuals(state: ChainState, linear: LinearInertial, solution: ChainSolution) -> InertialResiduals:
-    """Undo the whitening: in the rows, the Jacobians by the right keyframe are known matrices.
+def inertial_components(
+    state: ChainState, linear: LinearInertial, solution: ChainSolution, accel: Array, use: BoolArray
+) -> tuple[VarianceComponent, VarianceComponent]:
+    """Split the inertial residuals between the noise of force and that of rate, over the intervals `use` (K-1,).
 
-    A row block of the unwhitened factor is Jr^-1 for rotation, R_i^T R_j for translation, R_i^T for velocity and one
-    for the biases; the whitened Jacobian divided by it is the square-root information itself.
+    The covariance of a factor is a sum of three: white force of density accel (K-1,) moves velocity and position as
+    known; the walk of the biases is a block of its own; the rest is white rate, which turns and, turning the force,
+    moves as well. With S S' = 1 for the square-root information S over the whole covariance, a component V weighs the
+    whitened residual e by W = S V S': it answers for e' W e, of which tr(W (1 - C)) is expected, C being the covariance
+    that the solution leaves in e. Source: Foerstner 1979.
+    """
+    root = _root_information(state, linear)[use]
+    by_force = root @ _force_covariance(accel[use], state.interval) @ root.transpose(0, 2, 1)
+    walk = root[:, :, 9:15]
+    bias_information = np.einsum(
+        "krs,krs->ks", walk, walk
+    )  # diagonal to first order: the inverse of the walk's variance
+    by_walk = (walk / bias_information[:, None, :]) @ walk.transpose(0, 2, 1)
+    by_rate = np.eye(15) - by_force - by_walk
+    e, C = linear.residual[use], _posterior_covariance(linear, solution)[use]
+    left = np.eye(15) - C
+    return tuple(  # type: ignore[return-value]
+        VarianceComponent(
+            float(np.einsum("ki,kij,kj->", e, W, e)), float(np.einsum("kij,kji->", W, left)), 3 * int(np.sum(use))
+        )
+        for W in (by_force, by_rate)
+    )
+
+
+def _root_information(state: ChainState, linear: LinearInertial) -> Array:
+    """Square root (K-1, 15, 15) of the information of each factor.
+
+    A row block of the factor before whitening is Jr^-1 for rotation, R_i^T R_j for translation, R_i^T for velocity and
+    one for the biases; the whitened Jacobian divided by it is the root itself.
     """
     R_i, R_j = state.R_ns[:-1], state.R_ns[1:]
     relative = R_i.transpose(0, 2, 1) @ R_j
@@ -151,16 +181,25 @@ def inertial_residuals(state: ChainState, linear: LinearInertial, solution: Chai
     root[:, :, VELOCITY] = linear.right[:, :, VELOCITY] @ R_i
     root[:, :, ACCEL_BIAS] = linear.right[:, :, ACCEL_BIAS]
     root[:, :, GYRO_BIAS] = linear.right[:, :, GYRO_BIAS]
-    stacked = np.concatenate([linear.left, linear.right, linear.errors, linear.residual[:, :, None]], axis=2)
-    plain = np.linalg.solve(root, stacked)
-    left, right, errors, residual = plain[:, :, :15], plain[:, :, 15:30], plain[:, :, 30:48], plain[:, :, 48]
+    return root
+
+
+def _force_covariance(accel: Array, T: float) -> Array:
+    """Covariance (K, 15, 15) of a factor from white force alone, densities accel (K,), over T s."""
+    q, eye = accel[:, None, None] ** 2, np.eye(3)
+    V = np.zeros((len(accel), 15, 15))
+    V[:, TRANSLATION, TRANSLATION] = q * (T**3 / 3.0) * eye
+    V[:, TRANSLATION, VELOCITY] = V[:, VELOCITY, TRANSLATION] = q * (T**2 / 2.0) * eye
+    V[:, VELOCITY, VELOCITY] = q * T * eye
+    return V
+
+
+def _posterior_covariance(linear: LinearInertial, solution: ChainSolution) -> Array:
+    """Covariance (K-1, 15, 15) that the solution leaves in the whitened residuals."""
+    left, right, errors = linear.left, linear.right, linear.errors
     P, cross = solution.covariance[:, _INERTIAL, _INERTIAL], solution.cross[:, _INERTIAL, _INERTIAL]
     S, C = solution.constants_covariance[_ERRORS, _ERRORS], solution.constants_cross[:, _INERTIAL, _ERRORS]
-    variance = (
-        np.einsum("kri,kri->kr", left @ P[:-1], left)
-        + np.einsum("kri,kri->kr", right @ P[1:], right)
-        + np.einsum("kri,kri->kr", errors @ S, errors)
-        + 2.0 * np.einsum("kri,kri->kr", left @ cross, right)
-        + 2.0 * np.einsum("kri,kri->kr", left @ C[:-1] + right @ C[1:], errors)
-    )
-    return InertialResiduals(residual, variance)
+    right_t, errors_t = right.transpose(0, 2, 1), errors.transpose(0, 2, 1)
+    mixed = left @ cross @ right_t + (left @ C[:-1] + right @ C[1:]) @ errors_t
+    own = left @ P[:-1] @ left.transpose(0, 2, 1) + right @ P[1:] @ right_t + errors @ S @ errors_t
+    return np.asarray(own + mixed + mixed.transpose(0, 2, 1))
