@@ -32,8 +32,8 @@ bench: $(VENV)/for-benchmarks
 	$(BIN)/python benchmarks/accuracy.py --preset white --preset kart --preset kart_harsh --jobs $(JOBS)
 
 picture: demo
-	mkdir -p notebooks/figures
-	cp $(DEMO)/smoothed/figures/overview.png notebooks/figures/demo.png
+	mkdir -p docs/figures
+	cp $(DEMO)/smoothed/figures/overview.png docs/figures/demo.png
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
