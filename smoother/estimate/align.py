@@ -25,7 +25,8 @@ from smoother.units import STANDARD_GRAVITY
 
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
 WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
-LAGS = np.arange(-0.2, 0.81, 0.02)  # s tried for the delay of the fixes
+LAGS = np.arange(-0.2, 0.81, 0.05)  # s tried for the delay of the fixes
+FINER_LAGS = np.arange(-0.04, 0.041, 0.01)  # s about the best of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +71,11 @@ def align(imu: ImuSamples, path: PathMotion, lags: Array = LAGS) -> Alignment:
     if np.count_nonzero(use) < 30:
         return _level_only(imu)
     averages = _Averages(imu)
-    fits = [_fit(averages, path, use, lag) for lag in lags]
-    best = max(fits, key=lambda fit: fit.share_explained)
-    return best
+
+    def best(tried: Array) -> Alignment:
+        return max((_fit(averages, path, use, lag) for lag in tried), key=lambda fit: fit.share_explained)
+
+    return best(best(lags).lag + FINER_LAGS)
 
 
 class _Averages:

@@ -17,7 +17,7 @@ USUAL_SIGMA = np.array([0.2, 0.35, 0.2, 0.3])  # what receivers show; leant on w
 LEAST_SIGMA = np.array([0.02, 0.03, 0.02, 0.02])  # below it a receiver repeats its own filter, not the truth
 # Horizontal and up.
 START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly any up and down
-LEAST_JERK = np.array([0.05, 0.02])
+LEAST_JERK = np.array([0.2, 0.1])
 START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
@@ -96,9 +96,9 @@ def robust_weights(size: Array, before: Array, graduation: float) -> Array:
 
 
 def identify(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: FixNoise) -> FixNoise:
-    """Return the noise that one round of solving shows, x (3, K, 4) being its result."""
+    """Return the noise that one round of solving shows, x (A, K, 4) being its result."""
     jerk = _jerk(done, between, x, solution, now.jerk)
-    return replace(now, sigma=_sigma(done), jerk=jerk, vehicle=_vehicle(x, solution))
+    return replace(now, sigma=_sigma(done), jerk=jerk, vehicle=_vehicle(x, solution, now.vehicle))
 
 
 def _sigma(done: Round) -> Array:
@@ -120,21 +120,22 @@ def _jerk(done: Round, between: system.Transitions, x: Array, solution: ChainSol
     driven = system.prior_residuals(between, x)[..., :3]
     squares = np.einsum("aki,aki->a", driven, (between.information[..., :3, :3] @ driven[..., None])[..., 0])
     P = solution.covariance.reshape(*x.shape, system.N_STATE)
-    cross = np.append(solution.cross[:, 3, 3], 0.0).reshape(system.AXES, x.shape[1])[:, :-1]
+    cross = np.append(solution.cross[:, 3, 3], 0.0).reshape(x.shape[:2])[:, :-1]
     keep = between.step[..., 3, 3]
     offset = P[:, 1:, 3, 3] - 2.0 * keep * cross + keep**2 * P[:, :-1, 3, 3]
     by_offset = np.sum(1.0 - offset * between.information[..., 3, 3], axis=1)
     by_start = system.N_STATE - np.einsum("aij,aji->a", between.first, P[:, 0])
-    determined = np.bincount(done.rows.axis, done.weight * done.leverage / done.variance, system.AXES)
+    determined = np.bincount(done.rows.axis, done.weight * done.leverage / done.variance, x.shape[0])
     redundancy = np.maximum(determined - by_offset - by_start, 0.0)
-    kind = np.asarray(system.PRIOR_OF_AXIS)
+    kind = np.asarray(system.PRIOR_OF_AXIS[: x.shape[0]])
     found = now**2 * np.bincount(kind, squares, 2) + PRIOR_COUNT * START_JERK**2
     jerk = np.sqrt(found / (np.bincount(kind, redundancy, 2) + PRIOR_COUNT))
     return np.asarray(np.maximum(jerk, LEAST_JERK))
 
 
-def _vehicle(x: Array, solution: ChainSolution) -> Array:
+def _vehicle(x: Array, solution: ChainSolution, now: Array) -> Array:
     """Usual velocity and acceleration (2, 2), horizontal per axis and up: of the path, and of what it does not know."""
-    unknown = np.einsum("kii->ki", solution.covariance)[:, 1:3].reshape(system.AXES, -1, 2)
+    unknown = np.einsum("kii->ki", solution.covariance)[:, 1:3].reshape(*x.shape[:2], 2)
     square = np.mean(x[..., 1:3] ** 2 + unknown, axis=1)
-    return np.asarray(np.maximum(np.sqrt(np.stack([square[:2].mean(axis=0), square[2]])), LEAST_VEHICLE))
+    up = square[2] if square.shape[0] > 2 else now[1] ** 2
+    return np.asarray(np.maximum(np.sqrt(np.stack([square[:2].mean(axis=0), up])), LEAST_VEHICLE))

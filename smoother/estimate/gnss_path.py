@@ -9,6 +9,7 @@ the graph.
 Sources: Förstner 1979 (variance components); Yang et al. 2002 (IGG III weights).
 """
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,15 +18,17 @@ from smoother.arrays import Array, IntArray
 from smoother.estimate import gnss_noise as noise
 from smoother.estimate import gnss_system as system
 from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
-from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.chain import ChainSolution, NotPositiveDefiniteError
 from smoother.estimate.motion_prior import MotionPrior, quintic_basis
 from smoother.samples import GnssFixes, Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
 FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
 SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
+COARSER_NODES = (1.0, 2.0)  # tried in turn where rounding spoils the solution: long stretches that hardly measure
+UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
 RELAXATION = 0.6  # of the constants' steps: lag and acceleration form a product, and full steps can go in a circle
-END_MARGIN = (0.6, 0.5)  # s of nodes before the first and after the last time of truth: room for the lag of Doppler
+LAG_RANGE, END_MARGIN = (-0.5, 0.5), 0.1  # s: a lag beyond belief, and what nodes reach farther
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,9 @@ class GnssPathOptions:
     lag_prior: tuple[float, float] = (0.05, 0.1)
     velocity_bias_sigma: float = 0.05
     max_node_gap: float = 0.25  # s, so that interpolation between nodes adds nothing to the error
-    min_node_gap: float = 0.05  # s; closer fixes share nodes, they cannot resolve more of a vehicle's motion
+    min_node_gap: float = (
+        0.09  # s; closer fixes share nodes: 0.001 m at kart speeds, and the chain stays well conditioned
+    )
     max_iterations: int = 12
 
 
@@ -181,7 +186,7 @@ class _State:
     weight: Array
     noise: noise.FixNoise
     constants_sigma: Array
-    covariance: Array  # (3, K, 4, 4)
+    covariance: Array  # (A, K, 4, 4)
 
 
 def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> GnssPath:
@@ -190,13 +195,20 @@ def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> G
     Robust against jumps of seconds and against absurd rows; linear in the number of fixes.
     """
     options = GnssPathOptions() if options is None else options
+    for coarser in COARSER_NODES:
+        with contextlib.suppress(NotPositiveDefiniteError):
+            return _fit(session, replace(options, min_node_gap=coarser * options.min_node_gap))
+    return _fit(session, replace(options, min_node_gap=options.max_node_gap))
+
+
+def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
     latency, constants, constants_sigma = _constants(session, options)
     fixes, position_n = session.gnss, session.fix_position_n
     true_t = fixes.t - latency
     scales = _relative_sigmas(fixes)
     rows = system.fix_rows(position_n, fixes.velocity_n, *scales)
     weight = _first_weights(true_t, position_n, fixes.velocity_n)
-    nodes = _nodes(true_t, fixes.t[-1], options)
+    nodes = _nodes(true_t, fixes.t[-1], constants[0], options)
     anchor = _anchor(position_n, weight)
     known = _Known(rows, true_t, nodes, *anchor, constants, constants_sigma, options)
     state = _first_state(known, position_n, weight)
@@ -240,10 +252,11 @@ def _relative(reported: Array) -> Array:
     return np.where(known, np.maximum(reported / np.median(reported[known]), 1.0), 1.0)
 
 
-def _nodes(true_t: Array, end: float, options: GnssPathOptions) -> Array:
+def _nodes(true_t: Array, end: float, lag: float, options: GnssPathOptions) -> Array:
     """Times of the nodes: at the fixes where they are far enough apart, a margin at the ends, gaps filled evenly."""
+    before, after = max(LAG_RANGE[1], lag) + END_MARGIN, max(-LAG_RANGE[0], -lag) + END_MARGIN
     chosen = true_t if np.all(np.diff(true_t) >= options.min_node_gap) else _thinned(true_t, options.min_node_gap)
-    corners = np.concatenate([[true_t[0] - END_MARGIN[0]], chosen, [max(end, true_t[-1]) + END_MARGIN[1]]])
+    corners = np.concatenate([[true_t[0] - before], chosen, [max(end, true_t[-1] + after)]])
     parts = np.maximum(np.ceil(np.diff(corners) / options.max_node_gap - 1e-6), 1.0).astype(np.int64)
     inner = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
     t = np.repeat(corners[:-1], parts) + np.repeat(np.diff(corners) / parts, parts) * inner
@@ -268,8 +281,8 @@ def _first_weights(true_t: Array, position_n: Array, velocity_n: Array) -> Array
 
 
 def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
-    """Where the path may start (3,) m and how far from it (3,) m: anywhere among the fixes, at 0 +- 100 m without."""
-    centre, spread = np.zeros(system.AXES), np.full(system.AXES, 100.0)
+    """Where the path may start (3,) m and how far from it (3,) m: anywhere among the fixes."""
+    centre, spread = np.zeros(system.AXES), np.full(system.AXES, UNKNOWN_HEIGHT)
     for axis in range(system.AXES):
         values = position_n[np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0), axis]
         if values.size:
@@ -279,8 +292,8 @@ def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
 
 def _first_state(known: _Known, position_n: Array, weight: Array) -> _State:
     """Straight lines between the fixes to start from; the problem is all but linear, so nothing better is needed."""
-    x = np.zeros((system.AXES, known.nodes.size, system.N_STATE))
-    for axis in range(system.AXES):
+    x = np.zeros((known.rows.n_axes, known.nodes.size, system.N_STATE))
+    for axis in range(known.rows.n_axes):
         good = np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0)
         x[axis, :, 0] = np.interp(known.nodes, known.true_t[good], position_n[good, axis]) if good.any() else 0.0
     at = system.Unknowns(x, known.constants)
@@ -291,7 +304,7 @@ def _first_state(known: _Known, position_n: Array, weight: Array) -> _State:
 def _improve(known: _Known, now: _State, number: int) -> _State:
     """One round: solve, then weigh, then identify the noise."""
     rows, prior = known.rows, _prior(known, now.noise)
-    between = system.transitions(known.nodes, prior)
+    between = system.transitions(known.nodes, prior, rows.n_axes)
     variance = (now.noise.sigma[rows.group] * rows.scale) ** 2
     weight = now.weight[rows.fix, rows.group]
     solution = system.solve(now.design, weight / variance, between, prior, now.at)
@@ -313,7 +326,8 @@ def _corrected(at: system.Unknowns, prior: system.PathPrior, solution: ChainSolu
     """Unknowns with the solution added, and the sigma of the constants (4,)."""
     constants, sigma = at.constants.copy(), np.zeros(system.N_CONSTANTS)
     constants[prior.is_free] += RELAXATION * solution.constants
-    constants[0] = np.clip(constants[0], -END_MARGIN[1], END_MARGIN[0])  # the nodes reach no farther
+    if prior.is_free[0]:
+        constants[0] = np.clip(constants[0], *LAG_RANGE)  # the nodes reach no farther
     sigma[prior.is_free] = np.sqrt(np.diag(solution.constants_covariance))
     return system.Unknowns(at.x + solution.x.reshape(at.x.shape), constants), sigma
 
@@ -354,7 +368,8 @@ def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: 
     residuals[rows.fix, rows.axis + system.AXES * rows.is_velocity] = state.design.residual
     measured[rows.fix, rows.group] = True
     weight = np.where(measured, state.weight, 0.0)
-    position, velocity, acceleration, offset = state.at.x.transpose(2, 1, 0)
+    x, covariance = _with_height(known, state)
+    position, velocity, acceleration, offset = x.transpose(2, 1, 0)
     sigma = state.noise.sigma
     return GnssPath(
         t=known.nodes,
@@ -362,7 +377,7 @@ def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: 
         velocity_n=velocity,
         acceleration_n=acceleration,
         offset_n=offset,
-        covariance=state.covariance,
+        covariance=covariance,
         position_residual_n=residuals[:, :3],
         velocity_residual_n=residuals[:, 3:],
         position_weight=weight[:, system.HORIZONTAL_POSITION],
@@ -380,6 +395,18 @@ def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: 
         velocity_bias_sigma=state.constants_sigma[1:],
         iterations=rounds,
     )
+
+
+def _with_height(known: _Known, state: _State) -> tuple[Array, Array]:
+    """Values (3, K, 4) and covariance (3, K, 4, 4) of all axes; what nothing measures stays where it was assumed."""
+    missing = system.AXES - state.at.x.shape[0]
+    if missing == 0:
+        return state.at.x, state.covariance
+    velocity, acceleration = state.noise.vehicle[1]
+    sigma = np.array([UNKNOWN_HEIGHT, velocity, acceleration, known.options.offset_sigma[2]])
+    x = np.concatenate([state.at.x, np.zeros((missing, *state.at.x.shape[1:]))])
+    unknown = np.broadcast_to(np.diag(sigma**2), (missing, *state.covariance.shape[1:]))
+    return x, np.concatenate([state.covariance, unknown])
 
 
 def _lag(known: _Known, state: _State) -> VelocityLag:

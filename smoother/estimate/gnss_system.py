@@ -1,6 +1,6 @@
 """Measurements of a fix as linear rows over a chain of nodes, and the normal equations they make with the prior.
 
-The three axes are three chains laid end to end (no coupling at the joints), each node holding position, velocity,
+The axes (north, west, and up if anything measures it) are chains laid end to end, uncoupled, each node holding position, velocity,
 acceleration and the slow GPS offset. The constants of the session are the lag of Doppler velocity behind position and
 the bias of Doppler along each axis. All unknowns are solved as corrections of the current values, which keeps rounding
 out of the small differences between neighbouring nodes.
@@ -33,6 +33,11 @@ class FixRows:
     scale: Array
 
     @property
+    def n_axes(self) -> int:
+        """3, or 2 where nothing measures height: an axis without information would have no solution."""
+        return int(max(self.axis.max(), 1)) + 1
+
+    @property
     def is_velocity(self) -> BoolArray:
         """Which rows measure velocity, (R,)."""
         return self.group >= HORIZONTAL_VELOCITY
@@ -40,7 +45,7 @@ class FixRows:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Values of all unknowns: x (3, K, 4) per axis and node, constants (4,): lag s, biases m/s."""
+    """Values of all unknowns: x (A, K, 4) per axis and node, constants (4,): lag s, biases m/s."""
 
     x: Array
     constants: Array
@@ -85,7 +90,7 @@ class PathPrior:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """The prior between neighbouring nodes: step (3, K-1, 4, 4) and its information (3, K-1, 4, 4); first (3, 4, 4)."""
+    """The prior between neighbouring nodes: step (A, K-1, 4, 4) and its information (A, K-1, 4, 4); first (A, 4, 4)."""
 
     step: Array
     information: Array
@@ -104,15 +109,15 @@ def fix_rows(position_n: Array, velocity_n: Array, position_scale: Array, veloci
     return FixRows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def transitions(t: Array, prior: PathPrior) -> Transitions:
-    """The prior between the nodes at t (K,) s."""
+def transitions(t: Array, prior: PathPrior, n_axes: int) -> Transitions:
+    """The prior between the nodes at t (K,) s, for the first `n_axes` axes."""
     dt = np.diff(t)
-    step = np.zeros((AXES, dt.size, N_STATE, N_STATE))
-    information, first = np.zeros_like(step), np.zeros((AXES, N_STATE, N_STATE))
+    step = np.zeros((n_axes, dt.size, N_STATE, N_STATE))
+    information, first = np.zeros_like(step), np.zeros((n_axes, N_STATE, N_STATE))
     step[..., 3, 3] = np.exp(-dt / prior.offset_tau)
     forgotten = -np.expm1(-2.0 * dt / prior.offset_tau)
     moved = [(motion.transition(dt), motion.information(dt)) for motion in prior.motion]
-    for axis, kind in enumerate(PRIOR_OF_AXIS):
+    for axis, kind in enumerate(PRIOR_OF_AXIS[:n_axes]):
         step[axis, :, :N_MOTION, :N_MOTION], information[axis, :, :N_MOTION, :N_MOTION] = moved[kind]
         information[axis, :, 3, 3] = 1.0 / (prior.offset_sigma[axis] ** 2 * forgotten)
         motion = prior.motion[kind]
@@ -157,7 +162,7 @@ def solve(rows: Design, information: Array, between: Transitions, prior: PathPri
 
     The solution counts nodes as laid out, axis by axis. Raises NotPositiveDefiniteError for unusable numbers.
     """
-    total = AXES * at.x.shape[1]
+    total = at.x.shape[0] * at.x.shape[1]
     diagonal, rhs = np.zeros((total, N_STATE, N_STATE)), np.zeros((total, N_STATE))
     upper = np.zeros((total, N_STATE, N_STATE))
     _add_rows(rows, information, diagonal, upper, rhs)
@@ -180,7 +185,7 @@ def leverage(rows: Design, prior: PathPrior, solution: ChainSolution) -> Array:
 
 
 def prior_residuals(between: Transitions, x: Array) -> Array:
-    """What drives the nodes of x (3, K, 4) from one to the next, (3, K-1, 4): state minus its prediction."""
+    """What drives the nodes of x (A, K, 4) from one to the next, (A, K-1, 4): state minus its prediction."""
     return np.asarray(x[:, 1:] - (between.step @ x[:, :-1, :, None])[..., 0])
 
 
@@ -204,8 +209,7 @@ def _add_rows(rows: Design, information: Array, diagonal: Array, upper: Array, r
 
 
 def _add_prior(between: Transitions, prior: PathPrior, x: Array, diagonal: Array, upper: Array, rhs: Array) -> None:
-    n_nodes = x.shape[1]
-    shape = (AXES, n_nodes, N_STATE)
+    shape = x.shape
     diagonal_of, upper_of, rhs_of = (
         diagonal.reshape(*shape, N_STATE),
         upper.reshape(*shape, N_STATE),
@@ -218,8 +222,8 @@ def _add_prior(between: Transitions, prior: PathPrior, x: Array, diagonal: Array
     upper_of[:, :-1] -= back
     rhs_of[:, 1:] -= (between.information @ driven)[..., 0]
     rhs_of[:, :-1] += (back @ driven)[..., 0]
-    start = np.zeros((AXES, N_STATE))
-    start[:, 0] = prior.start
+    start = np.zeros((shape[0], N_STATE))
+    start[:, 0] = prior.start[: shape[0]]
     diagonal_of[:, 0] += between.first
     rhs_of[:, 0] -= (between.first @ (x[:, 0] - start)[..., None])[..., 0]
 

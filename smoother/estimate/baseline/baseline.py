@@ -42,7 +42,7 @@ class BaselineOptions:
     """
 
     rate: float = 50.0
-    alpha: float = 10.0
+    alpha: float = 3.16
     beta: float = BETA
     zeta: float = ZETA
     use_magnetometer: bool = True

@@ -216,24 +216,26 @@ def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> N
 
 def add_rows(system: ChainSystem, rows: Rows) -> None:
     """Add the normal equations of `rows` to the system, in place: the one function here that changes its argument."""
-    information = rows.information[:, :, None]
-    jacobian = np.concatenate([rows.left, rows.right, rows.constants], axis=2)
-    normal = (jacobian * information).transpose(0, 2, 1)
-    total, n = normal @ jacobian, KEYFRAME_SIZE
+    if len(rows.interval) == 0:
+        return
+    # most rows know only some of a keyframe's unknowns; the products are taken over those
+    i, j, c = (np.flatnonzero(np.any(J, axis=(0, 1))) for J in (rows.left, rows.right, rows.constants))
+    jacobian = np.concatenate([rows.left[:, :, i], rows.right[:, :, j], rows.constants[:, :, c]], axis=2)
+    normal = (jacobian * rows.information[:, :, None]).transpose(0, 2, 1)
+    total = normal @ jacobian
     gradient = (normal @ rows.residual[:, :, None])[:, :, 0]
-    i, j, c = slice(0, n), slice(n, 2 * n), slice(2 * n, None)
-    own = slice(0, ROW_CONSTANTS_SIZE)
+    m, n = len(i), len(i) + len(j)
     for once in _without_repeats(rows.interval):
-        k, part, slope = rows.interval[once], total[once], gradient[once]
-        system.diagonal[k] += part[:, i, i]
-        system.diagonal[k + 1] += part[:, j, j]
-        system.upper[k] += part[:, i, j]
-        system.border[k, :, own] += part[:, i, c]
-        system.border[k + 1, :, own] += part[:, j, c]
-        system.rhs[k] -= slope[:, i]
-        system.rhs[k + 1] -= slope[:, j]
-    system.corner[own, own] += total[:, c, c].sum(axis=0)
-    system.rhs_constants[own] -= gradient[:, c].sum(axis=0)
+        k, part, slope = rows.interval[once, None, None], total[once], gradient[once]
+        system.diagonal[k, i[:, None], i] += part[:, :m, :m]
+        system.diagonal[k + 1, j[:, None], j] += part[:, m:n, m:n]
+        system.upper[k, i[:, None], j] += part[:, :m, m:n]
+        system.border[k, i[:, None], c] += part[:, :m, n:]
+        system.border[k + 1, j[:, None], c] += part[:, m:n, n:]
+        system.rhs[k[:, 0], i] -= slope[:, :m]
+        system.rhs[k[:, 0] + 1, j] -= slope[:, m:n]
+    system.corner[c[:, None], c] += total[:, n:, n:].sum(axis=0)
+    system.rhs_constants[c] -= gradient[:, n:].sum(axis=0)
 
 
 def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
