@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from smoother import so3
 from smoother.fit import quadric
 from smoother.fit.ellipsoid import FitError, _foot_points, fit_ellipsoid
 
@@ -139,12 +140,24 @@ def test_the_covariance_is_honest(n, noise, outliers, quantum):
 
 def test_the_sigmas_of_the_semi_axes_are_honest():
     rng = np.random.default_rng(7)
-    A = np.diag([1 / 30.0, 1 / 50.0, 1 / 80.0])
+    axes, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    A = axes @ np.diag([1 / 30.0, 1 / 50.0, 1 / 80.0]) @ axes.T
     z = []
     for _ in range(40):
         fit = fit_ellipsoid(readings(CENTRE, A, 300, 1.0, rng))
         z.append((fit.semi_axes - [80.0, 50.0, 30.0]) / fit.semi_axes_sigma)
     assert 0.77 < np.sqrt(np.mean(np.square(z))) < 1.23  # 120 values: one, within 3.6 of its deviations
+
+
+def test_the_sigmas_of_the_semi_axes_follow_from_the_covariance_of_the_matrix():
+    rng = np.random.default_rng(18)
+    centre, A = random_ellipsoid(rng)
+    fit = fit_ellipsoid(readings(centre, A, 200, 1.0, rng))
+    J = so3.numerical_jacobian(
+        lambda entries: 1.0 / np.linalg.eigvalsh(matrix(entries)), fit.to_unit_sphere[TRIANGLE], step=1e-8
+    )
+    sigma = np.sqrt(np.diagonal(J @ fit.covariance[3:, 3:] @ J.T))
+    np.testing.assert_allclose(fit.semi_axes_sigma, sigma, rtol=1e-4)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3])

@@ -84,6 +84,20 @@ def test_setting_off_ends_the_rest_although_the_fixes_come_late():
     assert not np.any(mask & ~drive.is_at_rest)
 
 
+def test_setting_off_ends_the_rest_even_before_the_fixes_know():
+    drive = Drive(noise=1.5)
+    very_late = np.interp(drive.fix_t - 2.0, drive.t, drive.speed)
+    mask = detect_standstill(drive.t, drive.force, drive.rate, drive.fix_t, very_late)
+    assert not np.any(mask[(drive.t > 20.05) & (drive.t < 22.0)])
+
+
+def test_a_quiet_sensor_that_drifts_slowly_is_at_rest():
+    drive = Drive(noise=0.002, gyro_noise=0.001 * DEG)
+    drive.rate = drive.rate + 0.05 * DEG * np.sin(0.5 * drive.t)[:, None]
+    drive.force = drive.force + 0.01 * np.sin(0.4 * drive.t)[:, None]
+    assert share(drive.detect(), drive.is_at_rest) > 0.9
+
+
 def test_a_box_that_is_turned_while_the_fixes_stand_still_is_not_at_rest():
     drive = Drive()
     turned = (drive.t > 8.0) & (drive.t < 10.0)

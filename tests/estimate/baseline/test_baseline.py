@@ -1,4 +1,6 @@
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,6 +247,12 @@ def test_it_needs_no_more_than_the_protocol_says():
     assert baseline.name == "baseline"
     assert baseline.options.rate == 50.0
     assert (baseline.options.beta, baseline.options.zeta) == (0.13, 0.04)
+
+
+def test_the_default_alpha_is_the_one_that_the_recorded_sweep_found():
+    report = (Path(__file__).parents[3] / "docs" / "baseline_alpha.md").read_text(encoding="utf-8")
+    best = float(re.search(r"Best: alpha = (\S+) ", report)[1])
+    assert BaselineOptions().alpha == best
 
 
 def test_real_recordings_end_in_a_bounded_track(data_directory):
