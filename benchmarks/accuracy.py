@@ -119,14 +119,35 @@ def _pooled(batch: list[Score]) -> str:
     bounds += "".join(f"{_rms(s.values[k].bound for s in batch if k in s.values) * c:>14.4f}" for k, c in VALUES)
     worst = "".join(f"{f'({max(s.rms[q] / s.bound[q] for s in batch):.2f})':>14}" for q in QUANTITIES)
     worst += "".join(f"{_largest_z(batch, key):>14}" for key, _ in VALUES)
-    beyond = [(s.case.name, k, v.z) for s in batch for k, v in s.values.items() if abs(v.z) > 2.6]
     lines = [f"{name:<33}{cells}" for name, cells in (("all", pooled), ("bound", bounds), ("worst", worst))]
     counts = ", ".join(
         f"{key} {sum(s.values[key].observable for s in batch if key in s.values)}/{len(batch)}" for key, _ in VALUES
     )
     lines.append(f"observable: {counts}")
-    lines += [f"beyond 2.6 sigma: {name} {key} z = {z:+.1f}" for name, key, z in beyond]
+    lines += _beyond(batch)
+    lines.append(f"lever arm, error in parts of the true value: {', '.join(_attenuation(batch))}")
     return "\n".join(lines)
+
+
+def _beyond(batch: list[Score]) -> list[str]:
+    """One line for each session with values more than 2.6 of their own sigmas off."""
+    lines = []
+    for s in batch:
+        names = [f"{key} {value.z:+.1f}" for key, value in s.values.items() if abs(value.z) > 2.6]
+        if names:
+            lines.append(f"beyond 2.6 sigma: {s.case.name:<33} {', '.join(names)}")
+    return lines
+
+
+def _attenuation(batch: list[Score]) -> list[str]:
+    """Slope of error over truth: noise in what multiplies an unknown pulls it to zero in every session alike."""
+    out = []
+    for axis in "xyz":
+        values = [s.values[f"arm_{axis}"] for s in batch if f"arm_{axis}" in s.values]
+        size = sum(v.true**2 for v in values)
+        if size > 0.0:
+            out.append(f"{axis} {sum(v.true * v.error for v in values) / size:+.2f}")
+    return out
 
 
 def _largest_z(batch: list[Score], key: str) -> str:

@@ -85,8 +85,9 @@ def recorded(simulation: Simulation) -> Session:
 
 @dataclass(frozen=True)
 class ValueScore:
-    """An identified value: its error, what the estimator says of it, and the bound (None where there is none)."""
+    """An identified value: the truth, its error, what the estimator says of it, and the bound (None: there is none)."""
 
+    true: float
     error: float
     sigma: float
     bound: float | None
@@ -294,17 +295,21 @@ def _values(simulation: Simulation, identified: dict[str, Identified], bound: Bo
         ("gps_velocity_latency", scenario.gnss.velocity_latency, bound.velocity_latency),
     ):
         if (value := identified.get(key)) is not None:
-            out[key] = ValueScore(float(np.asarray(value.value)) - true, _number(value.sigma), limit, value.observable)
+            out[key] = ValueScore(
+                true, float(np.asarray(value.value)) - true, _number(value.sigma), limit, value.observable
+            )
     if (arm := identified.get("lever_arm_b")) is not None:
         sigma = np.full(3, np.nan) if arm.sigma is None else np.asarray(arm.sigma, dtype=np.float64)
         error = np.asarray(arm.value, dtype=np.float64) - scenario.lever_arm_b
         for i, axis in enumerate("xyz"):
-            out[f"arm_{axis}"] = ValueScore(error[i], sigma[i], float(bound.lever_arm_b[i]), arm.observable)
+            out[f"arm_{axis}"] = ValueScore(
+                float(scenario.lever_arm_b[i]), error[i], sigma[i], float(bound.lever_arm_b[i]), arm.observable
+            )
     if (mounting := identified.get("R_bs")) is not None:
         sigma = np.full(3, np.nan) if mounting.sigma is None else np.asarray(mounting.sigma, dtype=np.float64)
         turn = so3.log(np.asarray(mounting.value) @ scenario.R_bs.T)
         for i, axis in enumerate("xyz"):
-            out[f"mount_{axis}"] = ValueScore(turn[i] / DEG, sigma[i] / DEG, None, mounting.observable)
+            out[f"mount_{axis}"] = ValueScore(0.0, turn[i] / DEG, sigma[i] / DEG, None, mounting.observable)
     return out
 
 
