@@ -87,6 +87,8 @@ def fit_ellipsoid(points: Array) -> Ellipsoid:
     points = _checked(np.asarray(points, dtype=np.float64))
     some = quadric.evenly_chosen(points)
     thinned = quadric.one_per_voxel(some)
+    if len(thinned) < MIN_POINTS:
+        raise FitError(f"only {len(thinned)} readings differ from each other; turn the sensor in every direction")
     _refuse_plane(thinned)
     _refuse_saturated(points)
     try:
@@ -302,8 +304,9 @@ def _covariance(surface: _Surface) -> Array:
     freedom = len(surface.distance) - 9
     variance = float(np.sum(surface.distance**2)) / freedom
     variance = float(np.sum(surface.residual(variance) ** 2)) / freedom
-    information = surface.jacobian.T @ surface.jacobian
-    return np.asarray(variance * np.linalg.solve(information, np.eye(9)))
+    # By way of Cholesky factors it stays positive, and points that determine too little raise LinAlgError.
+    root = np.linalg.solve(np.linalg.cholesky(surface.jacobian.T @ surface.jacobian), np.eye(9))
+    return np.asarray(variance * (root.T @ root))
 
 
 def _ellipsoid(

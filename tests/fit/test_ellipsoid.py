@@ -2,6 +2,9 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -252,6 +255,29 @@ def test_degenerate_points_are_refused_in_one_sentence(points, says):
     with pytest.raises(FitError, match=says) as error:
         fit_ellipsoid(points)
     assert "\n" not in str(error.value)
+
+
+def test_a_handful_of_different_readings_is_not_enough_however_often_they_repeat():
+    with pytest.raises(FitError, match="only 6 readings differ"):
+        fit_ellipsoid(np.tile(50.0 * np.vstack([np.eye(3), -np.eye(3)]), (40, 1)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    arrays(
+        np.float64,
+        st.tuples(st.integers(0, 40), st.just(3)),
+        elements=st.one_of(st.floats(-1e9, 1e9), st.integers(-2, 2).map(float)),
+    )
+)
+def test_any_points_are_fitted_or_refused_without_a_warning(points):
+    try:
+        fit = fit_ellipsoid(points)
+    except FitError:
+        return
+    assert np.all(np.isfinite(fit.centre))
+    assert np.all(np.linalg.eigvalsh(fit.to_unit_sphere) > 0.0)
+    assert np.all(np.linalg.eigvalsh(fit.covariance) >= -1e-9 * np.max(np.diagonal(fit.covariance)))
 
 
 def test_coarse_readings_are_not_taken_for_saturated_ones():
