@@ -10,6 +10,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate import gnss_system as system
 from smoother.estimate.graph.chain import ChainSolution
+from smoother.samples import GnssFixes
 
 # By group of gnss_system (horizontal and up position, horizontal and up velocity): m, m, m/s, m/s.
 START_SIGMA = np.array([1.0, 2.0, 0.4, 0.6])  # wide, so that a rough start rejects nothing true
@@ -53,6 +54,26 @@ class Round:
 def first_noise() -> FixNoise:
     """Return the noise to start from."""
     return FixNoise(START_SIGMA, START_JERK, START_VEHICLE)
+
+
+def relative_sigmas(fixes: GnssFixes) -> tuple[Array, Array]:
+    """Sigma of each fix over the session's usual, (M, 3) for position and velocity, never below 1.
+
+    What receivers report is off by a factor of its own in each session, but says when a fix is worse than others.
+    """
+    assert fixes.sigma_horizontal is not None and fixes.sigma_up is not None
+    assert fixes.sigma_velocity is not None and fixes.hdop is not None
+    horizontal = _relative(fixes.sigma_horizontal if np.isfinite(fixes.sigma_horizontal).any() else fixes.hdop)
+    up = _relative(fixes.sigma_up) if np.isfinite(fixes.sigma_up).any() else horizontal
+    velocity = _relative(fixes.sigma_velocity)
+    return np.stack([horizontal, horizontal, up], axis=1), np.stack([velocity] * 3, axis=1)
+
+
+def _relative(reported: Array) -> Array:
+    known = np.isfinite(reported)
+    if not known.any():
+        return np.ones_like(reported)
+    return np.where(known, np.maximum(reported / np.median(reported[known]), 1.0), 1.0)
 
 
 def normalised_sizes(done: Round, n_fixes: int) -> Array:

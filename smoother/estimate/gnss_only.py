@@ -1,9 +1,9 @@
 """The smoother for sessions without a usable IMU: the path through the fixes, as a Trajectory.
 
 Positions are in the frame of the fixes: the path with the slow GPS offset left in it, because telling the two apart
-takes a Doppler better than real receivers have. (Beside RTK, five receivers walked 840 s: taking out the offset that
-their own Doppler showed made three of four worse, by up to a factor of two.) Attitude stays unknown; acceleration and
-yaw rate are those of a level vehicle that points where it goes, and unknown where it hardly moves.
+takes a better Doppler than real receivers have. (Of four receivers carried beside RTK for 840 s, taking out the offset
+that their own Doppler showed made three worse, one by a factor of two.) Attitude stays unknown; acceleration and yaw
+rate are those of a level vehicle that points where it goes, and unknown where it hardly moves.
 """
 
 import time

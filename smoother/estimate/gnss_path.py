@@ -20,7 +20,7 @@ from smoother.estimate import gnss_system as system
 from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
 from smoother.estimate.graph.chain import ChainSolution, NotPositiveDefiniteError
 from smoother.estimate.motion_prior import MotionPrior, quintic_basis
-from smoother.samples import GnssFixes, Session
+from smoother.samples import Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
 FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
@@ -36,11 +36,14 @@ class GnssPathOptions:
     """What may be fixed; None is identified, or defaults where it cannot be.
 
     position_latency, velocity_latency s, whole delay of each; a position latency is never observable here (default 0).
-    offset_sigma m (north, west, up) and offset_tau s: population of the slow error of receivers, walked beside RTK.
+    offset_sigma m (north, west, up) and offset_tau s: the slow error of receivers as a population. Four of them carried
+    beside RTK for 840 s had 1.0-4.0 m rms per horizontal axis (median 1.9), 1.8-10 m up, correlation 0.4 after 60 s.
     position_sigma, velocity_sigma: white noise (horizontal, up), m and m/s; jerk_density (horizontal, up) in
     m/s^3/sqrt(Hz).
     lag_prior: expectation and sigma, s, of Doppler's lag; kart logs show 0.04-0.14 s. velocity_bias_sigma m/s: of the
     mean of Doppler over a session, which on kart logs disagrees with the positions by 0.01-0.05 m/s.
+    max_node_gap s: interpolation between nodes then costs nothing. min_node_gap s: closer fixes share their nodes,
+    which costs 1 mm at kart speeds and keeps the chain well conditioned.
     """
 
     position_latency: float | None = None
@@ -52,10 +55,8 @@ class GnssPathOptions:
     jerk_density: tuple[float, float] | None = None
     lag_prior: tuple[float, float] = (0.05, 0.1)
     velocity_bias_sigma: float = 0.05
-    max_node_gap: float = 0.25  # s, so that interpolation between nodes adds nothing to the error
-    min_node_gap: float = (
-        0.09  # s; closer fixes share nodes: 0.001 m at kart speeds, and the chain stays well conditioned
-    )
+    max_node_gap: float = 0.25
+    min_node_gap: float = 0.09
     max_iterations: int = 12
 
 
@@ -205,7 +206,7 @@ def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
     latency, constants, constants_sigma = _constants(session, options)
     fixes, position_n = session.gnss, session.fix_position_n
     true_t = fixes.t - latency
-    scales = _relative_sigmas(fixes)
+    scales = noise.relative_sigmas(fixes)
     rows = system.fix_rows(position_n, fixes.velocity_n, *scales)
     weight = _first_weights(true_t, position_n, fixes.velocity_n)
     nodes = _nodes(true_t, fixes.t[-1], constants[0], options)
@@ -230,26 +231,6 @@ def _constants(session: Session, options: GnssPathOptions) -> tuple[float, Array
     lag, lag_sigma = options.lag_prior if velocity is None else (velocity - position, 0.0)
     bias_sigma = options.velocity_bias_sigma
     return position, np.array([lag, 0.0, 0.0, 0.0]), np.array([lag_sigma, bias_sigma, bias_sigma, bias_sigma])
-
-
-def _relative_sigmas(fixes: GnssFixes) -> tuple[Array, Array]:
-    """Sigma of each fix over the session's usual, (M, 3) for position and velocity, never below 1.
-
-    What receivers report is off by a factor of its own in each session, but says when a fix is worse than others.
-    """
-    assert fixes.sigma_horizontal is not None and fixes.sigma_up is not None
-    assert fixes.sigma_velocity is not None and fixes.hdop is not None
-    horizontal = _relative(fixes.sigma_horizontal if np.isfinite(fixes.sigma_horizontal).any() else fixes.hdop)
-    up = _relative(fixes.sigma_up) if np.isfinite(fixes.sigma_up).any() else horizontal
-    velocity = _relative(fixes.sigma_velocity)
-    return np.stack([horizontal, horizontal, up], axis=1), np.stack([velocity] * 3, axis=1)
-
-
-def _relative(reported: Array) -> Array:
-    known = np.isfinite(reported)
-    if not known.any():
-        return np.ones_like(reported)
-    return np.where(known, np.maximum(reported / np.median(reported[known]), 1.0), 1.0)
 
 
 def _nodes(true_t: Array, end: float, lag: float, options: GnssPathOptions) -> Array:

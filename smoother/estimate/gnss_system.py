@@ -1,9 +1,9 @@
 """Measurements of a fix as linear rows over a chain of nodes, and the normal equations they make with the prior.
 
-The axes (north, west, and up if anything measures it) are chains laid end to end, uncoupled, each node holding position, velocity,
-acceleration and the slow GPS offset. The constants of the session are the lag of Doppler velocity behind position and
-the bias of Doppler along each axis. All unknowns are solved as corrections of the current values, which keeps rounding
-out of the small differences between neighbouring nodes.
+The axes (north, west, and up if anything measures it) are chains laid end to end, uncoupled; each node holds position,
+velocity, acceleration and the slow GPS offset. The constants of the session are the lag of Doppler velocity behind
+position and the bias of Doppler along each axis. All unknowns are solved as corrections of the current values, which
+keeps rounding out of the small differences between neighbouring nodes.
 """
 
 from dataclasses import dataclass

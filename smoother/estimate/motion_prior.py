@@ -15,7 +15,10 @@ from smoother.arrays import Array
 N_MOTION = 3  # position, velocity, acceleration
 LONGEST_STEP = 0.6  # s; the power series below hold to 1e-9 for it
 _TERMS = 26
-_DECAYS, _STIFFNESSES = (0.3, 5.0), (0.01, 6.0)  # 1/s, 1/s^2: where the series hold and the chain stays well conditioned
+_DECAYS, _STIFFNESSES = (
+    (0.3, 5.0),
+    (0.01, 6.0),
+)  # 1/s, 1/s^2: where the series hold and the chain stays well conditioned
 
 
 @dataclass(frozen=True)
