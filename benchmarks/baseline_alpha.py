@@ -87,7 +87,7 @@ def of_preset(sweeps: list[Sweep], preset: str) -> list[Sweep]:
 
 def score(sweeps: list[Sweep], covariance: int = 0) -> Array:
     """Mean logarithm of the horizontal error over that of the fixes, by alpha (A,)."""
-    return np.mean([np.log(one.baseline[covariance, :, 0] / one.alone[0]) for one in sweeps], axis=0)
+    return np.asarray(np.mean([np.log(one.baseline[covariance, :, 0] / one.alone[0]) for one in sweeps], axis=0))
 
 
 def table(sweeps: list[Sweep], arguments: argparse.Namespace) -> str:
