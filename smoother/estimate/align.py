@@ -53,7 +53,9 @@ class Alignment:
     """R_bs (3, 3) rough mounting; gyro_bias_s (3,) rad/s; lag, s, of the fixes behind the IMU.
 
     share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
-    is_level_only: the heading of the box in the kart could not be found, because the kart hardly moved.
+    is_level_only: the heading of the box in the kart could not be found, because the kart hardly moved. accel_noise
+    m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
+    since slip, lean and the noise of the fixes are in it.
     """
 
     R_bs: Array
@@ -61,6 +63,8 @@ class Alignment:
     lag: float
     share_explained: float
     is_level_only: bool
+    accel_noise: float = 0.0
+    gyro_noise: float = 0.0
 
 
 def align(imu: ImuSamples, path: PathMotion, lags: Array = LAGS) -> Alignment:
@@ -102,14 +106,15 @@ def _fit(averages: _Averages, path: PathMotion, use: BoolArray, lag: float) -> A
     forward, left, yaw_rate = _path_axes(path)
     forward, left, yaw_rate = forward[use], left[use], yaw_rate[use]
     one = np.ones(forward.size)
-    rate_fit, rate_share = _robust_lines(np.stack([yaw_rate, one], axis=1), rate)
-    force_fit, force_share = _robust_lines(np.stack([forward, left, one], axis=1), force)
+    rate_fit, rate_share, rate_rest = _robust_lines(np.stack([yaw_rate, one], axis=1), rate)
+    force_fit, force_share, force_rest = _robust_lines(np.stack([forward, left, one], axis=1), force)
     # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
     directions_s = np.stack([force_fit[0], force_fit[1], force_fit[2] / STANDARD_GRAVITY, rate_fit[0]])
     directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])
     weights = np.array([np.std(forward), np.std(left), STANDARD_GRAVITY, 10.0 * np.std(yaw_rate)])
     R_bs = so3.normalized(np.einsum("i,ij,ik->jk", weights, directions_b, directions_s))
-    return Alignment(R_bs, rate_fit[1], float(lag), 0.5 * (rate_share + force_share), False)
+    share, root = 0.5 * (rate_share + force_share), float(np.sqrt(WINDOW))
+    return Alignment(R_bs, rate_fit[1], float(lag), share, False, force_rest * root, rate_rest * root)
 
 
 def _path_axes(path: PathMotion) -> tuple[Array, Array, Array]:
@@ -125,8 +130,11 @@ def _path_axes(path: PathMotion) -> tuple[Array, Array, Array]:
     return forward, left, wrap_angle(turn) / WINDOW
 
 
-def _robust_lines(design: Array, measured: Array) -> tuple[Array, float]:
-    """Least squares with Cauchy weights. design (N, p), measured (N, 3). Returns (p, 3) and the share explained."""
+def _robust_lines(design: Array, measured: Array) -> tuple[Array, float, float]:
+    """Least squares with Cauchy weights. design (N, p), measured (N, 3).
+
+    Returns the lines (p, 3), the share explained, and the robust rms per axis of what is left.
+    """
     weight = np.ones(len(design))
     for _ in range(6):
         w = weight[:, None]
@@ -138,7 +146,8 @@ def _robust_lines(design: Array, measured: Array) -> tuple[Array, float]:
     mean = np.average(measured, axis=0, weights=weight)
     unexplained = np.average(np.sum((measured - design @ solution) ** 2, axis=1), weights=weight)
     spread = np.average(np.sum((measured - mean) ** 2, axis=1), weights=weight)
-    return solution, float(1.0 - unexplained / max(spread, 1e-12))
+    rest = np.median(np.linalg.norm(measured - design @ solution, axis=1)) / 1.538  # median of chi(3)
+    return solution, float(1.0 - unexplained / max(spread, 1e-12)), float(rest)
 
 
 def _level_only(imu: ImuSamples) -> Alignment:

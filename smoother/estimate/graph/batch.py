@@ -28,6 +28,7 @@ from smoother.estimate.graph.imu import (
 from smoother.estimate.graph.inertial import (
     LinearInertial,
     ValuesFactory,
+    VarianceComponent,
     add_inertial,
     empty_system,
     inertial_after_errors,
@@ -39,12 +40,15 @@ from smoother.estimate.graph.inertial import (
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
+    CONSTANTS_SIZE,
     GYRO_BIAS,
     GYRO_ERROR,
+    POSITION_LATENCY,
     ROTATION,
     ROW_CONSTANTS_SIZE,
     TRANSLATION,
     VELOCITY,
+    VELOCITY_LATENCY,
     ChainState,
     Constants,
 )
@@ -55,6 +59,10 @@ SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data shee
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
+HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
+USUAL_COUNT = 20.0
+USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
+USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
 
@@ -162,21 +170,28 @@ class Batch:
         return corrected(self._binned, state.constants.accel_error, state.constants.gyro_error)
 
     def converge(self, graph: Preintegrated, state: ChainState, noise: Noise, iterations: int) -> ChainState:
-        """Gauss-Newton from `state`, at most `iterations` steps."""
+        """Gauss-Newton from `state`, at most `iterations` steps, each shortened where the constants swing back."""
+        before = np.zeros(CONSTANTS_SIZE)
         for _ in range(iterations):
             system, _, _ = self._linearize(graph, state, noise)
             step = solve_chain(system, with_covariance=False)
-            state = state.retract(step.x, step.constants)
+            share = swing_share(step.constants, before)
+            before = share * step.constants
+            state = state.retract(share * step.x, before)
             if all(np.max(np.abs(step.x[:, part])) < limit for part, limit in CONVERGED):
                 break
         return state
 
-    def step(self, graph: Preintegrated, state: ChainState, noise: Noise) -> Solved:
-        """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it."""
+    def step(self, graph: Preintegrated, state: ChainState, noise: Noise, before: Array | None = None) -> Solved:
+        """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
+
+        before (27,) is the previous step of the constants: where they swing back the state goes only half the way.
+        """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system)
+        share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
-            state.retract(solution.x, solution.constants),
+            state.retract(share * solution.x, share * solution.constants),
             solution,
             inertial_after_step(inertial, solution.x, solution.constants),
             {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
@@ -228,6 +243,17 @@ class Batch:
         return out
 
 
+def swing_share(step: Array, before: Array) -> float:
+    """Share of a step to be gone: half, when the latencies turn back by nearly as much as they went before.
+
+    With few fixes the inertial samples bend the error function enough for full steps to jump to and fro over the
+    minimum.
+    """
+    latencies = slice(POSITION_LATENCY.start, VELOCITY_LATENCY.stop)
+    back = -float(step[latencies] @ before[latencies])
+    return 0.5 if back > 0.3 * float(before[latencies] @ before[latencies]) > 0.0 else 1.0
+
+
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
     """Prior sigma (27,) of all constants."""
     sigma = priors.constants_sigma.copy()
@@ -269,17 +295,19 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFl
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
     """
     state, solution = solved.state, solved.solution
-    accel, _ = interval_noise(binned, noise.inertial)
+    accel, gyro = interval_noise(binned, noise.inertial)
     good = (binned.missing == 0.0) & (binned.clipped == 0.0)
-    components = inertial_components(state, solved.inertial, solution, accel, good)
-    accel_ratio, gyro_ratio = (_bounded(c.squares, c.redundancy, c.count) for c in components)
+    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
+        good[solved.rows["standstill"].interval] = False
+    components = inertial_components(state, solved.inertial, solution, accel, gyro, good)
+    accel_ratio, gyro_ratio = (_hastened(c) for c in components)
     new = replace(
         noise.inertial,
         gyro=max(noise.inertial.gyro * gyro_ratio, floor.gyro),
         accel=max(noise.inertial.accel * accel_ratio, floor.accel),
     )
-    white = noise.position * _row_ratio(solved.rows["gps_position"], solution, ((0, 1), (2,)))
-    velocity = noise.velocity * _row_ratio(solved.rows["gps_velocity"], solution, ((0, 1), (2,)))
+    white = _row_sigma(solved.rows["gps_position"], solution, noise.position, USUAL_POSITION)
+    velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY)
     return replace(
         noise,
         inertial=new,
@@ -303,18 +331,27 @@ def unseen_offset(noise: Noise, population: Array) -> Array:
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
 
 
-def _row_ratio(rows: rw.Rows, solution: ChainSolution, groups: tuple[tuple[int, ...], ...]) -> Array:
-    posterior = posterior_variance(rows, solution)
+def _hastened(component: VarianceComponent) -> float:
+    ratio = _bounded(component.squares, component.redundancy, component.count) ** HASTE
+    return float(np.clip(ratio, 1.0 / 2.5, 2.5))
+
+
+def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array) -> Array:
+    """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
+
+    What is usual for receivers, (3,), counts as much as USUAL_COUNT residuals, lest a handful of fixes look perfect.
+    """
     information = rows.information
-    out = np.ones(rows.residual.shape[1])
-    for group in groups:
-        g = list(group)
-        known = information[:, g] > 0.0
-        if np.count_nonzero(known) < 20:
-            continue
-        chi2 = float(np.sum(rows.residual[:, g] ** 2 * information[:, g]))
-        redundancy = float(np.sum(np.where(known, rows.weight[:, None] - posterior[:, g] * information[:, g], 0.0)))
-        out[g] = _bounded(chi2, redundancy, int(np.count_nonzero(known)))
+    left = rows.weight[:, None] - posterior_variance(rows, solution) * information
+    known = information > 0.0
+    out = sigma.copy()
+    for group in ([0, 1], [2]):
+        if np.any(known[:, group]):
+            squares = float(np.sum(rows.residual[:, group] ** 2 * information[:, group]))
+            redundancy = max(float(np.sum(left[:, group][known[:, group]])), 0.0)
+            first = group[0]
+            variance = (sigma[first] ** 2 * squares + USUAL_COUNT * usual[first] ** 2) / (redundancy + USUAL_COUNT)
+            out[group] = np.clip(np.sqrt(variance), sigma[first] / 3.0, 3.0 * sigma[first])
     return out
 
 
@@ -341,5 +378,7 @@ def _error_ratio(solved: Solved, noise: Noise) -> Array:
 
 def _bounded(chi2: float, redundancy: float, count: int) -> float:
     """Square root of the variance ratio, at most a factor of three a step; redundancy kept positive."""
+    if count == 0:
+        return 1.0
     redundancy = max(redundancy, 0.02 * count)
     return float(np.clip(np.sqrt(chi2 / redundancy), 1.0 / 3.0, 3.0))

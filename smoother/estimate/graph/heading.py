@@ -18,7 +18,7 @@ from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
 
 NEEDS_NO_FIT = np.radians(4.0)  # rms and mean of the heading error of a field that was calibrated before
-CALIBRATED_OFFSET = np.radians(0.5)  # of such a field: the magnetic model's own error, and what calibration leaves
+CALIBRATED_OFFSET = np.radians(0.36)  # of such a field: what the World Magnetic Model states for its declination
 UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better

@@ -139,32 +139,27 @@ class VarianceComponent:
 
 
 def inertial_components(
-    state: ChainState, linear: LinearInertial, solution: ChainSolution, accel: Array, use: BoolArray
+    state: ChainState, linear: LinearInertial, solution: ChainSolution, accel: Array, gyro: Array, use: BoolArray
 ) -> tuple[VarianceComponent, VarianceComponent]:
     """Split the inertial residuals between the noise of force and that of rate, over the intervals `use` (K-1,).
 
-    The covariance of a factor is a sum of three: white force of density accel (K-1,) moves velocity and position as
-    known; the walk of the biases is a block of its own; the rest is white rate, which turns and, turning the force,
-    moves as well. With S S' = 1 for the square-root information S over the whole covariance, a component V weighs the
-    whitened residual e by W = S V S': it answers for e' W e, of which tr(W (1 - C)) is expected, C being the covariance
-    that the solution leaves in e. Source: Foerstner 1979.
+    White force of density accel (K-1,) moves velocity and position in a known way, V, which is only a part of a
+    factor's covariance: a turn by white rate turns the force and moves as well. With S the square-root information over
+    the whole covariance, force weighs the whitened residual e by W = S V S': it answers for e' W e, of which
+    tr(W (1 - C)) is expected, C being the covariance that the solution leaves in e. Only white rate, of density gyro
+    (K-1,), turns: its part is the rotation alone. Source: Foerstner 1979.
     """
-    root = _root_information(state, linear)[use]
-    by_force = root @ _force_covariance(accel[use], state.interval) @ root.transpose(0, 2, 1)
-    walk = root[:, :, 9:15]
-    bias_information = np.einsum(
-        "krs,krs->ks", walk, walk
-    )  # diagonal to first order: the inverse of the walk's variance
-    by_walk = (walk / bias_information[:, None, :]) @ walk.transpose(0, 2, 1)
-    by_rate = np.eye(15) - by_force - by_walk
-    e, C = linear.residual[use], _posterior_covariance(linear, solution)[use]
-    left = np.eye(15) - C
-    return tuple(  # type: ignore[return-value]
-        VarianceComponent(
-            float(np.einsum("ki,kij,kj->", e, W, e)), float(np.einsum("kij,kji->", W, left)), 3 * int(np.sum(use))
-        )
-        for W in (by_force, by_rate)
-    )
+    root, e = _root_information(state, linear)[use], linear.residual[use]
+    C = _posterior_covariance(linear, solution)[use]
+    W = root @ _force_covariance(accel[use], state.interval) @ root.transpose(0, 2, 1)
+    squares, redundancy = np.einsum("ki,kij,kj->", e, W, e), np.einsum("kij,kji->", W, np.eye(15) - C)
+    force = VarianceComponent(float(squares), float(redundancy), 3 * len(e))
+    unwhiten = np.linalg.inv(root)[:, ROTATION, :]
+    variance = (gyro[use] ** 2 * state.interval)[:, None]
+    turned = np.einsum("kij,kj->ki", unwhiten, e)
+    left = np.einsum("kri,kri->kr", unwhiten @ C, unwhiten)
+    rate = VarianceComponent(float(np.sum(turned**2 / variance)), float(np.sum(1.0 - left / variance)), 3 * len(e))
+    return force, rate
 
 
 def _root_information(state: ChainState, linear: LinearInertial) -> Array:

@@ -35,7 +35,8 @@ Progress = Callable[[str, float], None]
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
-SETTLED = 0.03  # relative change of the noise densities below which another round changes no digit people read
+START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
+SETTLED = 0.02  # relative change of the noise densities below which another round changes no digit people read
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 
 
@@ -65,7 +66,7 @@ class GraphOptions:
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
-    rounds: int = 10
+    rounds: int = 12
     iterations: int = 5
 
 
@@ -190,7 +191,7 @@ def _start(session: Session, options: GraphOptions) -> _Start:
         alignment,
         state,
         binned,
-        _first_noise(session, path, binned, options),
+        _first_noise(session, path, alignment, binned, options),
         _data(session, path, t, alignment.R_bs[2]),
         priors,
         _receiver(session, options),
@@ -249,12 +250,20 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     return Priors(options.accel_bias_sigma, options.gyro_bias_sigma, alignment.gyro_bias_s, mean, sigma)
 
 
-def _first_noise(session: Session, path: GnssPath, binned: BinnedImu, options: GraphOptions) -> Noise:
-    """Noise to start from: of the fixes from their own smoothing, of the IMU from second differences of its bins."""
+def _first_noise(
+    session: Session, path: GnssPath, alignment: Alignment, binned: BinnedImu, options: GraphOptions
+) -> Noise:
+    """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
+
+    That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
+    samples are perfect and the fixes are bad.
+    """
     stated = session.config.imu
     inertial = InertialNoise(
-        stated.accel_noise or _density(binned.specific_force_s, binned.dt, DATA_SHEET_ACCEL),
-        stated.gyro_noise or _density(binned.angular_rate_s, binned.dt, DATA_SHEET_GYRO),
+        stated.accel_noise
+        or max(START_SHARE * alignment.accel_noise, _density(binned.specific_force_s, binned.dt, DATA_SHEET_ACCEL)),
+        stated.gyro_noise
+        or max(START_SHARE * alignment.gyro_noise, _density(binned.angular_rate_s, binned.dt, DATA_SHEET_GYRO)),
         stated.accel_bias_walk or options.accel_bias_walk,
         stated.gyro_bias_walk or options.gyro_bias_walk,
     )
@@ -279,13 +288,16 @@ def _density(bins: Array, dt: float, floor: float) -> float:
 def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Solved, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
     state, noise = start.state, start.noise
-    floor = NoiseFloor(
-        max(OWN_SCATTER * noise.inertial.accel, 2.0 * DATA_SHEET_ACCEL),
-        max(OWN_SCATTER * noise.inertial.gyro, 2.0 * DATA_SHEET_GYRO),
+    scatter = (
+        _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER),
+        _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER),
     )
+    floor = NoiseFloor(OWN_SCATTER * scatter[0], OWN_SCATTER * scatter[1])
     state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
+    before = np.zeros(CONSTANTS_SIZE)
     for turn in range(options.rounds):
-        solved = batch.step(batch.graph(state, noise), state, noise)
+        solved = batch.step(batch.graph(state, noise), state, noise, before)
+        before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
         better = update_noise(solved, noise, start.binned, floor)
         settled = noise.change(better) < SETTLED
@@ -293,7 +305,8 @@ def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwa
         watch.say((turn + 1) / options.rounds)
         if settled:
             break
-    return solved, noise
+    graph = batch.graph(state, noise)
+    return batch.step(graph, batch.converge(graph, state, noise, options.iterations), noise), noise
 
 
 def _with_heading(session: Session, start: _Start, state: ChainState) -> tuple[Data, Priors, tuple[Problem, ...]]:
