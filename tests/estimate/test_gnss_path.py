@@ -236,10 +236,11 @@ def test_sigmas_are_honest_where_the_model_is_true() -> None:
     """Mean squared error over sigma squared near 1, over 24 sessions of 60 s with noise and lag identified."""
     motion = MotionPrior(5.0, 12.0, 6.0)
     options = GnssPathOptions(velocity_bias_sigma=0.0)
-    squares = []
+    squares, jerk = [], []
     for seed in range(24):
         session, states, offset = sampled_session(seed, motion, 60.0, 5.0)
         path = fit_gnss_path(session, options)
+        jerk.append(path.jerk_density[0])
         found, sigma = path.at(session.gnss.t), path.sigma_at(session.gnss.t)
         squares.append(
             [
@@ -248,6 +249,7 @@ def test_sigmas_are_honest_where_the_model_is_true() -> None:
                 np.mean(((found.position_n[:, :2] - states[:, 0]) / sigma.position_n[:, :2]) ** 2),
             ]
         )
+    assert np.mean(jerk) == pytest.approx(5.0, rel=0.15)
     velocity, track, position = np.mean(squares, axis=0)
     # velocity and track decorrelate within seconds, 24 x 60 samples; position over 60 s, 48 samples: 1 +- 4 x 0.2
     assert 0.8 < velocity < 1.25

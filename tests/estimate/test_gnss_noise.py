@@ -1,0 +1,64 @@
+"""Residuals judged as if left out, weights that end at zero, and variance components against known noise."""
+
+import numpy as np
+import pytest
+
+from smoother.estimate import gnss_noise as noise
+from smoother.estimate import gnss_system as system
+
+
+def mean_of_heights(values: np.ndarray, weight: np.ndarray) -> noise.Round:
+    """Heights of one constant, solved by their weighted mean; sigma 2 m."""
+    n = values.size
+    unknown, scale = np.full((n, 3), np.nan), np.ones((n, 3))
+    position = unknown.copy()
+    position[:, 2] = values
+    mean, leverage = np.average(values, weights=weight), 4.0 / weight.sum()
+    rows = system.fix_rows(position, unknown, scale, scale)
+    return noise.Round(rows, mean - values, weight, np.full(n, 4.0), np.full(n, leverage))
+
+
+@pytest.mark.parametrize("own_weight", [1.0, 0.4, 0.0])
+def test_a_residual_is_judged_by_what_the_others_say(own_weight: float) -> None:
+    values = np.array([0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4, -0.4, 8.0])
+    weight = np.append(np.ones(8), own_weight)
+    size = noise.normalised_sizes(mean_of_heights(values, weight), 9)
+    slack = noise.UNREMARKABLE[system.UP_POSITION]
+    # the others have their mean at 0 with a variance of 4 / 8
+    assert size[8, system.UP_POSITION] == pytest.approx(8.0 / np.sqrt(4.0 + slack**2 + 4.0 / 8.0))
+    assert np.isnan(size[:, system.HORIZONTAL_POSITION]).all()
+
+
+def test_a_group_that_the_model_cannot_meet_is_scaled_and_not_rejected() -> None:
+    values = 30.0 * np.array([1.0, -1.0, 1.2, -1.2])
+    size = noise.normalised_sizes(mean_of_heights(values, np.ones(4)), 4)[:, system.UP_POSITION]
+    assert np.quantile(size, noise.BULK) == pytest.approx(noise.BULK_SIZE[system.UP_POSITION])
+
+
+def test_weights_are_one_then_fall_to_zero() -> None:
+    size = np.full((5, system.GROUPS), 0.1)
+    size[:, system.HORIZONTAL_POSITION] = [0.0, noise.KEEP, 4.0, noise.DROP, 50.0]
+    weight = noise.robust_weights(size, np.ones_like(size), 1.0)[:, system.HORIZONTAL_POSITION]
+    assert weight[:2].tolist() == [1.0, 1.0]
+    assert 0.2 < weight[2] < 0.7
+    assert weight[3:].tolist() == [0.0, 0.0]
+    wide = noise.robust_weights(size, np.ones_like(size), 20.0)
+    assert (wide == 1.0).all()
+
+
+def test_without_doppler_a_fix_the_screen_let_pass_keeps_some_weight() -> None:
+    size = np.full((3, system.GROUPS), np.nan)
+    size[:, system.HORIZONTAL_POSITION] = 20.0
+    before = np.ones_like(size)
+    before[0] = 0.0  # the screen did not
+    weight = noise.robust_weights(size, before, 1.0)[:, system.HORIZONTAL_POSITION]
+    np.testing.assert_allclose(weight, [0.0, noise.KEEP / 20.0, noise.KEEP / 20.0])
+
+
+def test_a_rejected_run_comes_back_from_its_ends_only() -> None:
+    size, before = np.zeros((7, system.GROUPS)), np.ones((7, system.GROUPS))
+    before[2:6] = 0.0
+    weight = noise.robust_weights(size, before, 1.0)[:, system.HORIZONTAL_POSITION]
+    assert weight.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]
+    early = noise.robust_weights(size, before, 2.0)[:, system.HORIZONTAL_POSITION]  # limits still wide: nothing returns
+    assert early.tolist() == [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
