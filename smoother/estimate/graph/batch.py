@@ -225,22 +225,28 @@ class Batch:
         return system, inertial, rows
 
     def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:
-        d, prior = self._data, self._priors
-        path = reading_path(self._binned, self.path(state), noise.inertial.accel)
-        rate_s = averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE)
-        position = rw.position_rows(
-            state, path, rate_s, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
-        )
-        velocity = rw.velocity_rows(state, path, rate_s, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
-        out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
-        bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
-        sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
-        out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
-        out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
-        if len(d.still):
-            out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
-        out.extend(make(state, noise) for make in d.extra)
-        return out
+        return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
+
+
+def session_rows(
+    d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
+) -> list[rw.Rows]:
+    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
+    path = reading_path(binned, path, noise.inertial.accel)
+    rate_s = averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE)
+    position = rw.position_rows(
+        state, path, rate_s, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
+    )
+    velocity = rw.velocity_rows(state, path, rate_s, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
+    out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
+    bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
+    sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
+    out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
+    out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
+    if len(d.still):
+        out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
+    out.extend(make(state, noise) for make in d.extra)
+    return out
 
 
 def swing_share(step: Array, before: Array) -> float:
