@@ -100,20 +100,21 @@ def normalised_sizes(done: Round, n_fixes: int) -> Array:
 def robust_weights(size: Array, before: Array, graduation: float) -> Array:
     """IGG III weights (M, 4) of normalised residuals, thresholds widened by `graduation`; 1 where nothing is measured.
 
-    What was out comes back only beside what was in (weights `before`), so that a run of rejected fixes must prove its
-    ends first: in the middle of the run the path knows little and would believe anything.
+    A position that was out comes back only beside one that was in (weights `before`), so that a run of rejected fixes
+    must prove its ends first: in the middle of the run the path knows little and would believe anything.
     """
     alone = np.isnan(size[:, system.HORIZONTAL_VELOCITY])
     size = np.nan_to_num(size, nan=0.0) / graduation
     taper = np.clip((DROP - size) / (DROP - KEEP), 0.0, 1.0)
     taper[alone & (before[:, system.HORIZONTAL_POSITION] > 0.0), system.HORIZONTAL_POSITION] = 1.0
     weight = np.where(size <= KEEP, 1.0, KEEP / np.maximum(size, KEEP) * taper**2)
-    inside = before >= IN
-    beside = inside.copy()
+    position, earlier = weight[:, system.HORIZONTAL_POSITION], before[:, system.HORIZONTAL_POSITION]
+    beside = earlier >= IN
     if graduation <= 1.0:
-        beside[1:] |= inside[:-1]
-        beside[:-1] |= inside[1:]
-    return np.asarray(np.where(beside, weight, np.minimum(weight, before)))
+        beside[1:] |= earlier[:-1] >= IN
+        beside[:-1] |= earlier[1:] >= IN
+    weight[:, system.HORIZONTAL_POSITION] = np.where(beside, position, np.minimum(position, earlier))
+    return weight
 
 
 def identify(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: FixNoise) -> FixNoise:

@@ -8,6 +8,7 @@ rate are those of a level vehicle that points where it goes, and unknown where i
 
 import time
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -138,7 +139,7 @@ def _rms(values: Array) -> float:
 
 
 def _identified(session: Session, path: GnssPath, options: GnssOnlyOptions) -> dict[str, Identified]:
-    """What the session's values are and where from; those that only an IMU could show are left out."""
+    """What the session's values are and where from."""
     lag, latency = path.velocity_lag, path.position_latency
     stated = session.config.gps.position_latency is not None or options.path.position_latency is not None
     latency_sigma = 0.0 if stated else options.position_latency_sigma
@@ -167,4 +168,22 @@ def _identified(session: Session, path: GnssPath, options: GnssOnlyOptions) -> d
         found["gps_velocity_bias"] = Identified(
             bias, bias_sigma, "m/s", max(bias_sigma[:2]) < 0.5 * options.path.velocity_bias_sigma, "identified"
         )
-    return found
+    return {**found, **_inertial(session)}
+
+
+def _inertial(session: Session) -> dict[str, Identified]:
+    """What only an IMU could show: as stated, else the values that leave out its part, NaN where there is none."""
+    mounting, imu = session.config.mounting, session.config.imu
+
+    def stated(value: Any, otherwise: Any, unit: str) -> Identified:
+        known = value is not None
+        return Identified(value if known else otherwise, None, unit, known, "configured" if known else "default")
+
+    arm = None if mounting.lever_arm_b is None else mounting.lever_arm_b.tolist()
+    R_bs = None if mounting.R_bs is None else mounting.R_bs.tolist()
+    return {
+        "lever_arm_b": stated(arm, [0.0, 0.0, 0.0], "m"),
+        "R_bs": stated(R_bs, np.eye(3).tolist(), "1"),
+        "accel_noise": stated(imu.accel_noise, np.nan, "m/s^2/sqrt(Hz)"),
+        "gyro_noise": stated(imu.gyro_noise, np.nan, "rad/s/sqrt(Hz)"),
+    }

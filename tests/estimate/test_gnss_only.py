@@ -102,6 +102,7 @@ def test_report_tells_what_was_found_and_what_was_rejected(lap_fixes: Make) -> N
     # only the difference of the two delays is seen, so that neither of them is
     assert not identified["gps_velocity_latency"].observable
     assert identified["gps_offset_tau"].source == "default"
+    assert (identified["lever_arm_b"].value, identified["R_bs"].source) == ([0.0, 0.0, 0.0], "default")
 
 
 def test_without_doppler_nothing_is_said_of_its_noise(lap_fixes: Make) -> None:
