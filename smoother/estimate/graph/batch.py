@@ -54,7 +54,7 @@ from smoother.estimate.graph.state import (
 )
 
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
-CONVERGED = ((ROTATION, 2e-4), (TRANSLATION, 2e-3), (VELOCITY, 2e-3))  # rad, m, m/s: far below any sigma
+CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data sheet allows 3 % at the worst
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
@@ -178,7 +178,7 @@ class Batch:
             share = swing_share(step.constants, before)
             before = share * step.constants
             state = state.retract(share * step.x, before)
-            if all(np.max(np.abs(step.x[:, part])) < limit for part, limit in CONVERGED):
+            if converged(step.x):
                 break
         return state
 
@@ -247,6 +247,11 @@ def session_rows(
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
     out.extend(make(state, noise) for make in d.extra)
     return out
+
+
+def converged(step: Array) -> bool:
+    """Whether a step (K, 18) is too small to matter."""
+    return all(float(np.max(np.abs(step[:, part]))) < limit for part, limit in CONVERGED)
 
 
 def swing_share(step: Array, before: Array) -> float:

@@ -40,8 +40,10 @@ from smoother.trajectory import (
     Sigmas,
     Trajectory,
 )
+from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
+AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew in its own case, which no drive can show
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
 
@@ -237,7 +239,7 @@ def _identified(
     source = "configured" if stated else "identified" if mounting.is_observable else "default"
     out["R_bs"] = Identified(
         mounting.R_bs.tolist(),
-        None if stated else mounting.sigma.tolist(),
+        None if stated else np.hypot(mounting.sigma, AXES_SIGMA).tolist(),
         "1 (sigma: rad)",
         mounting.is_observable,
         source,

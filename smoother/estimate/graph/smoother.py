@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
-from smoother.estimate.graph.batch import Batch, Data, Noise, NoiseFloor, Priors, Solved, update_noise
+from smoother.estimate.graph.batch import Batch, Data, Noise, NoiseFloor, Priors, Solved, converged, update_noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
@@ -36,6 +36,7 @@ DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specifica
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
+WELL_KNOWN = 0.1  # relative change of the noise below which no sigma changes by a digit that people read
 SETTLED = 0.02  # relative change of the noise densities below which another round changes no digit people read
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 
@@ -66,8 +67,11 @@ class GraphOptions:
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
+    identification_span: float = 120.0
     rounds: int = 12
     iterations: int = 5
+    whole_iterations: int = 3
+    final_rounds: int = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +117,10 @@ class GraphSmoother:
         with watch("align"):
             start = _start(session, options)
         with watch("solve"):
-            batch = Batch(start.data, start.binned, start.priors)
-            solved, noise = _identify(batch, start, options, watch)
-            data, priors, problems = _with_heading(session, start, solved.state)
-            if data is not start.data:
-                batch = Batch(data, start.binned, priors)
-                solved = batch.step(batch.graph(solved.state, noise), solved.state, noise)
+            state, noise = _identify(start, options, watch)
+            data, priors, problems = _with_heading(session, start, state)
+            batch = Batch(data, start.binned, priors)
+            solved, noise = _finish(batch, state, noise, start, options, watch)
         with watch("output"):
             mounting = _mounting(session, solved, start.alignment)
             trajectory = build_trajectory(
@@ -285,14 +287,26 @@ def _density(bins: Array, dt: float, floor: float) -> float:
     return max(floor, sigma * math.sqrt(dt / 6.0))
 
 
-def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Solved, Noise]:
+def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[ChainState, Noise]:
+    """Find noise and constants: on a part of a long session first, turn by turn; then let the whole of it settle.
+
+    Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
+    """
+    floor = _floor(start)
+    part = _part(start, options.identification_span)
+    state, noise = _settle(part, part.state, start.noise, floor, options, watch)
+    if part is start:
+        return state, noise
+    whole = replace(start.state, constants=state.constants)
+    batch = Batch(start.data, start.binned, start.priors)
+    return batch.converge(batch.graph(whole, noise), whole, noise, options.whole_iterations), noise
+
+
+def _settle(
+    start: _Start, state: ChainState, noise: Noise, floor: NoiseFloor, options: GraphOptions, watch: _Stopwatch
+) -> tuple[ChainState, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
-    state, noise = start.state, start.noise
-    scatter = (
-        _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER),
-        _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER),
-    )
-    floor = NoiseFloor(OWN_SCATTER * scatter[0], OWN_SCATTER * scatter[1])
+    batch = Batch(start.data, start.binned, start.priors)
     state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
     before = np.zeros(CONSTANTS_SIZE)
     for turn in range(options.rounds):
@@ -302,11 +316,75 @@ def _identify(batch: Batch, start: _Start, options: GraphOptions, watch: _Stopwa
         better = update_noise(solved, noise, start.binned, floor)
         settled = noise.change(better) < SETTLED
         noise = better
-        watch.say((turn + 1) / options.rounds)
+        watch.say(0.7 * (turn + 1) / options.rounds)
         if settled:
             break
-    graph = batch.graph(state, noise)
-    return batch.step(graph, batch.converge(graph, state, noise, options.iterations), noise), noise
+    return state, noise
+
+
+def _finish(
+    batch: Batch, state: ChainState, noise: Noise, start: _Start, options: GraphOptions, watch: _Stopwatch
+) -> tuple[Solved, Noise]:
+    """Steps over the whole session, each with a better noise, until neither moves; the last one counts."""
+    floor, before = _floor(start), np.zeros(CONSTANTS_SIZE)
+    for turn in range(options.final_rounds):
+        solved = batch.step(batch.graph(state, noise), state, noise, before)
+        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        state = solved.state
+        better = update_noise(solved, noise, start.binned, floor)
+        watch.say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
+        if noise.change(better) < WELL_KNOWN and converged(solved.solution.x):
+            break
+        noise = better
+    return solved, noise
+
+
+def _floor(start: _Start) -> NoiseFloor:
+    accel = _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
+    gyro = _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
+    return NoiseFloor(OWN_SCATTER * accel, OWN_SCATTER * gyro)
+
+
+def _part(start: _Start, span: float) -> _Start:
+    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
+    n = round(span / start.state.interval)
+    t = start.state.t
+    if len(t) < 1.5 * n:
+        return start
+    speed = np.hypot(start.state.velocity_n[:, 0], start.state.velocity_n[:, 1])
+    fixes = np.bincount(np.clip(np.searchsorted(t, start.data.t), 0, len(t) - 1), minlength=len(t))
+    worth = np.concatenate([[0.0], np.cumsum(fixes * (speed > MIN_SPEED))])
+    first = int(np.argmax(worth[n:] - worth[:-n]))
+    return _stretch(start, first, min(first + n, len(t) - 1))
+
+
+def _stretch(start: _Start, first: int, last: int) -> _Start:
+    """Return the start of the keyframes first .. last alone."""
+    s, data, binned = start.state, start.data, start.binned
+    keys, intervals = slice(first, last + 1), slice(first, last)
+    state = ChainState(
+        s.t[keys],
+        s.R_ns[keys],
+        s.position_n[keys],
+        s.velocity_n[keys],
+        s.accel_bias_s[keys],
+        s.gyro_bias_s[keys],
+        s.offset_n[keys],
+        s.constants,
+    )
+    inside = (data.t > s.t[first] + MAX_LATENCY) & (data.t < s.t[last])
+    still = data.still[(data.still >= first) & (data.still < last)] - first
+    names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+    part = replace(data, still=still, extra=(), **{name: getattr(data, name)[inside] for name in names})
+    bins = BinnedImu(
+        binned.t[keys],
+        binned.dt,
+        binned.specific_force_s[intervals],
+        binned.angular_rate_s[intervals],
+        binned.missing[intervals],
+        binned.clipped[intervals],
+    )
+    return replace(start, state=state, data=part, binned=bins)
 
 
 def _with_heading(session: Session, start: _Start, state: ChainState) -> tuple[Data, Priors, tuple[Problem, ...]]:
