@@ -8,12 +8,17 @@ import pytest
 from gtsam.symbol_shorthand import B, L, V, X
 
 from smoother import so3
+from smoother.arrays import Array
 from smoother.estimate.graph.batch import (
+    OWN_SCATTER,
+    USUAL_COUNT,
+    USUAL_POSITION,
+    USUAL_VELOCITY,
     Batch,
     Data,
     Noise,
-    NoiseFloor,
     Priors,
+    Scatter,
     Solved,
     posterior_variance,
     unseen_offset,
@@ -298,14 +303,20 @@ class TestNoise:
             p.noise, inertial=inertial, position=p.noise.position * factor, velocity=p.noise.velocity / factor
         )
         batch = Batch(p.data, p.binned, p.priors)
-        floor = NoiseFloor(accel=1e-4, gyro=1e-5)
+        scatter = Scatter(p.noise.inertial.accel, p.noise.inertial.gyro)
         state = batch.converge(batch.graph(p.state, noise), p.state, noise, 5)
         for _ in range(25):  # from above the acceleration's density comes down by a few per cent a round
             solved = batch.step(batch.graph(state, noise), state, noise)
-            state, noise = solved.state, update_noise(solved, noise, p.binned, floor)
-        # 150 fixes of 3 components tell their sigma to 4 %; what the solution takes up widens the others
-        np.testing.assert_allclose(noise.position, p.noise.position, rtol=0.15)
-        np.testing.assert_allclose(noise.velocity, p.noise.velocity, rtol=0.25)
+            state, noise = solved.state, update_noise(solved, noise, p.binned, scatter)
+        # 150 fixes of 3 components tell their sigma to 4 %; what the solution takes up widens the others. What is usual
+        # for receivers counts as another 20 residuals, beside the 300 horizontal and 150 vertical ones.
+        count = np.array([300.0, 300.0, 150.0])
+
+        def with_the_usual(sigma: Array, usual: Array) -> Array:
+            return np.sqrt((count * sigma**2 + USUAL_COUNT * usual**2) / (count + USUAL_COUNT))
+
+        np.testing.assert_allclose(noise.position, with_the_usual(p.noise.position, USUAL_POSITION), rtol=0.15)
+        np.testing.assert_allclose(noise.velocity, with_the_usual(p.noise.velocity, USUAL_VELOCITY), rtol=0.25)
         assert noise.inertial.accel == pytest.approx(p.noise.inertial.accel, rel=0.3)
         assert noise.inertial.gyro == pytest.approx(p.noise.inertial.gyro, rel=0.3)
 
@@ -317,8 +328,8 @@ class TestNoise:
     def test_no_estimate_falls_below_the_scatter_of_the_samples(self) -> None:
         p = problem(0)
         _, solved, _ = solve(p)
-        better = update_noise(solved, p.noise, p.binned, NoiseFloor(accel=0.5, gyro=0.05))
-        assert (better.inertial.accel, better.inertial.gyro) == (0.5, 0.05)
+        better = update_noise(solved, p.noise, p.binned, Scatter(accel=5.0, gyro=0.5))
+        assert (better.inertial.accel, better.inertial.gyro) == (OWN_SCATTER * 5.0, OWN_SCATTER * 0.5)
 
     def test_a_filtered_receiver_wanders_by_what_receivers_wander_though_the_drive_shows_less(self) -> None:
         noise, population = replace(problem().noise, offset_sigma=np.array([0.5, 0.5, 4.0])), np.array([2.0, 2.0, 3.4])
