@@ -4,6 +4,7 @@ GTSAM holds the inertial factors, preintegrates and linearises them; rows.py lin
 whole chain and returns the covariance of every keyframe in the same sweep.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -60,6 +61,8 @@ SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
+OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
+SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
 USUAL_COUNT = 20.0
 USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
 USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
@@ -97,8 +100,8 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class NoiseFloor:
-    """Densities of the inertial samples that no estimate may fall below: their own scatter is not far above it."""
+class Scatter:
+    """Densities that the scatter of neighbouring inertial samples shows: what estimates lean on and are bounded by."""
 
     accel: float
     gyro: float
@@ -300,7 +303,7 @@ def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
     return out
 
 
-def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFloor) -> Noise:
+def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatter) -> Noise:
     """One step of variance component estimation: each variance becomes squared residuals over redundancy.
 
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
@@ -310,12 +313,11 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, floor: NoiseFl
     good = (binned.missing == 0.0) & (binned.clipped == 0.0)
     if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
         good[solved.rows["standstill"].interval] = False
-    components = inertial_components(state, solved.inertial, solution, accel, gyro, good)
-    accel_ratio, gyro_ratio = (_hastened(c) for c in components)
+    force, rate = inertial_components(state, solved.inertial, solution, accel, gyro, good)
     new = replace(
         noise.inertial,
-        gyro=max(noise.inertial.gyro * gyro_ratio, floor.gyro),
-        accel=max(noise.inertial.accel * accel_ratio, floor.accel),
+        accel=_density(force, noise.inertial.accel, scatter.accel),
+        gyro=_density(rate, noise.inertial.gyro, scatter.gyro),
     )
     white = _row_sigma(solved.rows["gps_position"], solution, noise.position, USUAL_POSITION)
     velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY)
@@ -342,9 +344,15 @@ def unseen_offset(noise: Noise, population: Array) -> Array:
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
 
 
-def _hastened(component: VarianceComponent) -> float:
-    ratio = _bounded(component.squares, component.redundancy, component.count) ** HASTE
-    return float(np.clip(ratio, 1.0 / 2.5, 2.5))
+def _density(component: VarianceComponent, density: float, scatter: float) -> float:
+    """Density estimated from residuals that were given `density`.
+
+    The scatter of the samples counts as much as SCATTER_COUNT residuals: where fixes alone would have to judge good
+    samples, they can not, and the estimate would wander off.
+    """
+    squares = component.squares + SCATTER_COUNT * (scatter / density) ** 2
+    ratio = math.sqrt(squares / (max(component.redundancy, 0.0) + SCATTER_COUNT)) ** HASTE
+    return max(density * float(np.clip(ratio, 1.0 / 2.5, 2.5)), OWN_SCATTER * scatter)
 
 
 def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array) -> Array:
@@ -385,11 +393,3 @@ def _error_ratio(solved: Solved, noise: Noise) -> Array:
         redundancy = 9.0 - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
         out.append(np.clip(np.sqrt((chi2 + 1.0) / (max(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0))
     return np.array(out)
-
-
-def _bounded(chi2: float, redundancy: float, count: int) -> float:
-    """Square root of the variance ratio, at most a factor of three a step; redundancy kept positive."""
-    if count == 0:
-        return 1.0
-    redundancy = max(redundancy, 0.02 * count)
-    return float(np.clip(np.sqrt(chi2 / redundancy), 1.0 / 3.0, 3.0))

@@ -16,7 +16,17 @@ from smoother.arrays import Array
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
-from smoother.estimate.graph.batch import Batch, Data, Noise, NoiseFloor, Priors, Solved, converged, update_noise
+from smoother.estimate.graph.batch import (
+    OWN_SCATTER,
+    Batch,
+    Data,
+    Noise,
+    Priors,
+    Scatter,
+    Solved,
+    converged,
+    update_noise,
+)
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
@@ -34,7 +44,6 @@ Progress = Callable[[str, float], None]
 
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
-OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 WELL_KNOWN = 0.1  # relative change of the noise below which no sigma changes by a digit that people read
 SETTLED = 0.02  # relative change of the noise densities below which another round changes no digit people read
@@ -292,9 +301,9 @@ def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[
 
     Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
     """
-    floor = _floor(start)
+    scatter = _scatter(start)
     part = _part(start, options.identification_span)
-    state, noise = _settle(part, part.state, start.noise, floor, options, watch)
+    state, noise = _settle(part, part.state, start.noise, scatter, options, watch)
     if part is start:
         return state, noise
     whole = replace(start.state, constants=state.constants)
@@ -303,7 +312,7 @@ def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[
 
 
 def _settle(
-    start: _Start, state: ChainState, noise: Noise, floor: NoiseFloor, options: GraphOptions, watch: _Stopwatch
+    start: _Start, state: ChainState, noise: Noise, scatter: Scatter, options: GraphOptions, watch: _Stopwatch
 ) -> tuple[ChainState, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
     batch = Batch(start.data, start.binned, start.priors)
@@ -313,7 +322,7 @@ def _settle(
         solved = batch.step(batch.graph(state, noise), state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = update_noise(solved, noise, start.binned, floor)
+        better = update_noise(solved, noise, start.binned, scatter)
         settled = noise.change(better) < SETTLED
         noise = better
         watch.say(0.7 * (turn + 1) / options.rounds)
@@ -326,12 +335,12 @@ def _finish(
     batch: Batch, state: ChainState, noise: Noise, start: _Start, options: GraphOptions, watch: _Stopwatch
 ) -> tuple[Solved, Noise]:
     """Steps over the whole session, each with a better noise, until neither moves; the last one counts."""
-    floor, before = _floor(start), np.zeros(CONSTANTS_SIZE)
+    scatter, before = _scatter(start), np.zeros(CONSTANTS_SIZE)
     for turn in range(options.final_rounds):
         solved = batch.step(batch.graph(state, noise), state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = update_noise(solved, noise, start.binned, floor)
+        better = update_noise(solved, noise, start.binned, scatter)
         watch.say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
         if noise.change(better) < WELL_KNOWN and converged(solved.solution.x):
             break
@@ -339,10 +348,10 @@ def _finish(
     return solved, noise
 
 
-def _floor(start: _Start) -> NoiseFloor:
+def _scatter(start: _Start) -> Scatter:
     accel = _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
     gyro = _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
-    return NoiseFloor(OWN_SCATTER * accel, OWN_SCATTER * gyro)
+    return Scatter(accel, gyro)
 
 
 def _part(start: _Start, span: float) -> _Start:
