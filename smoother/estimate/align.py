@@ -24,6 +24,7 @@ from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
 
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
+STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
 WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
 LAGS = np.arange(-0.2, 0.81, 0.05)  # s tried for the delay of the fixes
 FINER_LAGS = np.arange(-0.04, 0.041, 0.01)  # s about the best of them
@@ -147,7 +148,9 @@ def _robust_lines(design: Array, measured: Array) -> tuple[Array, float, float]:
     unexplained = np.average(np.sum((measured - design @ solution) ** 2, axis=1), weights=weight)
     spread = np.average(np.sum((measured - mean) ** 2, axis=1), weights=weight)
     rest = np.median(np.linalg.norm(measured - design @ solution, axis=1)) / 1.538  # median of chi(3)
-    return solution, float(1.0 - unexplained / max(spread, 1e-12)), float(rest)
+    # a sensor that always reads the same has nothing to be explained
+    share = 1.0 - unexplained / spread if spread > STUCK**2 else 0.0
+    return solution, float(share), float(rest)
 
 
 def _level_only(imu: ImuSamples) -> Alignment:

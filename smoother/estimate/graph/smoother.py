@@ -13,11 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
 from smoother.estimate.graph.batch import (
     OWN_SCATTER,
+    UNFILTERED,
     Batch,
     Data,
     Noise,
@@ -36,7 +38,7 @@ from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.fit.standstill import session_standstill
-from smoother.samples import Problem, Session
+from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
 from smoother.units import DEG
 
@@ -44,10 +46,17 @@ Progress = Callable[[str, float], None]
 
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
+# Of the population's offset, to start from where fixes scatter by more than a metre: such fixes are not filtered, and
+# nothing says that they wander as well; if they do, the identification finds it.
+UNFILTERED_OFFSET = 0.2
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 WELL_KNOWN = 0.1  # relative change of the noise below which no sigma changes by a digit that people read
 SETTLED = 0.02  # relative change of the noise densities below which another round changes no digit people read
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
+SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
+STRANGE = (
+    0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
+)
 
 
 @dataclass(frozen=True)
@@ -95,6 +104,7 @@ class _Start:
     data: Data
     priors: Priors
     receiver: float  # how the reported accuracy compares with the population's, at most 1
+    stated: ImuNoise  # densities from the settings; they are not estimated
 
 
 @dataclass
@@ -109,6 +119,9 @@ class GraphSmoother:
         """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified."""
         if session.imu is None or len(session.gnss) < 10:
             return self._from_fixes(session, ())
+        if _overlap(session.imu, session.gnss) < SHORTEST_OVERLAP:
+            text = "the inertial samples and the fixes have no time in common; smoothed from the fixes alone"
+            return self._from_fixes(session, (Problem("imu_elsewhere", text),))
         watch = _Stopwatch(self.progress)
         try:
             return self._from_graph(session, watch)
@@ -125,6 +138,9 @@ class GraphSmoother:
         options = self.options
         with watch("align"):
             start = _start(session, options)
+        if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
+            text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
+            return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
             state, noise = _identify(start, options, watch)
             data, priors, problems = _with_heading(session, start, state)
@@ -146,6 +162,11 @@ class GraphSmoother:
             trajectory.report, timings=watch.seconds, problems=trajectory.report.problems + problems
         )
         return replace(trajectory, report=report)
+
+
+def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
+    """Time, s, that both cover."""
+    return float(min(imu.t[-1], fixes.t[-1]) - max(imu.t[0], fixes.t[0])) if len(imu.t) > 1 else 0.0
 
 
 class _Stopwatch:
@@ -206,6 +227,7 @@ def _start(session: Session, options: GraphOptions) -> _Start:
         _data(session, path, t, alignment.R_bs[2]),
         priors,
         _receiver(session, options),
+        session.config.imu,
     )
 
 
@@ -282,7 +304,7 @@ def _first_noise(
         inertial,
         path.position_sigma,
         path.velocity_sigma,
-        np.array(options.offset_sigma),
+        np.array(options.offset_sigma) * (UNFILTERED_OFFSET if path.position_sigma[0] > UNFILTERED else 1.0),
         options.offset_tau,
         np.full(2, options.sensor_error_sigma),
     )
@@ -322,7 +344,7 @@ def _settle(
         solved = batch.step(batch.graph(state, noise), state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = update_noise(solved, noise, start.binned, scatter)
+        better = _reestimated(solved, noise, start, scatter)
         settled = noise.change(better) < SETTLED
         noise = better
         watch.say(0.7 * (turn + 1) / options.rounds)
@@ -340,12 +362,20 @@ def _finish(
         solved = batch.step(batch.graph(state, noise), state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = update_noise(solved, noise, start.binned, scatter)
+        better = _reestimated(solved, noise, start, scatter)
         watch.say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
         if noise.change(better) < WELL_KNOWN and converged(solved.solution.x):
             break
         noise = better
     return solved, noise
+
+
+def _reestimated(solved: Solved, noise: Noise, start: _Start, scatter: Scatter) -> Noise:
+    """Noise from the residuals, but for the densities that the settings state."""
+    better = update_noise(solved, noise, start.binned, scatter)
+    accel = start.stated.accel_noise or better.inertial.accel
+    gyro = start.stated.gyro_noise or better.inertial.gyro
+    return replace(better, inertial=replace(better.inertial, accel=accel, gyro=gyro))
 
 
 def _scatter(start: _Start) -> Scatter:

@@ -1,0 +1,368 @@
+"""The smoother from session to trajectory, on simulated sessions whose truth is known."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
+from smoother.estimate.baseline.baseline import ThesisBaseline
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.frames import wrap_angle
+from smoother.prepare import prepare
+from smoother.samples import ImuSamples, MagSamples, Session
+from smoother.sim.scenario import Interval, Jump
+from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import Trajectory
+from smoother.units import DEG
+
+WHITE_SEEDS = (0, 1, 2)
+DRIVEN = 40.0  # s; `white` stands for 30 s, and alignment in motion needs some seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A simulated session with what was made of it, and the truth at its rows."""
+
+    simulation: Simulation
+    session: Session
+    trajectory: Trajectory
+    truth: Trajectory
+
+    @property
+    def error_n(self) -> np.ndarray:
+        """Position error (N, 3) m."""
+        return self.trajectory.position_n - self.truth.position_n
+
+    @property
+    def euler_error(self) -> np.ndarray:
+        """Roll, pitch, yaw error (N, 3) rad."""
+        return wrap_angle(self.trajectory.euler - self.truth.euler)
+
+    @property
+    def velocity_error_n(self) -> np.ndarray:
+        """Velocity error (N, 3) m/s."""
+        return self.trajectory.velocity_n - self.truth.velocity_n
+
+    @property
+    def raw_error_n(self) -> np.ndarray:
+        """Error of the fixes where they claim to be, (N, 3) m."""
+        return self.session.fix_position_n - self.truth_at(self.session.gnss.t).position_n
+
+    def truth_at(self, t: np.ndarray) -> Trajectory:
+        """Truth of the antenna at t (N,) s."""
+        return self.simulation.truth.trajectory(t, self.simulation.scenario.lever_arm_b, self.session.origin)
+
+
+def horizontal_rms(error_n: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(error_n[:, :2] ** 2, axis=1))))
+
+
+def smoothed(simulation: Simulation, session: Session | None = None, options: GraphOptions | None = None) -> Smoothed:
+    session = prepare(simulation.raw) if session is None else session
+    trajectory = GraphSmoother(options or GraphOptions()).estimate(session)
+    arm = simulation.scenario.lever_arm_b
+    return Smoothed(simulation, session, trajectory, simulation.truth.trajectory(trajectory.t, arm, session.origin))
+
+
+@cache
+def white(seed: int, doppler: bool = True) -> Smoothed:
+    return smoothed(simulate_preset("white", seed, duration=200.0, gnss_velocity=doppler))
+
+
+@cache
+def kart(seed: int = 1) -> Smoothed:
+    return smoothed(simulate_preset("kart", seed, duration=150.0))
+
+
+class TestAcceptance:
+    """The figures that the first issue about the smoother asks for."""
+
+    @pytest.mark.parametrize(("doppler", "limit"), [(True, 0.12), (False, 0.2)])
+    def test_white_noise_shrinks_to_a_small_part_of_the_raw_fixes(self, doppler: bool, limit: float) -> None:
+        sessions = [white(seed, doppler) for seed in WHITE_SEEDS]
+        error = np.concatenate([s.error_n for s in sessions])
+        raw = np.concatenate([s.raw_error_n for s in sessions])
+        assert horizontal_rms(error) <= limit * horizontal_rms(raw)
+
+    @pytest.mark.parametrize("doppler", [True, False])
+    def test_attitude_is_good_to_three_tenths_of_a_degree_after_the_start(self, doppler: bool) -> None:
+        sessions = [white(seed, doppler) for seed in WHITE_SEEDS]
+        error = np.concatenate([s.euler_error[s.trajectory.t > DRIVEN] for s in sessions])
+        assert np.all(np.sqrt(np.mean(error**2, axis=0)) <= 0.3 * DEG)
+
+    @pytest.mark.parametrize("doppler", [True, False])
+    def test_the_error_is_at_most_a_third_of_the_baseline_s(self, doppler: bool) -> None:
+        ours, theirs = [], []
+        for seed in WHITE_SEEDS:
+            s = white(seed, doppler)
+            baseline = ThesisBaseline().estimate(s.session)
+            ours.append(s.error_n)
+            theirs.append(baseline.position_n - s.truth_at(baseline.t).position_n)
+        assert horizontal_rms(np.concatenate(ours)) <= horizontal_rms(np.concatenate(theirs)) / 3.0
+
+
+class TestOutput:
+    def test_rows_stand_at_the_asked_rate_from_the_first_fix_to_the_last(self) -> None:
+        s = white(0)
+        t, fixes = s.trajectory.t, s.session.gnss.t
+        assert t[0] == fixes[0]
+        assert fixes[-1] - 0.02 < t[-1] <= fixes[-1] + 1e-9
+        np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)
+        session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
+        other = GraphSmoother(GraphOptions(rate=10.0, rounds=1)).estimate(session)
+        np.testing.assert_allclose(np.diff(other.t), 0.1, atol=1e-9)
+
+    def test_every_row_is_finite_and_has_a_sigma(self) -> None:
+        trajectory = white(0).trajectory
+        for name in ("position_n", "velocity_n", "R_nb", "acceleration_b", "angular_rate_b"):
+            assert np.all(np.isfinite(getattr(trajectory, name))), name
+        assert trajectory.sigmas is not None
+        for name in ("position_n", "velocity_n", "speed", "attitude", "track"):
+            sigma = getattr(trajectory.sigmas, name)
+            assert np.all(np.isfinite(sigma) & (sigma > 0.0)), name
+        R = trajectory.R_nb
+        np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
+
+    def test_velocity_is_the_slope_of_position(self) -> None:
+        trajectory = white(0).trajectory
+        slope = np.diff(trajectory.position_n, axis=0) / np.diff(trajectory.t)[:, None]
+        mean = 0.5 * (trajectory.velocity_n[1:] + trajectory.velocity_n[:-1])
+        assert np.sqrt(np.mean((slope - mean) ** 2)) < 0.05
+
+    def test_accelerations_and_rates_are_those_of_the_kart(self) -> None:
+        s = white(0)
+        driving = s.trajectory.t > DRIVEN
+        acceleration = s.trajectory.acceleration_b[driving] - s.truth.acceleration_b[driving]
+        rate = s.trajectory.angular_rate_b[driving] - s.truth.angular_rate_b[driving]
+        assert np.sqrt(np.mean(acceleration**2)) < 0.5  # of some 5 m/s^2 rms; kerbs are averaged away with the noise
+        assert np.sqrt(np.mean(rate**2)) < 4.0 * DEG
+
+    def test_biases_are_found_within_their_sigmas(self) -> None:
+        s = kart()
+        keyframes, truth = s.trajectory.report.keyframes, s.simulation.imu
+        assert keyframes is not None
+        assert truth is not None
+        inside = (keyframes.t > truth.raw.t[0]) & (keyframes.t < truth.raw.t[-1])
+        i = np.searchsorted(truth.raw.t, keyframes.t[inside])
+        gyro = (keyframes.gyro_bias_s[inside] - truth.gyro_bias_s[i]) / keyframes.sigma_gyro_bias[inside]
+        assert np.sqrt(np.mean(gyro**2)) < 2.5
+        # scale and misalignment act like biases of force at rest, so only their sum is told
+        accel = keyframes.accel_bias_s[inside] - truth.accel_bias_s[i]
+        assert np.max(np.abs(accel.mean(axis=0))) < 0.3
+
+    def test_progress_and_timings_tell_the_stages_in_order(self) -> None:
+        told: list[tuple[str, float]] = []
+        session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
+        trajectory = GraphSmoother(GraphOptions(rounds=2), lambda *step: told.append(step)).estimate(session)
+        stages = list(dict.fromkeys(stage for stage, _ in told))
+        assert stages == ["align", "solve", "output"]
+        assert list(trajectory.report.timings) == stages
+        for stage in stages:
+            fractions = [fraction for name, fraction in told if name == stage]
+            assert fractions == sorted(fractions)
+            assert (fractions[0], fractions[-1]) == (0.0, 1.0)
+
+    def test_the_same_session_gives_the_same_result(self) -> None:
+        session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
+        one, two = (GraphSmoother(GraphOptions(rounds=2)).estimate(session) for _ in range(2))
+        np.testing.assert_array_equal(one.position_n, two.position_n)
+
+
+class TestIdentified:
+    def test_latencies_mounting_and_level_lever_arm_are_found(self) -> None:
+        s = kart()
+        found, scenario = s.trajectory.report.identified, s.simulation.scenario
+        for name, true in (
+            ("gps_position_latency", scenario.gnss.position_latency),
+            ("gps_velocity_latency", scenario.gnss.velocity_latency),
+        ):
+            assert found[name].observable
+            assert found[name].value == pytest.approx(true, abs=0.02)
+        np.testing.assert_allclose(found["lever_arm_b"].value[:2], scenario.lever_arm_b[:2], atol=0.15)
+        turn = so3.log(np.array(found["R_bs"].value) @ scenario.R_bs.T)
+        assert np.linalg.norm(turn) < 2.0 * DEG
+
+    def test_what_was_stated_is_kept_and_called_configured(self) -> None:
+        simulation = simulate_preset("kart", 3, duration=60.0)
+        scenario = simulation.scenario
+        config = SessionConfig(
+            mounting=Mounting(scenario.lever_arm_b, scenario.R_bs),
+            imu=ImuNoise(accel_noise=0.3, gyro_noise=0.02),
+            gps=GnssTiming(scenario.gnss.position_latency, scenario.gnss.velocity_latency),
+        )
+        s = smoothed(simulation, replace(prepare(simulation.raw), config=config), GraphOptions(rounds=2))
+        found = s.trajectory.report.identified
+        for name in (
+            "gps_position_latency",
+            "gps_velocity_latency",
+            "lever_arm_b",
+            "R_bs",
+            "accel_noise",
+            "gyro_noise",
+        ):
+            assert found[name].source == "configured", name
+        assert found["gps_position_latency"].value == pytest.approx(scenario.gnss.position_latency, abs=1e-4)
+        assert found["gps_velocity_latency"].value == pytest.approx(scenario.gnss.velocity_latency, abs=1e-4)
+        np.testing.assert_allclose(found["lever_arm_b"].value, scenario.lever_arm_b, atol=1e-3)
+        np.testing.assert_allclose(found["R_bs"].value, scenario.R_bs, atol=1e-9)
+        assert (found["accel_noise"].value, found["gyro_noise"].value) == (0.3, 0.02)
+
+    def test_noise_is_that_of_the_simulation(self) -> None:
+        found = white(0).trajectory.report.identified
+        assert found["accel_noise"].value == pytest.approx(0.05, rel=0.3)
+        assert found["gyro_noise"].value == pytest.approx(0.2 * DEG, rel=0.3)
+        np.testing.assert_allclose(found["gps_position_noise"].value[:2], 2.5, rtol=0.1)
+        np.testing.assert_allclose(found["gps_velocity_noise"].value[:2], 0.15, rtol=0.1)
+
+
+def flawed(**changes: object) -> Smoothed:
+    return smoothed(simulate_preset("white", 4, duration=90.0, motion_standstill=5.0, **changes))
+
+
+@pytest.fixture(scope="module")
+def clean() -> Smoothed:
+    return flawed()
+
+
+class TestFlaws:
+    """Each flaw alone, on white noise with Doppler, against the same session without it."""
+
+    def test_an_outage_of_ten_seconds_is_bridged(self, clean: Smoothed) -> None:
+        s = flawed(gnss_outages=(Interval(50.0, 10.0),))
+        inside = (s.trajectory.t > 50.0) & (s.trajectory.t < 60.0)
+        # no fix for 150 m and a corner or two, and all of it at the accuracy of the inertial sensor
+        assert horizontal_rms(s.error_n[inside]) < horizontal_rms(clean.error_n) + 1.0
+        assert np.max(np.linalg.norm(s.error_n[inside, :2], axis=1)) < 3.0
+        sigma = s.trajectory.sigmas
+        assert sigma is not None
+        middle = np.searchsorted(s.trajectory.t, 55.0)
+        assert np.all(sigma.position_n[middle, :2] > np.median(sigma.position_n[:, :2], axis=0))
+
+    def test_jumps_of_thirty_metres_are_rejected(self, clean: Smoothed) -> None:
+        starts = (15.0, 27.0, 40.0, 52.0, 61.0, 77.0)
+        jumps = tuple(Jump(start, 0.9, np.array([30.0 * np.cos(start), 30.0 * np.sin(start), 0.0])) for start in starts)
+        s = flawed(gnss_jumps=jumps)
+        assert horizontal_rms(s.error_n) < horizontal_rms(clean.error_n) + 0.2
+        fixes = s.trajectory.report.fixes
+        assert fixes is not None
+        t = s.session.gnss.t[fixes.index]
+        thrown = np.any([(t >= start) & (t < start + 0.9) for start in starts], axis=0)
+        assert np.count_nonzero(thrown) > 20
+        assert np.all(fixes.weight[thrown] < 0.3)
+        assert np.mean(fixes.weight[~thrown] > 0.9) > 0.95
+
+    def test_without_a_magnetometer_only_the_yaw_at_rest_suffers(self, clean: Smoothed) -> None:
+        s = flawed(mag=None)
+        assert s.trajectory.report.mode == "full"
+        assert horizontal_rms(s.error_n) < horizontal_rms(clean.error_n) + 0.2
+        driving = s.trajectory.t > 20.0
+        assert np.sqrt(np.mean(s.euler_error[driving, 2] ** 2)) < 0.5 * DEG
+
+    def test_a_useless_magnetometer_is_left_out_and_named(self, clean: Smoothed) -> None:
+        mag = clean.session.mag
+        assert mag is not None
+        nonsense = MagSamples(mag.t, np.random.default_rng(0).normal(size=mag.field_s.shape))
+        s = smoothed(clean.simulation, replace(clean.session, mag=nonsense))
+        assert "magnetometer_unused" in [p.code for p in s.trajectory.report.problems]
+        driving = s.trajectory.t > 20.0
+        assert np.sqrt(np.mean(s.euler_error[driving, 2] ** 2)) < 0.5 * DEG
+
+    def test_a_gap_of_the_inertial_samples_is_bridged_and_its_sigma_says_so(self, clean: Smoothed) -> None:
+        s = flawed(imu_gaps=(Interval(50.0, 1.0),))
+        assert s.trajectory.report.mode == "full"
+        assert horizontal_rms(s.error_n) < horizontal_rms(clean.error_n) + 0.2
+        assert np.max(np.linalg.norm(s.error_n[:, :2], axis=1)) < 3.0
+        sigma, at = s.trajectory.sigmas, np.searchsorted(s.trajectory.t, [40.0, 50.5])
+        assert sigma is not None
+        assert sigma.speed[at[1]] > 1.5 * sigma.speed[at[0]]
+
+    def test_clipped_samples_count_for_less(self, clean: Smoothed) -> None:
+        s = flawed(imu_accel_range=0.7 * 9.80665 + 9.80665, imu_gyro_range=1.2)
+        assert horizontal_rms(s.error_n) < 2.0 * horizontal_rms(clean.error_n) + 0.3
+
+
+class TestDegrading:
+    """Whatever is missing: the result is no worse than the fixes, and says what it is."""
+
+    def test_without_inertial_samples_the_fixes_are_smoothed_alone(self) -> None:
+        s = smoothed(simulate_preset("white", 4, duration=100.0, imu=None, mag=None))
+        assert s.trajectory.report.mode == "gps-only"
+        assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
+
+    @pytest.mark.parametrize("kind", ["stuck", "dead", "noise", "late", "mirrored", "half as large"])
+    def test_a_sensor_that_is_wrong_does_no_harm(self, kind: str) -> None:
+        simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
+        session = prepare(simulation.raw)
+        assert session.imu is not None
+        t, force, rate = session.imu.t, session.imu.specific_force_s, session.imu.angular_rate_s
+        rng = np.random.default_rng(0)
+        wrong = {
+            "stuck": ImuSamples(t, np.tile([0.0, 0.0, 9.80665], (len(t), 1)), np.zeros_like(rate)),
+            "dead": ImuSamples(t, np.zeros_like(force), np.zeros_like(rate)),
+            "noise": ImuSamples(t, 10.0 * rng.normal(size=force.shape), rng.normal(size=rate.shape)),
+            "late": ImuSamples(t + 5.0, force, rate),
+            "mirrored": ImuSamples(t, force * [1.0, -1.0, 1.0], rate),
+            "half as large": ImuSamples(t, 0.5 * force, rate),
+        }
+        s = smoothed(simulation, replace(session, imu=wrong[kind]))
+        assert np.all(np.isfinite(s.trajectory.position_n))
+        assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
+        if kind in ("stuck", "dead", "noise", "late"):
+            assert s.trajectory.report.mode == "gps-only"
+            assert "imu_unusable" in [p.code for p in s.trajectory.report.problems]
+
+    def test_a_kart_that_never_moved_stays_where_it_is(self) -> None:
+        s = smoothed(simulate_preset("white", 4, duration=28.0))
+        assert np.max(np.abs(s.velocity_error_n)) < 0.5
+        assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
+
+    def test_a_handful_of_fixes_is_no_reason_to_fail(self) -> None:
+        simulation = simulate_preset("white", 4, duration=60.0, motion_standstill=5.0)
+        session = prepare(simulation.raw)
+        few = replace(session, gnss=session.gnss.select(np.arange(100, 106)))
+        trajectory = GraphSmoother().estimate(few)
+        assert trajectory.report.mode == "gps-only"
+        assert np.all(np.isfinite(trajectory.position_n[:, :2]))
+
+    def test_inertial_samples_of_another_day_do_no_harm(self) -> None:
+        simulation = simulate_preset("white", 4, duration=60.0, motion_standstill=5.0, mag=None)
+        session = prepare(simulation.raw)
+        assert session.imu is not None
+        imu = session.imu
+        other = replace(session, imu=ImuSamples(imu.t + 1e5, imu.specific_force_s, imu.angular_rate_s))
+        s = smoothed(simulation, other)
+        assert "imu_elsewhere" in [p.code for p in s.trajectory.report.problems]
+        assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
+
+    def test_inertial_samples_that_end_half_way_leave_the_rest_to_the_fixes(self) -> None:
+        simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
+        session = prepare(simulation.raw)
+        assert session.imu is not None
+        s = smoothed(simulation, replace(session, imu=session.imu.between(0.0, 50.0)))
+        late = s.trajectory.t > 55.0
+        assert np.all(np.isfinite(s.trajectory.position_n))
+        assert horizontal_rms(s.error_n[late]) < horizontal_rms(s.raw_error_n)
+
+
+class TestKart:
+    def test_any_mounting_latency_and_vibration_leave_a_good_velocity_and_attitude(self) -> None:
+        s = kart()
+        driving = s.trajectory.t > 20.0
+        assert horizontal_rms(s.velocity_error_n[driving]) < 0.3
+        roll, pitch, yaw = np.sqrt(np.mean(s.euler_error[driving] ** 2, axis=0)) / DEG
+        assert max(roll, pitch) < 1.5
+        assert yaw < 2.0
+
+    @pytest.mark.parametrize("name", ["velocity_n", "attitude"])
+    def test_sigmas_are_neither_boast_nor_excuse(self, name: str) -> None:
+        s = kart()
+        sigmas = s.trajectory.sigmas
+        assert sigmas is not None
+        error = s.velocity_error_n if name == "velocity_n" else s.euler_error
+        driving = s.trajectory.t > 20.0
+        normalised = (error / getattr(sigmas, name))[driving]
+        # a session of two minutes holds some twenty independent errors: its rms is known to a fifth
+        assert 0.6 < np.sqrt(np.mean(normalised**2)) < 1.6
