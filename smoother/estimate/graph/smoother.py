@@ -32,6 +32,7 @@ from smoother.estimate.graph.batch import (
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
+from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.rows import Rows, heading_rows
@@ -146,6 +147,9 @@ class GraphSmoother:
             data, priors, problems = _with_heading(session, start, state)
             batch = Batch(data, start.binned, priors)
             solved, noise = _finish(batch, state, noise, start, options, watch)
+            if options.solver == "isam2":
+                constants = solved.state.constants
+                solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants)
         with watch("output"):
             mounting = _mounting(session, solved, start.alignment)
             trajectory = build_trajectory(
