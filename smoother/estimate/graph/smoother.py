@@ -89,7 +89,7 @@ class GraphOptions:
     identification_span: float = 120.0
     rounds: int = 12
     iterations: int = 5
-    whole_iterations: int = 3
+    whole_iterations: int = 2
     final_rounds: int = 3
 
 
