@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother import so3
+from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.state import ChainState
+from smoother.fit.magnetic_model import field_n as magnetic_field_n
 from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
 
@@ -22,6 +24,7 @@ CALIBRATED_OFFSET = np.radians(0.36)  # of such a field: what the World Magnetic
 UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
+FEWEST = 20  # headings; fewer cannot be judged
 SPACING = 1.0  # s between heading factors, since the field's errors last
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
@@ -42,35 +45,61 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
 
     declination (east positive), inclination (down positive) rad.
     """
-    step = max(1, round(SPACING / state.interval))
-    at = np.arange(0, len(state.t) - 1, step)
-    inside = (state.t[at] > mag.t[0]) & (state.t[at] < mag.t[-1])
-    at = at[inside]
-    if len(at) < 20:
+    inside = (mag.t > state.t[0]) & (mag.t < state.t[-1])
+    if np.count_nonzero(inside) < FEWEST:
         return None
-    measured = np.stack([np.interp(state.t[at], mag.t, mag.field_s[:, i]) for i in range(3)], axis=1)
-    field_n = np.array(
-        [
-            np.cos(inclination) * np.cos(declination),
-            -np.cos(inclination) * np.sin(declination),
-            -np.sin(inclination),
-        ]
-    )
-    expected = np.einsum("kji,j->ki", state.R_ns[at], field_n)
+    t, measured = mag.t[inside], mag.field_s[inside]
+    R_ns = _attitude(state, t)
+    expected = np.einsum("kji,j->ki", R_ns, magnetic_field_n(declination, inclination))
     matrix, iron, weight = _fit(expected, measured)
     if np.linalg.cond(matrix) > 20.0:
         return None
     corrected = np.asarray(np.linalg.solve(matrix, (measured - iron).T).T, dtype=np.float64)
-    error = _heading_error(state.R_ns[at], measured, declination)
-    offset_sigma = CALIBRATED_OFFSET
+    step = max(1, round(SPACING / state.interval))
+    at, (before, after, weight) = _averages(state, step, t, R_ns, (measured, corrected), weight)
+    if len(at) < FEWEST:
+        return None
+    offset_sigma, field_s = CALIBRATED_OFFSET, before
+    error = _heading_error(state.R_ns[at], field_s, declination)
     if np.sqrt(np.median(error**2)) > 0.7 * NEEDS_NO_FIT or abs(float(np.median(error))) > 0.5 * NEEDS_NO_FIT:
-        offset_sigma, measured = UNKNOWN_OFFSET, corrected
-        error = _heading_error(state.R_ns[at], corrected, declination)
+        offset_sigma, field_s = UNKNOWN_OFFSET, after
+        error = _heading_error(state.R_ns[at], field_s, declination)
     rms = float(np.sqrt(np.average(error**2, weights=weight)))
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
     if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
         return None
-    return Heading(at[keep], measured[keep], -declination, max(rms, FLOOR), offset_sigma)
+    return Heading(at[keep], field_s[keep], -declination, max(rms, FLOOR), offset_sigma)
+
+
+def _attitude(state: ChainState, t: Array) -> Array:
+    """Attitude R_ns (N, 3, 3) at times t (N,) within the chain."""
+    i = np.clip(np.searchsorted(state.t, t) - 1, 0, len(state.t) - 2)
+    turn = so3.log(state.R_ns[i].transpose(0, 2, 1) @ state.R_ns[i + 1])
+    return state.R_ns[i] @ so3.exp(((t - state.t[i]) / state.interval)[:, None] * turn)
+
+
+def _averages(
+    state: ChainState, step: int, t: Array, R_ns: Array, fields_s: tuple[Array, Array], weight: Array
+) -> tuple[IntArray, tuple[Array, Array, Array]]:
+    """Keyframes (M,), one in `step`, and the means around each of two fields (M, 3) and of the weight (M,).
+
+    The readings at t (N,) are turned with the attitude from their own time to the keyframe's before they are averaged,
+    each with its weight (N,).
+    """
+    at = np.arange(0, len(state.t) - 1, step)
+    nearest = np.clip(np.round((t - state.t[0]) / (step * state.interval)).astype(np.int64), 0, len(at) - 1)
+    count, total = np.bincount(nearest, minlength=len(at)), np.bincount(nearest, weight, len(at))
+    some = count > 0
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(nearest, weight * values, len(at))[some] / total[some])
+
+    means = []
+    for field_s in fields_s:
+        field_n = np.einsum("nij,nj->ni", R_ns, field_s)
+        mean_n = np.stack([mean(field_n[:, i]) for i in range(3)], axis=1)
+        means.append(np.einsum("nji,nj->ni", state.R_ns[at[some]], mean_n))
+    return at[some], (means[0], means[1], total[some] / count[some])
 
 
 def _heading_error(R_ns: Array, field_s: Array, declination: float) -> Array:

@@ -58,8 +58,8 @@ def test_hard_and_soft_iron_are_found_from_laps_in_any_unit(unit: float) -> None
     assert heading is not None
     error = heading_error(state, heading)
     assert abs(np.mean(error)) < 1.0 * DEG
-    assert np.std(error) < 4.0 * DEG  # 1 uT of noise against 23 uT of level field is 2.5 deg
-    assert heading.sigma < 4.0 * DEG
+    assert np.std(error) < 1.5 * DEG  # 1 uT against 23 uT of level field is 2.5 deg, averaged over ten readings
+    assert heading.sigma == FLOOR
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -71,7 +71,7 @@ def test_any_box_and_any_iron_within_a_kart_s_reach(seed: int) -> None:
         readings(state, rng.uniform(-30.0, 30.0, 3), np.eye(3) + crooked + crooked.T), state, DECLINATION, INCLINATION
     )
     assert heading is not None
-    assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 5.0 * DEG
+    assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 2.5 * DEG
 
 
 def test_its_rows_read_zero_at_the_true_attitude() -> None:
@@ -84,11 +84,11 @@ def test_its_rows_read_zero_at_the_true_attitude() -> None:
 
 def test_a_field_that_was_calibrated_before_is_left_alone_and_says_where_north_is() -> None:
     state = laps()
-    mag = readings(state, np.zeros(3), np.eye(3), noise=1.0, unit=1.0 / 47.0)
+    mag = readings(state, np.zeros(3), np.eye(3), noise=0.0, unit=1.0 / 47.0)
     heading = heading_from_field(mag, state, DECLINATION, INCLINATION)
     assert heading is not None
     want = np.stack([np.interp(state.t[heading.interval], mag.t, mag.field_s[:, i]) for i in range(3)], axis=1)
-    np.testing.assert_allclose(heading.field_s, want)
+    np.testing.assert_allclose(heading.field_s, want, atol=2e-3)  # readings are joined by straight lines here
     assert heading.offset_sigma < 1.0 * DEG
     corrected = heading_from_field(readings(state), state, DECLINATION, INCLINATION)
     assert corrected is not None
@@ -100,6 +100,14 @@ def test_sigma_never_claims_more_than_a_kart_s_iron_allows() -> None:
     clean = heading_from_field(readings(state, np.zeros(3), np.eye(3), noise=0.0), state, DECLINATION, INCLINATION)
     assert clean is not None
     assert clean.sigma == FLOOR
+
+
+def test_readings_are_averaged_around_their_keyframe_though_the_kart_turns() -> None:
+    state = laps()
+    noisy = heading_from_field(readings(state, np.zeros(3), np.eye(3), noise=3.0), state, DECLINATION, INCLINATION)
+    assert noisy is not None
+    # 3 uT against 23 uT is 7.5 deg a reading; ten of them, 0.3 rad of turning apart, are good to a third of that
+    assert np.std(heading_error(state, noisy)) < 3.0 * DEG
 
 
 def test_headings_are_a_second_apart_since_their_errors_last() -> None:
@@ -119,7 +127,7 @@ def test_moments_under_a_bridge_are_left_out() -> None:
     heading = heading_from_field(MagSamples(mag.t, field), state, DECLINATION, INCLINATION)
     assert heading is not None
     kept = state.t[heading.interval]
-    assert np.mean((kept % 40.0) < 2.9) < 0.02
+    assert not np.any((kept % 40.0 > 0.5) & (kept % 40.0 < 2.5))
     assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 5.0 * DEG
 
 
