@@ -38,16 +38,16 @@ MOVED = 0.01  # rad of attitude, beyond which the measurements of a keyframe are
 class IncrementalOptions:
     """Options of the stream, in keyframes.
 
-    chunk: 2 s at five keyframes a second, over which a kart's inertial sensor predicts to within a metre. window: how
+    chunk: 5 s at five keyframes a second, over which a kart's inertial sensor predicts to some metres. window: how
     far back fixes are linearised again; attitude and weights are settled after 10 s. context: before the window, from
-    which the noise of the inertial shape is judged. refinements: at the end of the stream, of all measurements; two
-    bring it to within some hundredths of a sigma of the batch, none to within half a sigma.
+    which the noise of the inertial shape is judged. growth: of the stream,
+    after which GTSAM may linearise all of it again; a factor, so that the cost stays linear.
     """
 
-    chunk: int = 10
+    chunk: int = 25
     window: int = 50
     context: int = 100
-    refinements: int = 2
+    growth: float = 1.3
 
 
 # Steps, in rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again. A pose's chart couples turn and
@@ -59,12 +59,13 @@ _WILDFIRE = 1e-5  # change of a step, in rad, m, m/s, that is still passed on to
 def solve_as_stream(
     batch: Batch, data: Data, binned: BinnedImu, priors: Priors, noise: Noise, start: ChainState, constants: Constants
 ) -> Solved:
-    """Return the solution of :func:`solve_incrementally` with the covariances of `batch`, linearised there.
+    """Return the solution of :func:`solve_incrementally` after one step of `batch`, with that step's covariances.
 
-    They contain how unsure the constants are, which the stream itself takes for known.
+    The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
+    which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are.
     """
     state = solve_incrementally(data, binned, priors, noise, start, constants)
-    return replace(batch.step(batch.graph(state, noise), state, noise), state=state)
+    return batch.step(batch.graph(state, noise), state, noise)
 
 
 def solve_incrementally(
@@ -85,8 +86,6 @@ def solve_incrementally(
     stream = Stream(data, binned, priors, noise, start, constants, options)
     for end in stream.chunk_ends():
         stream.advance(end)
-    for _ in range(options.refinements):
-        stream.refine()
     return stream.finish()
 
 
@@ -110,6 +109,8 @@ class Stream:
         self._velocity_at = _interval_of(start, data.t - constants.velocity_latency)
         self._tree = gtsam.ISAM2(_parameters())
         self._end = 0
+        self._held, self._n_held = gtsam.KeyList(), 0  # variables that stay where they were linearised, and keyframes
+        self._last_relinearized = 0  # end of the stream when all were free to be
         self._indices: list[list[int]] = []  # in the tree, of the factors of each interval that can be replaced
 
     @property
@@ -130,21 +131,35 @@ class Stream:
         window = self._window(begin)
         estimate = self._estimate(window)
         self._end = end
+        self._hold(window)
         graph = self._predict(begin)
         new = self._values(begin)
         estimate.insert(new)
         # A prediction after an outage is off by more than a robust weight forgives: at first every fix has its say.
         self._measure(window, max(begin - 1, 0), estimate, graph, new)
-        self.refine(window)
+        self._refine(window)
 
-    def refine(self, window: int = 0) -> None:
-        """Linearise all measurements of the intervals from `window` on again, about the newest estimate."""
+    def _refine(self, window: int) -> None:
+        """Linearise the measurements of the intervals from `window` on again, about the newest estimate."""
         self._measure(window, self._end, self._estimate(window), gtsam.NonlinearFactorGraph(), gtsam.Values())
 
     def finish(self) -> ChainState:
         """Return the estimate of all keyframes, solved to the end (the tree passes on no change below a threshold)."""
         self._read(0, self._tree.calculateBestEstimate())
         return self.state
+
+    def _hold(self, window: int) -> None:
+        """Hold what is older than the window, but let all go when the stream has grown by a share or moved back there.
+
+        Absolute position wanders: without this, something old is linearised again and the tree rebuilt in every update.
+        """
+        options = self._options
+        if self._end > options.growth * self._last_relinearized or window < self._end - options.window - options.chunk:
+            self._held, self._n_held, self._last_relinearized = gtsam.KeyList(), 0, self._end
+            return
+        for key in _keys(self._n_held, window):
+            self._held.push_back(key)
+        self._n_held = max(self._n_held, window)
 
     def _window(self, end: int) -> int:
         """First keyframe whose measurements are to be linearised again: further back while attitude moves there."""
@@ -208,7 +223,7 @@ class Stream:
         graph.push_back(measured)
         old = [index for of_interval in self._indices[window:] for index in of_interval]
         try:
-            indices = self._tree.update(graph, values, old).getNewFactorsIndices()
+            indices = self._tree.update(graph, values, old, None, self._held).getNewFactorsIndices()
         except RuntimeError as error:  # what GTSAM's exceptions are in Python
             raise NotPositiveDefiniteError(str(error).strip().splitlines()[0]) from error
         self._indices[window:] = [[] for _ in range(self._end - 1 - window)]
