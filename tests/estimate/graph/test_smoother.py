@@ -68,7 +68,7 @@ def smoothed(simulation: Simulation, session: Session | None = None, options: Gr
 
 
 @cache
-def white(seed: int, doppler: bool = True) -> Smoothed:
+def white(seed: int, doppler: bool) -> Smoothed:
     return smoothed(simulate_preset("white", seed, duration=200.0, gnss_velocity=doppler))
 
 
@@ -88,12 +88,12 @@ class TestAcceptance:
         assert horizontal_rms(error) <= limit * horizontal_rms(raw)
 
     def test_attitude_is_good_to_three_tenths_of_a_degree_after_the_start(self) -> None:
-        sessions = [white(seed) for seed in WHITE_SEEDS]
+        sessions = [white(seed, True) for seed in WHITE_SEEDS]
         error = np.concatenate([s.euler_error[s.trajectory.t > DRIVEN] for s in sessions])
         assert np.all(np.sqrt(np.mean(error**2, axis=0)) <= 0.3 * DEG)
 
     def test_without_doppler_roll_and_pitch_are_too_and_yaw_beats_the_bound_of_fixes_and_gyro(self) -> None:
-        sessions = [white(seed, doppler=False) for seed in WHITE_SEEDS]
+        sessions = [white(seed, False) for seed in WHITE_SEEDS]
         error = np.concatenate([s.euler_error[s.trajectory.t > DRIVEN] for s in sessions])
         roll, pitch, yaw = np.sqrt(np.mean(error**2, axis=0)) / DEG
         assert max(roll, pitch) <= 0.3
@@ -113,7 +113,7 @@ class TestAcceptance:
 
 class TestOutput:
     def test_rows_stand_at_the_asked_rate_from_the_first_fix_to_the_last(self) -> None:
-        s = white(0)
+        s = white(0, True)
         t, fixes = s.trajectory.t, s.session.gnss.t
         assert t[0] == fixes[0]
         assert fixes[-1] - 0.02 < t[-1] <= fixes[-1] + 1e-9
@@ -123,7 +123,7 @@ class TestOutput:
         np.testing.assert_allclose(np.diff(other.t), 0.1, atol=1e-9)
 
     def test_every_row_is_finite_and_has_a_sigma(self) -> None:
-        trajectory = white(0).trajectory
+        trajectory = white(0, True).trajectory
         for name in ("position_n", "velocity_n", "R_nb", "acceleration_b", "angular_rate_b"):
             assert np.all(np.isfinite(getattr(trajectory, name))), name
         assert trajectory.sigmas is not None
@@ -134,13 +134,13 @@ class TestOutput:
         np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
 
     def test_velocity_is_the_slope_of_position(self) -> None:
-        trajectory = white(0).trajectory
+        trajectory = white(0, True).trajectory
         slope = np.diff(trajectory.position_n, axis=0) / np.diff(trajectory.t)[:, None]
         mean = 0.5 * (trajectory.velocity_n[1:] + trajectory.velocity_n[:-1])
         assert np.sqrt(np.mean((slope - mean) ** 2)) < 0.05
 
     def test_accelerations_and_rates_are_those_of_the_kart(self) -> None:
-        s = white(0)
+        s = white(0, True)
         driving = s.trajectory.t > DRIVEN
         acceleration = s.trajectory.acceleration_b[driving] - s.truth.acceleration_b[driving]
         rate = s.trajectory.angular_rate_b[driving] - s.truth.angular_rate_b[driving]
@@ -218,7 +218,7 @@ class TestIdentified:
         assert (found["accel_noise"].value, found["gyro_noise"].value) == (0.3, 0.02)
 
     def test_noise_is_that_of_the_simulation(self) -> None:
-        found = white(0).trajectory.report.identified
+        found = white(0, True).trajectory.report.identified
         assert found["accel_noise"].value == pytest.approx(0.05, rel=0.3)
         assert found["gyro_noise"].value == pytest.approx(0.2 * DEG, rel=0.3)
         np.testing.assert_allclose(found["gps_position_noise"].value[:2], 2.5, rtol=0.1)
