@@ -32,11 +32,10 @@ FINER_LAGS = np.arange(-0.04, 0.041, 0.01)  # s about the best of them
 
 @dataclass(frozen=True, eq=False)
 class PathMotion:
-    """Motion of the kart from the fixes. t (N,) s; velocity_n, acceleration_n (N, 3), Up may be NaN."""
+    """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN."""
 
     t: Array
     velocity_n: Array
-    acceleration_n: Array
 
     @property
     def speed(self) -> Array:

@@ -39,7 +39,7 @@ def fixes(truth: Truth, lag: float = 0.0, t: np.ndarray = FIX_TIMES, seed: int =
     states = truth.at(t - lag)
     velocity_n = states.velocity_n + 0.15 * np.random.default_rng(seed).normal(size=(len(t), 3))
     velocity_n[:, 2] = np.nan
-    return PathMotion(t, velocity_n, states.acceleration_n)
+    return PathMotion(t, velocity_n)
 
 
 def random_rotation(seed: int) -> np.ndarray:
@@ -87,7 +87,7 @@ def test_a_wild_fix_now_and_then_does_not_matter(truth: Truth) -> None:
     R_bs, path = random_rotation(2), fixes(truth)
     velocity_n = path.velocity_n.copy()
     velocity_n[::37] += np.array([15.0, -20.0, 0.0])
-    found = align(box(truth, R_bs, np.zeros(3)), PathMotion(path.t, velocity_n, path.acceleration_n))
+    found = align(box(truth, R_bs, np.zeros(3)), PathMotion(path.t, velocity_n))
     assert turn_between(found.R_bs, R_bs) < 5.0 * DEG
 
 
@@ -113,7 +113,7 @@ class TestAtRest:
             np.array([0.0, 0.0, 9.8]) @ R_bs + 0.05 * rng.normal(size=(6000, 3)),
             0.02 + 0.01 * rng.normal(size=(6000, 3)),
         )
-        path = PathMotion(t[::40], 0.1 * rng.normal(size=(150, 3)), np.zeros((150, 3)))
+        path = PathMotion(t[::40], 0.1 * rng.normal(size=(150, 3)))
         found = align(imu, path)
         assert found.is_level_only
         np.testing.assert_allclose(found.gyro_bias_s, 0.02, atol=1e-3)
@@ -140,9 +140,7 @@ class TestAtRest:
         fix = t[39::40]
         course = np.where(fix < 26.0, 0.0, 0.5 * np.pi)
         speed = np.where((fix < 20.0) | (fix > 35.0), 10.0, 0.0)
-        path = PathMotion(
-            fix, np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(300)], axis=1), np.zeros((300, 3))
-        )
+        path = PathMotion(fix, np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(300)], axis=1))
         aligned = Alignment(np.eye(3), np.zeros(3), 0.0, 1.0, False)
         ask = np.array([10.0, 22.0, 26.0, 30.0, 50.0])
         yaw = euler_from_rotation(initial_attitude(ask, imu, path, aligned))[2]

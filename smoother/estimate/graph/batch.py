@@ -85,11 +85,6 @@ class Noise:
     offset_tau: float
     sensor_error: Array
 
-    @property
-    def offset_q(self) -> Array:
-        """Driving noise of the offset, (3,) m^2/s."""
-        return 2.0 * self.offset_sigma**2 / self.offset_tau
-
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""
         return float(np.max(np.abs(np.log(self._levels() / other._levels()))))

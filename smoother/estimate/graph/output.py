@@ -64,7 +64,7 @@ def build_trajectory(
     state = solved.state
     binned = corrected(binned, state.constants.accel_error, state.constants.gyro_error)
     path = dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
-    arm_s, arm_observed = _reported_arm(solved, priors)
+    arm_s = state.constants.lever_arm_s
     t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
     motion = motion_at(path, t)
     rate_s = at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
@@ -82,7 +82,7 @@ def build_trajectory(
         angular_rate_b=rate_s @ mounting.R_bs.T,
         sigmas=_sigmas(t, solved, keyframes, R_nb, motion.velocity_n),
         report=EstimateReport(
-            identified=_identified(solved, noise, priors, mounting, arm_s, arm_observed, session, unseen),
+            identified=_identified(solved, noise, priors, mounting, arm_s, session, unseen),
             residuals={
                 name: _statistics(solved.rows[name], unit) for name, unit in _UNITS.items() if name in solved.rows
             },
@@ -96,13 +96,6 @@ def build_trajectory(
 def row_times(start: float, end: float, rate: float) -> Array:
     """Times (N,) s from start to end at `rate` Hz, without a hole."""
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
-
-
-def _reported_arm(solved: Solved, priors: Priors) -> tuple[Array, np.ndarray]:
-    """Lever arm (3,) in s and which axes of s the data or the settings pinned."""
-    P = solved.solution.constants_covariance[LEVER_ARM, LEVER_ARM]
-    prior = priors.constants_sigma[LEVER_ARM]
-    return solved.state.constants.lever_arm_s, np.sqrt(np.diag(P)) < np.maximum(OBSERVABLE * prior, 1e-3)
 
 
 def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array, unseen: Array) -> Keyframes:
@@ -210,7 +203,6 @@ def _identified(
     priors: Priors,
     mounting: FittedMounting,
     arm_s: Array,
-    arm_observed: np.ndarray,
     session: Session,
     unseen: Array,
 ) -> dict[str, Identified]:

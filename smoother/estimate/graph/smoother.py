@@ -203,8 +203,8 @@ def _start(session: Session, options: GraphOptions) -> _Start:
     assert session.imu is not None
     path = fit_gnss_path(session)
     times = session.gnss.t
-    motion = path.at(times)
-    alignment = align(session.imu, PathMotion(times, motion.velocity_n, motion.acceleration_n))
+    driven = PathMotion(times, path.at(times).velocity_n)
+    alignment = align(session.imu, driven)
     t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
     priors = _priors(session, alignment, path, options)
     constants = Constants.from_vector(priors.constants)
@@ -212,7 +212,7 @@ def _start(session: Session, options: GraphOptions) -> _Start:
     zeros = np.zeros((len(t), 3))
     state = ChainState(
         t,
-        initial_attitude(t, session.imu, PathMotion(times, motion.velocity_n, motion.acceleration_n), alignment),
+        initial_attitude(t, session.imu, driven, alignment),
         at.position_n,
         at.velocity_n,
         zeros,
