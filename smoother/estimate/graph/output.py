@@ -143,7 +143,7 @@ def _sigmas(t: Array, solved: Solved, keyframes: Keyframes, R_nb: Array, velocit
     R_bn = R_nb.transpose(0, 2, 1)
     by_turn = euler_jacobian(R_nb) @ R_bn
     attitude = np.einsum("nri,nri->nr", by_turn @ covariance[:, 0:3, 0:3], by_turn)
-    direction = velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-3)[:, None]
+    direction = velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]
     speed = np.einsum("ni,nij,nj->n", direction, covariance[:, 3:5, 3:5], direction)
     track = _track_variance(solved.state, P)
     track = (1.0 - share[:, 0, 0]) * track[i] + share[:, 0, 0] * track[i + 1]
