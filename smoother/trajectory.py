@@ -1,6 +1,7 @@
 """Trajectory: what every estimator returns, baseline and smoother alike, on the same axes and with the same names."""
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -104,6 +105,18 @@ class EstimateReport:
     mode: str = "full"  # "full" or "gps-only"
 
 
+class JointPosition(Protocol):
+    """How the errors of positions at several times hang together: what decides a lap time's sigma."""
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """Covariance (m, m) m^2 of `direction_n[i] . error of position_n(t[i])`.
+
+        t (m,) s, in any order; direction_n (m, 3), unit vectors in n. The error is the whole one of the antenna's
+        absolute position, the slow GPS offset and the constants of the session included.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Dense estimate in n. t (N,) s on the session clock; NaN where the estimator has no value.
@@ -120,6 +133,7 @@ class Trajectory:
     angular_rate_b: Array
     sigmas: Sigmas | None = None
     report: EstimateReport = field(default_factory=EstimateReport)
+    joint: JointPosition | None = None  # None: only the sigmas of single times are known
 
     def __post_init__(self) -> None:
         n = len(self.t)

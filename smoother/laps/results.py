@@ -1,0 +1,279 @@
+"""What the lap analysis returns, as values: laps, sectors, reference line, traces over track distance, corners.
+
+Conventions of everything here: SI and radians; plan coordinates are north and west in n; track distance is the metres
+along the reference line from the start/finish line; lateral offsets are positive to the left of the direction of
+travel; L is the number of laps in `LapAnalysis.laps`, S the number of sectors, M the length of the distance grid, C
+the number of corners, N the rows of the trajectory. NaN is what could not be known. Every sigma is one standard
+deviation. Nothing here computes.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from smoother.arrays import Array, BoolArray, IntArray, frozen, require_increasing
+from smoother.samples import Problem
+
+Reason = Literal["out-lap", "in-lap", "pit", "gap", "off-track", "stopped", "short-cut"]
+"""Why a lap does not count: begins or ends without a crossing; stood or crawled off the track or left it for long; a
+hole in the fixes; far from the line that the other laps took; stood still on the track; much shorter than a lap."""
+
+SigmaSource = Literal["joint", "stored", "model", "none"]
+"""Where the sigmas of times and offsets come from: the estimator's joint covariance; how that grew with the time
+between two positions, as stored with the results; a model of the GPS offset; nowhere (no sigmas at all)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A timing line in plan. left_n, right_n (2,) m north and west in n, of its ends as the driver sees them.
+
+    `source`: "given" (option or session.toml's file), "library" (a track that comes with the program), "found".
+    distance: track distance of the line, m, NaN where there is no reference line.
+    """
+
+    name: str
+    left_n: Array
+    right_n: Array
+    source: str = "found"
+    distance: float = float("nan")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "left_n", frozen(self.left_n, (2,), "Line.left_n"))
+        object.__setattr__(self, "right_n", frozen(self.right_n, (2,), "Line.right_n"))
+
+
+@dataclass(frozen=True, eq=False)
+class Lap:
+    """One lap, whether it counts or not. Times on the session clock.
+
+    number: 0 for what was driven before the first crossing, 1 for the first whole lap, counting on. start, end s: of
+    the lap's crossings, or of the recording where one is missing. time s and sigma s: NaN unless both ends are
+    crossings. sector_time, sector_sigma (S,) s, NaN for a sector not crossed at both ends. reasons: empty if the lap
+    counts. raw_time s: between straight-line crossings of the raw fixes, NaN where they have a gap. distance m, driven.
+    """
+
+    number: int
+    start: float
+    end: float
+    time: float
+    sigma: float
+    reasons: tuple[Reason, ...]
+    sector_time: Array
+    sector_sigma: Array
+    raw_time: float
+    distance: float
+    top_speed: float
+    min_speed: float
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the lap counts for best times and statistics."""
+        return not self.reasons
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether both ends are crossings of the start/finish line (for a point-to-point run: of start and finish)."""
+        return self.time == self.time
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLine:
+    """The mean of the laps over track distance, closed unless `is_closed` is false.
+
+    distance (P,) m, increasing from 0, every metre or so; position_n (P, 2) m; tangent_n (P, 2) unit vectors; curvature
+    (P,) 1/m, positive to the left; length m, of the whole lap (a closed line ends one step before it).
+    up (P,) m, the mean height.
+    """
+
+    distance: Array
+    position_n: Array
+    tangent_n: Array
+    curvature: Array
+    up: Array
+    length: float
+    is_closed: bool = True
+
+    def __post_init__(self) -> None:
+        n = len(self.distance)
+        shapes: dict[str, tuple[int, ...]] = {
+            "distance": (n,),
+            "position_n": (n, 2),
+            "tangent_n": (n, 2),
+            "curvature": (n,),
+            "up": (n,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"ReferenceLine.{name}"))
+        require_increasing(self.distance, "ReferenceLine.distance")
+
+
+@dataclass(frozen=True, eq=False)
+class Traces:
+    """Every lap on one grid of track distance. distance (M,) m from the line, about every 2 m; the rest (L, M), NaN
+    where the lap has no value (before an out-lap begins, in a pit, away from the track).
+
+    t s, session clock, when the lap was at that distance; speed m/s; delta s against the reference lap, positive is
+    slower, with delta_sigma; lateral m left of the reference line, with lateral_sigma, of the difference between the
+    lap and the line, the GPS offset of both counted; is_off_line: where |lateral| is above two of its sigma (draw the
+    rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level; yaw_rate rad/s of the kart.
+    zone: -1 braking, +1 driving, 0 neither. sideslip rad, course minus heading (positive: the kart slides to its left),
+    with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more to the left than the path.
+    Both all NaN where not observable (no inertial sensor, or attitude too unsure).
+    """
+
+    distance: Array
+    t: Array
+    speed: Array
+    delta: Array
+    delta_sigma: Array
+    lateral: Array
+    lateral_sigma: Array
+    is_off_line: BoolArray
+    longitudinal: Array
+    lateral_acceleration: Array
+    yaw_rate: Array
+    zone: IntArray
+    sideslip: Array
+    sideslip_sigma: Array
+    balance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """One corner and what every lap did in it. Distances m on the reference line; per lap (L,), NaN where unknown.
+
+    number from 1; start, apex, end: where curvature begins, is greatest, and ends; turns_left; radius m at the apex.
+    segment (2,) m: the stretch whose time is compared, from the braking zone before to the acceleration after; the
+    segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, with speed_sigma
+    m/s (of each of the three, typical). braking_point m, NaN where the lap did not brake, braking_sigma m. time s spent
+    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above two sigma.
+    """
+
+    number: int
+    start: float
+    apex: float
+    end: float
+    turns_left: bool
+    radius: float
+    segment: tuple[float, float]
+    entry_speed: Array
+    min_speed: Array
+    exit_speed: Array
+    speed_sigma: Array
+    braking_point: Array
+    braking_sigma: Array
+    time: Array
+    time_lost: Array
+    time_lost_sigma: Array
+    is_real: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Figures of the laps that count; NaN where there are too few.
+
+    best_lap: index in `laps` of the best, None without; best, best_sigma s. theoretical s: sum of the best sectors with
+    the expected gain from picking the luckiest of noisy times taken out, theoretical_sigma; theoretical_raw s without
+    that correction. rolling s: fastest whole lap from any place of the track to the same place, rolling_sigma;
+    rolling_from m, the track distance where it began, and rolling_t s when. mean, median s; spread s, standard
+    deviation of the laps with the timing noise taken out; within_tenth: how many lie within 0.1 s of the best, itself
+    counted; counted: how many count.
+    """
+
+    best_lap: int | None
+    best: float
+    best_sigma: float
+    theoretical: float
+    theoretical_sigma: float
+    theoretical_raw: float
+    rolling: float
+    rolling_sigma: float
+    rolling_from: float
+    rolling_t: float
+    mean: float
+    median: float
+    spread: float
+    within_tenth: int
+    counted: int
+
+
+@dataclass(frozen=True)
+class OfficialTime:
+    """An official (transponder) time s and the lap it belongs to: index in `laps`, None if none fits; difference s of
+    our time minus the official one, with our sigma."""
+
+    number: int
+    time: float
+    lap: int | None
+    difference: float
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class LapAnalysis:
+    """Everything that laps say about a session.
+
+    laps in time order, also those that do not count. start_line, and sector_lines where a sector ends and the next
+    begins (S - 1 of them); finish_line of a point-to-point track. reference, traces, statistics: None without a loop or
+    without laps. reference_lap: index in `laps` of the lap that deltas refer to, None when it comes from another
+    session (then `reference_name` says from where) or there is none. lap_of_row (N,) number of the lap of each row
+    of the trajectory, -1 where none; lap_distance (N,) m, track distance since the line, NaN away from the track.
+    track: its name, empty if unknown. problems: what was lived with, for people.
+    """
+
+    laps: tuple[Lap, ...]
+    start_line: Line | None
+    sector_lines: tuple[Line, ...]
+    finish_line: Line | None
+    reference: ReferenceLine | None
+    traces: Traces | None
+    corners: tuple[Corner, ...]
+    statistics: Statistics | None
+    reference_lap: int | None
+    reference_name: str
+    official: tuple[OfficialTime, ...]
+    sigma_source: SigmaSource
+    lap_of_row: IntArray
+    lap_distance: Array
+    track: str = ""
+    problems: tuple[Problem, ...] = field(default=())
+
+    @property
+    def sectors(self) -> int:
+        """How many sectors a lap has, at least one when there is a line."""
+        return len(self.sector_lines) + 1 if self.start_line is not None else 0
+
+
+@dataclass(frozen=True, eq=False)
+class FixPath:
+    """The raw fixes as the analysis needs them: t (F,) s, position_n (F, 2) m north and west."""
+
+    t: Array
+    position_n: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", frozen(self.t, (None,), "FixPath.t"))
+        object.__setattr__(self, "position_n", frozen(self.position_n, (len(self.t), 2), "FixPath.position_n"))
+        require_increasing(self.t, "FixPath.t")
+
+
+@dataclass(frozen=True, eq=False)
+class GivenLines:
+    """Lines that were stated, in the session's n: start/finish, sectors in driving order, finish if it is elsewhere.
+
+    Ends are (2, 2) m: two points, in either order (the direction of travel decides which is left). name of the track.
+    """
+
+    start: Array
+    sectors: tuple[Array, ...] = ()
+    finish: Array | None = None
+    name: str = ""
+    source: str = "given"
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLap:
+    """A lap from elsewhere to compare with: elapsed s since its line at track distance m (K,) on the same line."""
+
+    distance: Array
+    elapsed: Array
+    name: str
