@@ -33,8 +33,11 @@ typedef struct {
     size_t length;
 } block_record_t;
 
-/* Write head, zeros after the records, and CRC of a block whose records are in place. */
-void block_seal(uint8_t *block, const block_head_t *head);
+/* Write the head of a block whose records are in place, and zeros after them. */
+void block_close(uint8_t *block, const block_head_t *head);
+
+/* Write the CRC of a closed block; may be repeated. Apart from block_close, so that no interrupt computes it. */
+void block_seal(uint8_t *block);
 
 /* Read the head of a block. CORE_INVALID, and `head` untouched, unless magic, CRC and used bytes are right. */
 int block_read_head(const uint8_t *block, block_head_t *head);

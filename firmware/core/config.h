@@ -7,7 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { CONFIG_TEXT_LONGEST = 512, CONFIG_FILE_LONGEST = 4096 };
+enum { CONFIG_TEXT_LONGEST = 256, CONFIG_FILE_LONGEST = 4096 };
 
 /* In the order in which they are echoed. */
 typedef struct {

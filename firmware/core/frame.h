@@ -24,9 +24,9 @@ typedef struct {
 
 void frame_init(frame_t *frame);
 
-/* Where record_put_* may write a record of `length` bytes (RECORD_*_BYTES) and time_us, and its time since the base in
- * *since_base_us; NULL if the frame has to be finished first. A short record needs a time of 0 to 65535. */
-uint8_t *frame_reserve(frame_t *frame, size_t length, uint64_t time_us, int32_t *since_base_us);
+/* Where record_put_* may write a record of this type, `length` bytes (RECORD_*_BYTES) and time, and its time since the
+ * base in *since_base_us; NULL if it does not fit (space, or time of a short record): finish the frame first. */
+uint8_t *frame_reserve(frame_t *frame, uint8_t type, size_t length, uint64_t time_us, int32_t *since_base_us);
 void frame_append(frame_t *frame, size_t length);
 
 /* Close the frame and return its length in frame->bytes, 0 if it is empty; frame_next starts the one after it. */

@@ -5,7 +5,7 @@
  * belong to the consumer. Times are us since power-on; short records (IMU, MAG, TEMPERATURE) come in order of time.
  *
  * A record that finds no room is counted, and stands as a GAP before the first record of any kind that finds room
- * again. Appending returns CORE_OK, CORE_NO_ROOM (lost, and counted) or CORE_TOO_LONG. */
+ * again. Appending returns CORE_OK, CORE_NO_ROOM (lost, and counted) or CORE_TOO_LONG (not recorded, not counted). */
 #ifndef CORE_LOG_WRITER_H
 #define CORE_LOG_WRITER_H
 
@@ -13,15 +13,17 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "block.h"
 #include "records.h"
 #include "ring.h"
 
-enum { LOG_SOURCES = 6, LOG_REASONS = 3 }; /* IMU, MAG, TEMPERATURE, GPS, PPS, others */
+enum { LOG_SOURCES = 6 }; /* IMU, MAG, TEMPERATURE, GPS, PPS, others */
 
 typedef struct {
     uint64_t first_us;
     uint64_t last_us;
     uint32_t count; /* 0: nothing lost */
+    uint8_t reason; /* GAP_* of the first */
 } log_loss_t;
 
 typedef struct {
@@ -32,7 +34,7 @@ typedef struct {
     uint32_t sequence;
     uint32_t session;
     uint32_t imu_number;
-    log_loss_t loss[LOG_SOURCES][LOG_REASONS];
+    log_loss_t loss[LOG_SOURCES];
     uint32_t imu_records;
     uint32_t imu_lost;
     uint32_t gps_records;

@@ -11,6 +11,7 @@
 typedef struct {
     uint8_t sentence[RECORD_GPS_LONGEST];
     size_t length;    /* bytes so far, 0 between sentences */
+    bool is_whole;
     uint64_t time_us; /* of the `$` */
     uint32_t dropped; /* sentences cut off or too long, since the start */
     uint32_t noise;   /* bytes outside of sentences, UBX frames included, since the start */

@@ -29,7 +29,7 @@ enum {
     RECORD_MAG_BYTES = 10,
     RECORD_TEMPERATURE_BYTES = 5,
     RECORD_PPS_BYTES = 10,
-    RECORD_GAP_BYTES = 16,
+    RECORD_GAP_BYTES = 24,
     RECORD_SETUP_BYTES = 70,
     RECORD_EVENT_BYTES = 12,
     RECORD_SELF_TEST_BYTES = 25,
@@ -81,7 +81,8 @@ typedef struct {
     uint8_t source; /* RECORD_* of what was lost, 0 for any other */
     uint8_t reason; /* GAP_* */
     uint32_t count;
-    uint32_t duration_us; /* from the first to the last */
+    uint64_t first_us;
+    uint64_t last_us;
 } record_gap_t;
 
 typedef struct {
