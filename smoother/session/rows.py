@@ -194,6 +194,8 @@ def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray
 
 
 def _drop_disorder(rows: RowFilter, index: IntArray, t: Array, keep: BoolArray) -> None:
+    if keep.all():
+        return
     repeated = ~keep & np.isin(t, t[keep])
     rows.drop(_mask(rows, index[repeated]), "repeated_time", "repeating the time of another row")
     rows.drop(_mask(rows, index[~keep & ~repeated]), "out_of_order", "out of time order")

@@ -271,6 +271,19 @@ def test_a_table_of_millions_of_rows_is_read_without_holding_its_text(tmp_path: 
     np.testing.assert_array_equal(table.column("gz"), np.sin(t))
 
 
+@pytest.mark.parametrize("cell", ["", "x", "1.5 ", "nan", '"1.5"', "1e999"])
+def test_one_odd_cell_changes_no_number_of_another_row(tmp_path: Path, cell: str) -> None:
+    rows = imu_rows(200)
+    clean = read_table(save(tmp_path, imu_table(rows), "clean.csv"), IMU_HEADER.split(","))
+    rows[70] = ",".join([*rows[70].split(",")[:3], cell, *rows[70].split(",")[4:]])
+    odd = read_table(save(tmp_path, imu_table(rows), "odd.csv"), IMU_HEADER.split(","))
+    others = np.delete(np.arange(200), 70)
+    for name in IMU_HEADER.split(","):
+        np.testing.assert_array_equal(odd.column(name)[others], clean.column(name)[others])
+    np.testing.assert_array_equal(odd.column("az")[70], 1.5 if cell == "1.5 " else np.nan)
+    assert np.flatnonzero(odd.empty["az"]).tolist() == ([] if cell else [70])
+
+
 _CSV_BYTES = gps_table(gps_rows(30)).encode()
 
 
