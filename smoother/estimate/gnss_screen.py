@@ -4,8 +4,10 @@ Medians over neighbours only, so that jumps of seconds and single absurd rows lo
 is passed over here gets weight zero to start with, and may come back once the path is known better.
 """
 
+from typing import Literal
+
 import numpy as np
-from scipy.ndimage import median_filter
+import polars as pl
 
 from smoother.arrays import Array, BoolArray
 
@@ -55,7 +57,7 @@ def _near_median(t: Array, values: Array, size: int, slack: float, rate: float) 
     index = np.arange(known.size)
     first, last = np.maximum(index - size // 2, 0), np.minimum(index + size // 2, known.size - 1)
     reach = np.maximum(t[known[last]] - t[known], t[known] - t[known[first]])
-    median = np.stack([median_filter(values[known, i], size, mode="reflect") for i in range(2)], axis=1)
+    median = _running_median(values[known], size, at_ends="symmetric")
     distance = np.hypot(*(values[known] - median).T)
     good[known] = distance <= slack + rate * reach
     return good
@@ -95,7 +97,9 @@ def _delay(apart: Array, velocity: Array) -> float:
     return float(np.clip(np.median(share), -LONGEST_DELAY, LONGEST_DELAY))
 
 
-def _running_median(values: Array, size: float) -> Array:
-    """Median of `size` neighbours, rounded to odd, of each column of values (M, 2)."""
+def _running_median(values: Array, size: float, at_ends: Literal["edge", "symmetric"] = "edge") -> Array:
+    """Median of `size` neighbours, rounded to odd, of each column of values (M, 2); `at_ends` as numpy.pad extends."""
     odd = max(int(size) // 2 * 2 + 1, 1)
-    return np.stack([median_filter(values[:, i], odd, mode="nearest") for i in range(values.shape[1])], axis=1)
+    padded = np.pad(values, ((odd // 2, odd // 2), (0, 0)), mode=at_ends)
+    columns = [pl.Series(padded[:, i]).rolling_median(odd)[odd - 1 :].to_numpy() for i in range(values.shape[1])]
+    return np.stack(columns, axis=1)
