@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #include "block.h"
+#include "config.h"
 #include "records.h"
 #include "ring.h"
 
@@ -30,7 +31,7 @@ typedef struct {
     ring_t *ring;
     uint8_t *block; /* being filled, NULL between blocks */
     block_head_t head;
-    uint64_t latest_us; /* newest short record: a base is never before it */
+    uint64_t latest_us; /* time of the newest short record, stored or lost */
     uint32_t sequence;
     uint32_t session;
     uint32_t imu_number;

@@ -59,6 +59,7 @@ typedef struct {
     uint64_t since_us;
     bool autostart;
     bool was_offered;
+    bool is_safe_by_supply;
     bool is_card_failing;
     bool is_imu_working;
     bool has_fix;

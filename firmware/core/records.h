@@ -23,6 +23,7 @@ enum {
 };
 
 enum {
+    RECORD_FIRST_LONG = 0x80,   /* types from here on are long */
     RECORD_SHORT_HEAD = 3,      /* type, u16 time */
     RECORD_LONG_HEAD = 6,       /* type, length, i32 time */
     RECORD_IMU_BYTES = 15,
