@@ -18,6 +18,7 @@ from smoother.cli.arguments import (
 from smoother.cli.checking import check
 from smoother.cli.demo import demo
 from smoother.cli.evaluating import evaluate
+from smoother.cli.exporting import export
 from smoother.cli.output import progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.simulating import simulate
@@ -35,7 +36,13 @@ summary.json with everything that was found out. Nothing you recorded is changed
     smooth check monday/     is the recording good? (seconds, at the track)
     smooth demo              no recording yet? simulate one and smooth it
 """
-NAMED_COMMANDS: dict[str, click.Command] = {"check": check, "demo": demo, "simulate": simulate, "evaluate": evaluate}
+NAMED_COMMANDS: dict[str, click.Command] = {
+    "check": check,
+    "demo": demo,
+    "simulate": simulate,
+    "evaluate": evaluate,
+    "export": export,
+}
 EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "

@@ -1,0 +1,70 @@
+"""`smooth export SESSION FORMAT`: the smoothed session as a file that another program opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, require_sessions
+from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
+from smoother.cli.pipeline import unwritable
+from smoother.cli.results import results_of
+from smoother.errors import UsageError
+
+FORMAT_NAMES = ("vbo", "racechrono", "motec", "aim", "gpx", "kml", "geojson", "tum")
+
+
+@click.command(short_help="The smoothed session for RaceChrono, MoTeC i2, Google Earth, ...")
+@click.argument("session", metavar="SESSION", required=False, type=click.Path(path_type=Path))
+@click.argument("form", metavar="FORMAT", required=False)
+@click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Where to [SESSION/smoothed/NAME.ENDING].")
+@click.option("--rate", metavar="HZ", type=click.FloatRange(0.1, 1000.0), help="Rows a second [as smoothed].")
+@click.option("--list", "list_them", is_flag=True, help="List the formats and who opens them, and stop.")
+def export(session: Path | None, form: str | None, out: Path | None, rate: float | None, list_them: bool) -> int:
+    """Write the smoothed session in a FORMAT that other programs open: vbo, racechrono, motec, aim, gpx, kml, geojson
+    or tum. The session is smoothed first where that was not done, or something changed since.
+
+    Every format has position, speed, acceleration, laps and delta to the best lap as far as it has room for them, and
+    the error bars where it allows channels of its own. `smooth export --list` says who opens what.
+    """
+    if list_them:
+        _list()
+        return EXIT_DONE
+    if session is None or form is None:
+        raise UsageError("smooth export SESSION FORMAT; `smooth export --list` names the formats")
+    require_sessions((session,), "smooth export")
+    if form not in FORMAT_NAMES:
+        raise UsageError(f"{form!r} is no format; there are {', '.join(FORMAT_NAMES)}")
+    with progress_on_terminal() as progress:
+        results, passed = results_of(session, progress)
+        progress("exporting", 0.0)
+        written = write(results, form, out, rate)
+    say(str(written))
+    return EXIT_DONE if passed else EXIT_QUALITY
+
+
+def write(results: Path, form: str, out: Path | None, rate: float | None) -> Path:
+    """Write the results in a directory as one format and return the file. Raises UsageError where it cannot be."""
+    from smoother.export.formats import BY_NAME
+    from smoother.export.source import open_source
+
+    source = open_source(results, rate)
+    chosen = BY_NAME[form]
+    path = results / f"{source.file_name}{chosen.ending}" if out is None else out
+    if path.is_dir():
+        path = path / f"{source.file_name}{chosen.ending}"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        chosen.write(source, path)
+    except OSError as error:
+        raise UsageError(str(unwritable(path, error)).replace("--out DIR", "--out FILE")) from error
+    if not source.has_utc:
+        warn(f"{path.name}: the time of day is not known; times count from the start")
+    return path
+
+
+def _list() -> None:
+    from smoother.export.formats import FORMATS
+
+    say_pairs("smooth export SESSION FORMAT", [(form.name, f"{form.text} ({form.ending})") for form in FORMATS])

@@ -1,0 +1,63 @@
+"""Where the results of a session are, smoothed first when there are none or when something changed since."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from smoother.cli.output import Progress, no_progress, warn
+from smoother.cli.pipeline import (
+    FIXES,
+    OUTPUT_DIRECTORY,
+    SUMMARY,
+    TRAJECTORY,
+    Options,
+    session_directory,
+    smooth_session,
+)
+from smoother.errors import UsageError
+
+RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
+
+
+def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:
+    """Return the directory of the results of a session, and whether they passed the quality gate.
+
+    Smooths with the usual options where results are missing, of another recording in the same place, or older than
+    any file of the session.
+    """
+    directory = session_directory(path) / OUTPUT_DIRECTORY
+    document = _summary(directory / SUMMARY)
+    if document is not None and _is_current(path, directory, document):
+        return directory, _passed(document)
+    result = smooth_session(path, None, Options(), progress)
+    if not result.quality.passed:
+        warn(f"{path}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")
+    return result.directory, result.quality.passed
+
+
+def _summary(path: Path) -> dict[str, object] | None:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _is_current(path: Path, directory: Path, document: dict[str, object]) -> bool:
+    from smoother.session.files import list_files
+
+    if all((path / name).is_file() for name in RESULT_FILES):
+        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
+    if not all((directory / name).is_file() for name in RESULT_FILES):
+        return False
+    files, told = list_files(path), document.get("session")
+    if not isinstance(told, dict) or told.get("name") != files.session_name():
+        return False
+    written = (directory / TRAJECTORY).stat().st_mtime
+    return all((files.directory / name).stat().st_mtime <= written for name in files.names)
+
+
+def _passed(document: dict[str, object]) -> bool:
+    quality = document.get("quality")
+    return isinstance(quality, dict) and quality.get("passed") is True

@@ -1,0 +1,75 @@
+"""The channels that formats with room for custom ones get, with the units that racers read."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.export.rows import Rows
+from smoother.export.source import Source
+from smoother.units import KMH, STANDARD_GRAVITY
+
+LAP_COLUMNS = ("lap", "lap_time_s", "delta_s")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A column of Rows under another name: value = column / factor, in `unit`."""
+
+    name: str
+    column: str
+    unit: str
+    factor: float = 1.0
+
+    def of(self, rows: Rows) -> Array:
+        """Return its values (N,)."""
+        return rows[self.column] / self.factor
+
+    def filled(self, rows: Rows) -> Array:
+        """Return its values with 0 where there are none, for formats without blanks."""
+        values = self.of(rows)
+        return np.where(np.isfinite(values), values, 0.0)
+
+
+G = STANDARD_GRAVITY
+MOTION = (
+    Channel("lateral_acc", "accel_left_mps2", "g", G),
+    Channel("longitudinal_acc", "accel_forward_mps2", "g", G),
+    Channel("vertical_acc", "accel_up_mps2", "g", G),
+    Channel("yaw_rate", "yaw_rate_dps", "deg/s"),
+    Channel("roll", "roll_deg", "deg"),
+    Channel("pitch", "pitch_deg", "deg"),
+    Channel("yaw", "yaw_deg", "deg"),
+)
+LAP = (
+    Channel("lap", "lap", ""),
+    Channel("lap_time", "lap_time_s", "s"),
+    Channel("lap_distance", "lap_distance_m", "m"),
+    Channel("delta", "delta_s", "s"),
+)
+DRIVEN = Channel("distance", "distance_m", "m")
+SIGMAS = (
+    Channel("sigma_track", "sigma_track_m", "m"),
+    Channel("sigma_north", "sigma_north_m", "m"),
+    Channel("sigma_west", "sigma_west_m", "m"),
+    Channel("sigma_up", "sigma_up_m", "m"),
+    Channel("sigma_speed", "sigma_speed_mps", "km/h", KMH),
+    Channel("sigma_roll", "sigma_roll_deg", "deg"),
+    Channel("sigma_pitch", "sigma_pitch_deg", "deg"),
+    Channel("sigma_yaw", "sigma_yaw_deg", "deg"),
+)
+ALWAYS = ("accel_left_mps2", "accel_forward_mps2", "yaw_rate_dps", "distance_m")  # of the path, if of nothing else
+
+
+def known_channels(source: Source) -> list[Channel]:
+    """The channels of a session for formats without blanks: those known in every row, and the laps if there are any."""
+    motion = [channel for channel in MOTION if channel.column in ALWAYS or source.has(channel.column)]
+    sigmas = [channel for channel in SIGMAS if source.has(channel.column)]
+    return [*motion, DRIVEN, *lap_channels(source), *sigmas]
+
+
+def lap_channels(source: Source) -> list[Channel]:
+    """The channels about laps that a session has: no laps, none; no track distance, no delta."""
+    if not any(lap.is_timed for lap in source.laps):
+        return []
+    return [channel for channel in LAP if channel.column in ("lap", "lap_time_s") or source.best is not None]

@@ -1,0 +1,279 @@
+"""A smoothed session as the writers see it: who and where, the laps, and the rows as blocks that can be had again.
+
+Reads the files of `smoothed/` (trajectory.csv, laps.csv, summary.json) and nothing of the recording.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, read_rows, resampled, tables, with_motion
+from smoother.frames import Origin
+
+TRAJECTORY, LAPS, SUMMARY = "trajectory.csv", "laps.csv", "summary.json"
+FASTEST_RATE = 1000.0  # Hz; what `smooth --rate` allows
+MOST_ROWS = 30_000_000  # eight hours at 1000 Hz; beyond, the times of the file are damaged
+SAME_RATE = 1e-4  # share; stored times are rounded to a microsecond
+
+
+@dataclass(frozen=True)
+class LapRow:
+    """One row of laps.csv: times in s on the session clock, NaN where unknown."""
+
+    number: int
+    start: float
+    end: float
+    time: float
+    sigma: float
+    is_valid: bool
+    reason: str
+    sectors: tuple[float, ...] = ()
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether both ends are crossings of the line."""
+        return self.time == self.time
+
+
+@dataclass(frozen=True, eq=False)
+class BestLap:
+    """The fastest lap that counts: elapsed (K,) s at track distance (K,) m, increasing."""
+
+    lap: LapRow
+    distance: Array
+    elapsed: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, UTC at t = 0, complete columns."""
+
+    count: int
+    start: float
+    end: float
+    rate: float
+    unix_at_zero: float | None
+    complete: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A smoothed session in `directory`, to be written at `rate` Hz; None: as it is stored.
+
+    name and the texts about it are data from files. unix_at_zero: UTC at t = 0, 0.0 where the receiver never told it
+    (`has_utc`): times then count from the start of 1970.
+    """
+
+    directory: Path
+    name: str
+    about: dict[str, str]
+    origin: Origin
+    survey: Survey
+    laps: tuple[LapRow, ...] = ()
+    rate: float | None = None
+
+    @property
+    def file_name(self) -> str:
+        """The name as a file may have it, without an ending."""
+        return self.name.translate(dict.fromkeys(map(ord, '/\\:*?"<>|'), "_"))
+
+    @property
+    def has_utc(self) -> bool:
+        """Whether the time of day is known."""
+        return self.survey.unix_at_zero is not None
+
+    @property
+    def unix_at_zero(self) -> float:
+        """UTC at t = 0, s since 1970; counts from the first row where the time of day is unknown."""
+        known = self.survey.unix_at_zero
+        return -self.survey.start if known is None else known
+
+    @property
+    def row_rate(self) -> float:
+        """Rows a second, Hz."""
+        return self.survey.rate if self.rate is None else self.rate
+
+    @property
+    def start(self) -> float:
+        """Time of the first row, s."""
+        return self.survey.start
+
+    @property
+    def count(self) -> int:
+        """How many rows there are."""
+        if not self._is_resampled:
+            return self.survey.count
+        return int(np.floor((self.survey.end - self.survey.start) * self.row_rate + 1e-6)) + 1
+
+    @property
+    def _is_resampled(self) -> bool:
+        return self.rate is not None and abs(self.rate - self.survey.rate) > SAME_RATE * self.survey.rate
+
+    @property
+    def crossings(self) -> list[float]:
+        """Times s at which the start/finish line was crossed, in order."""
+        ends = {round(t, 6) for lap in self.laps if lap.is_timed for t in (lap.start, lap.end)}
+        return sorted(t for t in ends if self.survey.start <= t <= self.survey.end)
+
+    @cached_property
+    def best(self) -> BestLap | None:
+        """The fastest lap that counts, None without one or without track distance."""
+        counted = [lap for lap in self.laps if lap.is_valid and lap.is_timed]
+        return _best_lap(self.directory / TRAJECTORY, min(counted, key=lambda lap: lap.time)) if counted else None
+
+    def has(self, *names: str) -> bool:
+        """Whether every row has a number in each of these columns: formats without blanks leave out the others."""
+        return all(name in self.survey.complete for name in names)
+
+    def text(self, key: str, otherwise: str = "") -> str:
+        """Title, driver, kart, track or notes as one printable line."""
+        return one_line(self.about.get(key) or otherwise)
+
+    def rows(self) -> Iterator[Rows]:
+        """Yield all rows: the columns of trajectory.csv, and
+
+        course_deg (0..360), distance_m driven, elapsed_s since the first row, unix_s; lap (number, NaN outside timed
+        laps), lap_time_s since its start, delta_s against the best lap at the same track distance (positive: slower).
+        Accelerations and yaw rate are those of the path where there was no inertial sensor.
+        """
+        blocks = read_rows(self.directory / TRAJECTORY)
+        if self._is_resampled:
+            blocks = resampled(blocks, self.row_rate, self.origin)
+        for block in with_motion(blocks):
+            yield self._with_laps(block)
+
+    def _with_laps(self, rows: Rows) -> Rows:
+        t = rows["t_s"]
+        number, since = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+        delta = np.full(len(rows), np.nan)
+        for lap in self.laps:
+            inside = (t >= lap.start) & (t < lap.end)
+            if lap.is_timed and inside.any():
+                number[inside] = lap.number
+                since[inside] = t[inside] - lap.start
+        if self.best is not None:
+            reached = np.interp(rows["lap_distance_m"], self.best.distance, self.best.elapsed)
+            delta = since - reached
+        return rows.with_columns(
+            elapsed_s=t - self.start, unix_s=t + self.unix_at_zero, lap=number, lap_time_s=since, delta_s=delta
+        )
+
+
+def open_source(directory: Path, rate: float | None = None) -> Source:
+    """Open the results in `directory`. Raises SessionError, one line, where they are missing or damaged."""
+    path = directory / TRAJECTORY
+    survey = _survey(path)
+    if rate is not None and (survey.end - survey.start) * rate > MOST_ROWS:
+        raise SessionError(f"{path}: {(survey.end - survey.start) * rate:.0f} rows at {rate:g} Hz; ask for fewer")
+    about, origin = _about(directory / SUMMARY)
+    name = one_line(about.get("name") or directory.resolve().parent.name) or "session"
+    return Source(directory, name, about, origin, survey, read_laps(directory / LAPS), rate)
+
+
+def one_line(text: str) -> str:
+    """Return text as one line without control characters: file formats take them for structure."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def _about(path: Path) -> tuple[dict[str, str], Origin]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        told, place = document["session"], document["origin"]
+        origin = Origin(float(place["lat_deg"]), float(place["lon_deg"]), float(place["alt_m"]))
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise SessionError(f"{path}: damaged; smooth the session again") from error
+    return {key: value for key, value in told.items() if isinstance(value, str)}, origin
+
+
+def _survey(path: Path) -> Survey:
+    """Pass over trajectory.csv once, holding one block."""
+    names = header_of(path)
+    count, start, end, rate, unix = 0, np.nan, np.nan, np.nan, None
+    whole = {name for name in NUMBERS if name in names}
+    for rows in read_rows(path):
+        t = rows["t_s"]
+        if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0) or (count and t[0] <= end):
+            raise SessionError(f"{path}: its times do not increase; smooth the session again")
+        if count == 0:
+            start, rate, unix = float(t[0]), _rate(t), _unix_at_zero(path, names)
+        whole = {name for name in whole if np.all(np.isfinite(rows[name]))}
+        count, end = count + len(rows), float(t[-1])
+    if count == 0:
+        raise SessionError(f"{path}: no rows; smooth the session again")
+    if missing := [name for name in REQUIRED if name not in whole]:
+        raise SessionError(f"{path}: {missing[0]} is not a number in every row; smooth the session again")
+    return Survey(count, start, end, rate, unix, frozenset(whole))
+
+
+def _rate(t: Array) -> float:
+    return 1.0 / float(np.median(np.diff(t))) if t.size > 1 else 1.0
+
+
+def _unix_at_zero(path: Path, names: list[str]) -> float | None:
+    """UTC at t = 0 from the first block of `utc`, which is rounded to the millisecond; None where it is empty."""
+    if "utc" not in names:
+        return None
+    frame = next(tables(path, ("t_s", "utc")))
+    stamps = frame["utc"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.fZ", strict=False, time_unit="ms")
+    difference = stamps.dt.epoch("ms").cast(pl.Float64).fill_null(np.nan).to_numpy() / 1e3 - frame["t_s"].to_numpy()
+    known = difference[np.isfinite(difference)]
+    return float(np.median(known)) if known.size else None
+
+
+def read_laps(path: Path) -> tuple[LapRow, ...]:
+    """Read laps.csv; no laps where there is no such file, or nothing in it."""
+    if not path.is_file():
+        return ()
+    try:
+        frame = pl.read_csv(path, infer_schema=False, truncate_ragged_lines=True)
+    except pl.exceptions.NoDataError:
+        return ()
+    except pl.exceptions.PolarsError as error:
+        raise SessionError(f"{path}: damaged ({str(error).splitlines()[0]}); smooth the session again") from error
+    names = [f"sector{i}_s" for i in range(1, 1 + sum(name.startswith("sector") for name in frame.columns))]
+    laps = [_lap(row, [name for name in names if name in frame.columns]) for row in frame.iter_rows(named=True)]
+    return tuple(sorted((lap for lap in laps if lap is not None), key=lambda lap: lap.start))
+
+
+def _lap(row: dict[str, str | None], sectors: list[str]) -> LapRow | None:
+    def number(name: str) -> float:
+        try:
+            return float(row.get(name) or "nan")
+        except ValueError:
+            return np.nan
+
+    start, end, label = number("start_s"), number("end_s"), number("lap")
+    if not (start < end and label >= 0.0):
+        return None
+    is_valid = (row.get("valid") or "").strip().lower() == "true"
+    times = tuple(number(name) for name in sectors)
+    sigma = number("lap_time_sigma_s")
+    return LapRow(int(label), start, end, number("lap_time_s"), sigma, is_valid, row.get("reason") or "", times)
+
+
+def _best_lap(path: Path, lap: LapRow) -> BestLap | None:
+    """Track distance over time of one lap; None where trajectory.csv does not know it."""
+    if "lap_distance_m" not in header_of(path):
+        return None
+    t_parts, distance_parts = [], []
+    for rows in read_rows(path):
+        inside = (rows["t_s"] >= lap.start) & (rows["t_s"] < lap.end) & np.isfinite(rows["lap_distance_m"])
+        t_parts.append(rows["t_s"][inside])
+        distance_parts.append(rows["lap_distance_m"][inside])
+        if rows["t_s"][-1] > lap.end:
+            break
+    t, distance = np.concatenate(t_parts), np.concatenate(distance_parts)
+    if t.size < 2:
+        return None
+    first = int(np.argmin(distance))  # a row just behind the line may still have the length of the track
+    onward = np.flatnonzero(distance[first:] >= np.maximum.accumulate(distance[first:])) + first
+    return BestLap(lap, distance[onward], t[onward] - lap.start)
