@@ -1,15 +1,19 @@
 """Calibration: the values that turn counts in s into SI in s. Load, save, apply; estimates nothing."""
 
 import tomllib
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from smoother.arrays import Array, frozen
 from smoother.errors import ConfigError
 from smoother.frames import Origin
-from smoother.samples import ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
+from smoother.samples import AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
+
+FILE_NAME = "calibration.toml"
 
 
 def _identity() -> Array:
@@ -20,12 +24,19 @@ def _zeros() -> Array:
     return np.zeros(3)
 
 
+def _nothing() -> Mapping[str, Array]:
+    return MappingProxyType({})
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Sensor errors, all in s: `true = matrix @ (measured - offset)`; defaults change nothing.
 
     accel_offset (3,) m/s^2, accel_matrix (3, 3); gyro_bias (3,) rad/s, gyro_matrix (3, 3); hard_iron (3,) in the unit
     of the magnetometer, soft_iron (3, 3) such that the calibrated field has length 1; None if there is none.
+    gyro_bias_slope (3,) rad/s/K and gyro_temperature deg C: where a sample has a temperature T, its bias is
+    `gyro_bias + gyro_bias_slope (T - gyro_temperature)`, T held within gyro_temperature_span. `sigmas` maps names of
+    these fields to one standard deviation, of the same shape. `source` names the file or data they come from.
     """
 
     accel_offset: Array = field(default_factory=_zeros)
@@ -34,20 +45,20 @@ class Calibration:
     gyro_matrix: Array = field(default_factory=_identity)
     hard_iron: Array | None = None
     soft_iron: Array | None = None
+    gyro_bias_slope: Array = field(default_factory=_zeros)
+    gyro_temperature: float = 25.0
+    gyro_temperature_span: tuple[float, float] = (-np.inf, np.inf)
+    sigmas: Mapping[str, Array] = field(default_factory=_nothing)
+    source: str = ""
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("accel_offset", (3,)),
-            ("accel_matrix", (3, 3)),
-            ("gyro_bias", (3,)),
-            ("gyro_matrix", (3, 3)),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, name))
+        for name, shape in _SHAPES.items():
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name), shape, name))
         if (self.hard_iron is None) != (self.soft_iron is None):
             raise ValueError("hard_iron and soft_iron come together")
-        if self.hard_iron is not None and self.soft_iron is not None:
-            object.__setattr__(self, "hard_iron", frozen(self.hard_iron, (3,), "hard_iron"))
-            object.__setattr__(self, "soft_iron", frozen(self.soft_iron, (3, 3), "soft_iron"))
+        known = {name: frozen(value, _SHAPES[name], f"sigma of {name}") for name, value in self.sigmas.items()}
+        object.__setattr__(self, "sigmas", MappingProxyType(known))
 
     def apply(self, raw: RawSession, origin: Origin) -> Session:
         """Return the calibrated session, with n placed at `origin`."""
@@ -61,13 +72,22 @@ class Calibration:
             inputs=raw.inputs,
             problems=raw.problems,
             unix_at_zero=raw.unix_at_zero,
+            calibration=self.applied(raw.imu is not None, raw.mag is not None),
         )
 
     def apply_to_imu(self, raw: RawImu) -> ImuSamples:
         """Return inertial samples in SI, still in axes s."""
         force = (raw.accel * raw.accel_scale - self.accel_offset) @ self.accel_matrix.T
-        rate = (raw.gyro * raw.gyro_scale - self.gyro_bias) @ self.gyro_matrix.T
+        rate = (raw.gyro * raw.gyro_scale - self.gyro_bias_at(raw.temperature)) @ self.gyro_matrix.T
         return ImuSamples(raw.t, force, rate, raw.accel_full_scale, raw.gyro_full_scale)
+
+    def gyro_bias_at(self, temperature: Array | None) -> Array:
+        """Bias (3,) or, where temperatures (N,) deg C are known, (N, 3) rad/s; an unknown one counts as the usual."""
+        if temperature is None or not np.any(self.gyro_bias_slope):
+            return self.gyro_bias
+        inside = np.clip(temperature, *self.gyro_temperature_span)
+        warmer = np.where(np.isfinite(temperature), inside - self.gyro_temperature, 0.0)
+        return np.asarray(self.gyro_bias + warmer[:, None] * self.gyro_bias_slope)
 
     def apply_to_mag(self, raw: RawMag) -> MagSamples:
         """Return the field as a unit vector's multiple where hard and soft iron are known, else as it was read."""
@@ -75,37 +95,157 @@ class Calibration:
             return MagSamples(raw.t, raw.field)
         return MagSamples(raw.t, (raw.field - self.hard_iron) @ self.soft_iron.T, is_calibrated=True)
 
-    def with_magnetometer(self, hard_iron: Array, soft_iron: Array) -> "Calibration":
+    def with_magnetometer(self, hard_iron: Array, soft_iron: Array, source: str | None = None) -> "Calibration":
         """Return a copy with hard_iron (3,) and soft_iron (3, 3)."""
-        return replace(self, hard_iron=hard_iron, soft_iron=soft_iron)
+        return replace(self, hard_iron=hard_iron, soft_iron=soft_iron, source=self.source if source is None else source)
+
+    def applied(self, has_imu: bool = True, has_mag: bool = True) -> tuple[AppliedValue, ...]:
+        """What :meth:`apply` changes in a recording that has these sensors; nothing for values that change nothing."""
+        nothing, found = Calibration(), []
+        for name, unit in _UNITS.items():
+            is_of_mag = name in ("hard_iron", "soft_iron")
+            value = getattr(self, name)
+            if (
+                value is None
+                or np.array_equal(value, getattr(nothing, name))
+                or not (has_mag if is_of_mag else has_imu)
+            ):
+                continue
+            sigma = tuple(self.sigmas[name].tolist()) if name in self.sigmas else None
+            found.append(AppliedValue(name, tuple(value.tolist()), sigma, unit, self.source))
+        return tuple(found)
 
 
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "accel_offset": (3,),
+    "accel_matrix": (3, 3),
+    "gyro_bias": (3,),
+    "gyro_matrix": (3, 3),
+    "gyro_bias_slope": (3,),
+    "hard_iron": (3,),
+    "soft_iron": (3, 3),
+}
+_UNITS = {
+    "accel_offset": "m/s^2",
+    "accel_matrix": "",
+    "gyro_bias": "rad/s",
+    "gyro_bias_slope": "rad/s/K",
+    "gyro_matrix": "",
+    "hard_iron": "of the readings",
+    "soft_iron": "per unit of the readings",
+}
 _TABLES = {
     "accelerometer": {"offset": "accel_offset", "matrix": "accel_matrix"},
-    "gyroscope": {"bias": "gyro_bias", "matrix": "gyro_matrix"},
+    "gyroscope": {"bias": "gyro_bias", "bias_per_kelvin": "gyro_bias_slope", "matrix": "gyro_matrix"},
     "magnetometer": {"hard_iron": "hard_iron", "soft_iron": "soft_iron"},
 }
 
 
 def load_calibration(path: Path) -> Calibration:
-    """Read calibration.toml. Raises ConfigError with file, key and remedy."""
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}: not valid TOML ({error}); mend it or delete it") from error
+    """Read calibration.toml; tables and keys that are only for people are passed over.
+
+    Raises ConfigError with file, key and remedy.
+    """
+    document = _document(path)
     values: dict[str, Array] = {}
+    sigmas: dict[str, Array] = {}
     for table, keys in _TABLES.items():
-        section = document.get(table, {})
-        if not isinstance(section, dict):
-            raise ConfigError(f"{path.name}: {table} is not a table; write [{table}]")
+        section = _section(document, table, path)
         for key, name in keys.items():
             if key in section:
-                values[name] = _numbers(
-                    section[key], (3, 3) if key in ("matrix", "soft_iron") else (3,), path, table, key
-                )
+                values[name] = _numbers(section[key], _SHAPES[name], path, table, key)
+            if key in section and f"{key}_sigma" in section:
+                sigmas[name] = _numbers(section[f"{key}_sigma"], _SHAPES[name], path, table, f"{key}_sigma")
     if ("hard_iron" in values) != ("soft_iron" in values):
         raise ConfigError(f"{path.name}: [magnetometer] needs both hard_iron and soft_iron")
+    found = Calibration(**values, sigmas=sigmas, source=path.name)  # type: ignore[arg-type]
+    gyro = _section(document, "gyroscope", path)
+    if "bias_per_kelvin" not in gyro:
+        return found
+    if "temperature" not in gyro:
+        raise ConfigError(f"{path.name}: [gyroscope] bias_per_kelvin needs the temperature at which bias holds")
+    span = gyro.get("temperature_span", [-np.inf, np.inf])
+    if not isinstance(span, list) or len(span) != 2 or any(isinstance(end, bool | str | list) for end in span):
+        raise ConfigError(f"{path.name}: [gyroscope] temperature_span must be two numbers, lowest and highest")
+    at = float(_numbers(gyro["temperature"], (), path, "gyroscope", "temperature"))
+    return replace(found, gyro_temperature=at, gyro_temperature_span=(float(span[0]), float(span[1])))
+
+
+def save_calibration(path: Path, calibration: Calibration, notes: Mapping[str, Mapping[str, object]]) -> None:
+    """Write calibration.toml: the values that change something, their sigmas, and `notes`, keys by table, for people.
+
+    A key of `notes` that is a text starting with # becomes a comment of the table.
+    """
+    applied = {value.quantity: value for value in calibration.applied()}
+    lines = [
+        "# Written by `smooth calibrate`. true = matrix (measured - offset), in the sensor's own axes; SI units.",
+        "# `smooth SESSION` uses this file when it lies in the folder of the session, or in the folder above.",
+    ]
+    for table in dict.fromkeys([*_TABLES, *notes]):
+        body: list[str] = []
+        for key, name in _TABLES.get(table, {}).items():
+            if name in applied:
+                body.append(f"{key} = {toml_value(applied[name].value)}")
+            if name in applied and applied[name].sigma is not None:
+                body.append(f"{key}_sigma = {toml_value(applied[name].sigma)}")
+        if table == "gyroscope" and "gyro_bias_slope" in applied:
+            body.append(f"temperature = {toml_value(calibration.gyro_temperature)}")
+            if np.all(np.isfinite(calibration.gyro_temperature_span)):
+                body.append(f"temperature_span = {toml_value(calibration.gyro_temperature_span)}")
+        for key, note in notes.get(table, {}).items():
+            body.append(str(note) if str(note).startswith("#") else f"{key} = {toml_value(note)}")
+        if body:
+            lines += ["", f"[{table}]", *body]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def toml_value(value: object) -> str:
+    """Return a number, text, truth value, or nested sequences of them as TOML, numbers to nine digits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + "".join(c if c.isprintable() else " " for c in escaped) + '"'
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float | np.floating):
+        text = f"{float(value):.9g}"
+        return text if any(c in text for c in ".en") else text + ".0"
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    assert isinstance(value, list | tuple), value
+    return "[" + ", ".join(toml_value(item) for item in value) + "]"
+
+
+def merged(older: Calibration, newer: Calibration) -> Calibration:
+    """Return `older` with everything that `newer` determines; values of a sensor that it does not know are kept."""
+    changed = {value.quantity for value in newer.applied()}
+    values = {f.name: getattr(newer if f.name in changed else older, f.name) for f in fields(Calibration)}
+    if "gyro_bias" in changed:  # bias and its temperature belong together
+        for name in ("gyro_bias_slope", "gyro_temperature", "gyro_temperature_span"):
+            values[name] = getattr(newer, name)
+    values["sigmas"] = {
+        **{name: sigma for name, sigma in older.sigmas.items() if name not in changed},
+        **{name: sigma for name, sigma in newer.sigmas.items() if name in changed},
+    }
+    values["source"] = newer.source or older.source
     return Calibration(**values)
+
+
+def _document(path: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path.name}: not valid TOML ({error}); mend it or delete it") from error
+    except OSError as error:
+        raise ConfigError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+
+
+def _section(document: dict[str, object], table: str, path: Path) -> dict[str, object]:
+    section = document.get(table, {})
+    if not isinstance(section, dict):
+        raise ConfigError(f"{path.name}: {table} is not a table; write [{table}]")
+    return section
 
 
 def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key: str) -> Array:
@@ -114,6 +254,6 @@ def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key:
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != shape or not np.all(np.isfinite(array)):
-        wanted = " x ".join(map(str, shape))
-        raise ConfigError(f"{path.name}: [{table}] {key} must be {wanted} finite numbers")
+        wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
+        raise ConfigError(f"{path.name}: [{table}] {key} must be {wanted}")
     return array

@@ -1,5 +1,6 @@
 """The arrow from RawSession to Session: choose the origin of n, find the calibration, apply it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,25 +10,47 @@ from smoother.calibration import Calibration, load_calibration
 from smoother.errors import SessionError
 from smoother.fit.ellipsoid import FitError, fit_ellipsoid
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, Problem, RawSession, Session
+from smoother.samples import AppliedValue, GnssFixes, Problem, RawSession, Session
 
 GOOD_HORIZONTAL_SIGMA = 10.0  # m; a receiver that reports worse is still searching
+UNIT_FIELD = (0.75, 1.33)  # median length of a calibrated field; outside, it was calibrated somewhere else
 
 
 def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
     """Return the calibrated session, with n placed at the first good fix.
 
-    The calibration is `calibration_file` if given, else what magcalib.txt offers, else none.
+    The calibration is `calibration_file` if given, and what magcalib.txt offers for a magnetometer it says nothing of.
+    What was applied stands in `calibration` of the session.
     Raises SessionError without a single usable fix, ConfigError for a flawed calibration file.
     """
     if len(raw.gnss) == 0:
         raise SessionError(f"{raw.name}: no usable GPS fix; the antenna needs a view of the sky before the start")
     calibration = Calibration() if calibration_file is None else load_calibration(calibration_file)
     problems = list(raw.problems)
+    mag_source = calibration.source
     if calibration.hard_iron is None and raw.mag_calibration_field is not None:
         calibration = _with_ellipsoid(calibration, raw.mag_calibration_field, problems)
+        mag_source = "magcalib.txt"
     session = calibration.apply(raw, choose_origin(raw.gnss))
-    return Session(**{**session.__dict__, "problems": tuple(problems)})
+    applied = tuple(_from(mag_source, value) for value in session.calibration)
+    problems += _doubts(session)
+    return replace(session, problems=tuple(problems), calibration=applied)
+
+
+def _from(mag_source: str, value: AppliedValue) -> AppliedValue:
+    """The value with the source of the magnetometer's calibration, if it is of that sensor."""
+    return replace(value, source=mag_source) if value.quantity in ("hard_iron", "soft_iron") else value
+
+
+def _doubts(session: Session) -> list[Problem]:
+    """Say when a calibration does not fit the magnetometer: another box, or iron that came after it."""
+    if session.mag is None or not session.mag.is_calibrated or not len(session.mag.t):
+        return []
+    length = float(np.median(np.linalg.norm(session.mag.field_s, axis=1)))
+    if UNIT_FIELD[0] <= length <= UNIT_FIELD[1]:
+        return []
+    text = f"the calibrated magnetic field has length {length:.2f} instead of 1; calibrate the box where it is mounted"
+    return [Problem("mag_calibration_misfit", text)]
 
 
 def choose_origin(fixes: GnssFixes) -> Origin:

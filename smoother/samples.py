@@ -177,6 +177,17 @@ class RawSession:
     unix_at_zero: float | None = None  # UTC, seconds since 1970, at t = 0
 
 
+@dataclass(frozen=True)
+class AppliedValue:
+    """A value that was applied to the samples: flat or nested numbers, sigma if known, and the file it is from."""
+
+    quantity: str
+    value: tuple[object, ...]
+    sigma: tuple[object, ...] | None
+    unit: str
+    source: str
+
+
 @dataclass(frozen=True, eq=False)
 class Session:
     """One recording, calibrated: what every estimator is given. Axes s, SI; `origin` places n."""
@@ -190,6 +201,7 @@ class Session:
     inputs: tuple[str, ...] = ()
     problems: tuple[Problem, ...] = ()
     unix_at_zero: float | None = None
+    calibration: tuple[AppliedValue, ...] = ()
 
     @property
     def fix_position_n(self) -> Array:

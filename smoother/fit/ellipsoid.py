@@ -27,6 +27,7 @@ MIN_POINTS = 12  # three more than there are unknowns
 OUTLIER_SIGMAS = 5.0  # of the noise; cuts off one good point in two million
 MIN_THICKNESS = 0.05  # of the largest extent; below this it is a plane
 MAX_RELATIVE_SIGMA = 0.2  # of a semi-axis; above this the points do not say how long it is
+MAX_RELATIVE_SIZE = 10.0  # of half the points' extent; a larger ellipsoid is a plane with a name
 MAX_RELATIVE_RMS = 0.25  # of the shortest semi-axis; a cloud of noise gives 0.4 and more
 MAD_TO_SIGMA = 1.4826
 COVERAGE_BANDS, COVERAGE_SECTORS = 6, 10  # 60 cells of equal area, 0.21 sr each
@@ -322,7 +323,7 @@ def _ellipsoid(
     gradient = -(semi_axes**2) * by_entry
     sigma = np.sqrt(np.einsum("ai,ab,bi->i", gradient, covariance[3:, 3:], gradient))
     rms = float(np.sqrt(np.mean(surface.distance**2)))
-    if np.any(sigma > MAX_RELATIVE_SIGMA * semi_axes):
+    if semi_axes[0] > MAX_RELATIVE_SIZE or np.any(sigma > MAX_RELATIVE_SIGMA * semi_axes):
         raise FitError("the points cover too little of the sphere; turn the sensor in every direction")
     if rms > MAX_RELATIVE_RMS * semi_axes[-1]:
         raise FitError("the points fill a cloud instead of lying on an ellipsoid; turn the sensor, away from iron")

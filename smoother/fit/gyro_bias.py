@@ -1,4 +1,4 @@
-"""Gyroscope bias and its covariance from samples at rest (thesis, eq. 2.1-2.4).
+"""Gyroscope bias and its covariance from samples at rest (thesis, eq. 2.1-2.4), and how it changes with temperature.
 
 Errata: eq. 2.3 and 2.4 print sums of products of the readings themselves over N - 1; that is a second moment with the
 bias still in it. Variances and covariances are about the mean, as here.
@@ -12,6 +12,8 @@ from smoother.arrays import Array, BoolArray, frozen
 from smoother.fit.ellipsoid import FitError
 
 THESIS_SAMPLES = 1000  # 20 s at its 50 Hz, taken to be at rest
+SMALLEST_SPAN = 3.0  # K; less is the sensor's own self-heating noise
+FEWEST_BATCHES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +59,46 @@ def fit_gyro_bias(angular_rate: Array, is_at_rest: BoolArray | None = None) -> G
 def fit_gyro_bias_of_first(angular_rate: Array, count: int = THESIS_SAMPLES) -> GyroBias:
     """Bias from the first `count` readings, taken to be at rest: the thesis' form, for its files. Raises FitError."""
     return fit_gyro_bias(np.asarray(angular_rate)[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureFit:
+    """bias(T) = bias + slope (T - temperature): bias (3,) rad/s, slope (3,) rad/s/K; temperature deg C; their sigmas.
+
+    At `temperature`, the mean of the recording, bias and slope are uncorrelated. span: (lowest, highest) deg C seen.
+    """
+
+    temperature: float
+    bias: Array
+    slope: Array
+    bias_sigma: Array
+    slope_sigma: Array
+    span: tuple[float, float]
+
+    def at(self, temperature: Array) -> Array:
+        """Bias (N, 3) rad/s at temperature (N,) deg C, held at the ends of what was seen."""
+        inside = np.clip(temperature, *self.span)
+        return np.asarray(self.bias + (inside - self.temperature)[:, None] * self.slope)
+
+
+def fit_temperature(temperature: Array, angular_rate: Array) -> TemperatureFit:
+    """Fit a straight line through means at rest: temperature (B,) deg C, angular_rate (B, 3) rad/s, B batches.
+
+    Batches count as independent. Raises FitError when the temperature hardly changed or batches are few.
+    """
+    known = np.isfinite(temperature) & np.all(np.isfinite(angular_rate), axis=1)
+    T, rate = temperature[known], angular_rate[known]
+    if len(T) < FEWEST_BATCHES:
+        raise FitError(f"{len(T)} means at rest with a temperature are too few for the gyro's dependence on it")
+    if np.ptp(T) < SMALLEST_SPAN:
+        raise FitError(
+            f"the temperature changed by only {np.ptp(T):.1f} K; switch the cold box on and let it warm up for 20 min"
+        )
+    middle = float(np.mean(T))
+    centred = T - middle
+    spread = float(centred @ centred)
+    bias, slope = rate.mean(axis=0), centred @ rate / spread
+    residual = rate - bias - centred[:, None] * slope
+    variance = np.sum(residual**2, axis=0) / (len(T) - 2)
+    ends = (float(np.min(T)), float(np.max(T)))
+    return TemperatureFit(middle, bias, slope, np.sqrt(variance / len(T)), np.sqrt(variance / spread), ends)
