@@ -174,7 +174,7 @@ def test_scarce_data_gives_a_bounded_path_with_its_sigma(lap_fixes: Make, change
     at_fixes = path.at(session.gnss.t).track_n - session.fix_position_n
     assert np.nanmax(np.abs(at_fixes)) < 2.0  # white noise of 0.35 m up, five sigma
     if not changes.get("has_altitude", True):
-        assert sigma.position_n[:, 2].min() >= 100.0
+        assert sigma.position_n[:, 2].min() >= 100.0 - 1e-9  # rounding of the interpolation
 
 
 def test_an_outage_makes_sigma_grow_and_the_truth_stays_within_it(lap_fixes: Make, lap_motion: Make) -> None:
