@@ -7,7 +7,8 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.fixes import FixColumns, screen_fixes
-from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times, taken
+from smoother.session.inertial import screen_imu
+from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -19,24 +20,14 @@ OPTIONAL_FIX_COLUMNS = (
     *("hacc_m", "hacc_n_m", "hacc_e_m", "vacc_m", "sacc_mps", "sacc_n_mps", "sacc_e_mps"),
     *("hdop", "num_sv", "fix", "unix_s", "utc_ms"),
 )
-ABSURD_SPECIFIC_FORCE = 1000.0  # m/s^2; beyond 100 g, no sensor of a kart reads it
-ABSURD_RATE = 100.0  # rad/s, 5700 deg/s; likewise
 
 
 def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     """Read imu.csv: t_s, ax ay az (m/s^2), gx gy gz (rad/s), axes s. Rows may all be dropped: length 0."""
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    rows = RowFilter(path.name, "imu", np.ones(table.length, dtype=np.bool_))
-    unreadable = ~(np.isfinite(t) & np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1))
-    rows.drop(unreadable, "invalid", "with an empty or unreadable value")
-    with np.errstate(invalid="ignore"):
-        too_large = np.any(np.abs(accel) > ABSURD_SPECIFIC_FORCE, axis=1) | np.any(np.abs(gyro) > ABSURD_RATE, axis=1)
-    rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
-    t = spread_coarse_times(rows, t, accel, gyro)
-    time, index = put_in_time_order(rows, t)
-    return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
+    return screen_imu(path.name, t, accel, gyro)
 
 
 def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:

@@ -7,7 +7,9 @@ from typing import Literal
 from smoother.errors import SessionError
 from smoother.session.tables import read_header
 
-Role = Literal["out", "fixes", "imu", "sentences"]
+Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
+Role = Literal["out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
+FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME = "out.txt"
 HEAD_BYTES = 4096
 
@@ -54,6 +56,14 @@ class SessionFiles:
         logs = [self.directory / name for name in self.names if name.lower().endswith(".nmea")]
         return sorted(logs, key=lambda log: (-log.stat().st_size, log.name))
 
+    def foreign_files(self) -> list[tuple[Foreign, Path]]:
+        """Recordings of other programs with their kinds, best kind and largest first; only the one that was named."""
+        if self.chosen is not None:
+            return [(kind, self.chosen[0]) for kind in FOREIGN if self.chosen[1] == kind]
+        paths = [self.directory / name for name in self.names]
+        found = [(kind, path) for path in paths if (kind := foreign_kind(path)) is not None]
+        return sorted(found, key=lambda file: (FOREIGN.index(file[0]), -file[1].stat().st_size, file[1].name))
+
     def session_name(self) -> str:
         """Name of the directory, or of the file where one of several recordings in it was named."""
         own_names = {"imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME}
@@ -75,9 +85,28 @@ def list_files(path: Path) -> SessionFiles:
     return SessionFiles(directory, names, None if role is None else (path, role))
 
 
+def foreign_kind(path: Path) -> Foreign | None:
+    """Which other program's recording a file is; tables are told apart by their first lines."""
+    name = path.name.lower()
+    if name.endswith(".vbo"):
+        return "vbo"
+    if name.endswith(".gpx"):
+        return "gpx"
+    if not name.endswith(".csv"):
+        return None
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES).lower()
+    first = head.lstrip(b"\xef\xbb\xbf \r\n").partition(b"\n")[0]
+    if first.startswith(b"this file is created using") or b"\nformat,3" in head:
+        return "racechrono"
+    return "aim" if b"aim csv file" in first else None
+
+
 def _role(path: Path) -> Role | None:
     """The part a named file plays; None for one that only belongs to its session, as session.toml or mag.csv."""
     name = path.name.lower()
+    if (kind := foreign_kind(path)) is not None:
+        return kind
     if name.endswith((".csv", ".csv.gz")):
         return _table_role(path)
     if name.endswith(".nmea"):

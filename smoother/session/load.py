@@ -13,13 +13,18 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.session.aim import read_aim
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
-from smoother.session.files import SessionFiles, list_files
+from smoother.session.files import Foreign, SessionFiles, list_files
+from smoother.session.foreign import ForeignReading
+from smoother.session.gpx import read_gpx
 from smoother.session.nmea import read_nmea
+from smoother.session.racechrono import read_racechrono
 from smoother.session.rows import counted
 from smoother.session.settings import load_settings
 from smoother.session.thesis import read_magcalib, read_out
+from smoother.session.vbo import read_vbo
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
@@ -65,7 +70,8 @@ def load_raw(path: Path) -> RawSession:
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     raise SessionError(
-        f"{path}: no recording found; wanted out.txt, or gps.csv or *.nmea (and imu.csv if there is one)"
+        f"{path}: no recording found; wanted out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
+        "or a .vbo, .gpx, RaceChrono or AiM file"
     )
 
 
@@ -225,7 +231,30 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
     return reading.gnss, log, problems
 
 
+FOREIGN_READERS: dict[Foreign, Callable[[Path], ForeignReading]] = {
+    "vbo": read_vbo,
+    "racechrono": read_racechrono,
+    "aim": read_aim,
+    "gpx": read_gpx,
+}
+
+
+def _read_foreign(files: SessionFiles) -> Recording:
+    """A recording of another program, which stands in place of gps.csv and imu.csv."""
+    (kind, path), *others = files.foreign_files()
+    reading = FOREIGN_READERS[kind](path)
+    problems = list(reading.problems)
+    if others:
+        names = ", ".join(other.name for _, other in others)
+        text = f"{path.name} is used, not {names}; name a file to have that one"
+        problems.append(Problem("gps_other_logs", text, len(others)))
+    if (table := files.imu_table()) is not None:
+        problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
+    return Recording(reading.gnss, path.name, (path.name,), tuple(problems), reading.imu, path.name)
+
+
 FORMATS: tuple[Format, ...] = (
     Format("thesis", lambda files: files.out_file() is not None, _read_thesis),
     Format("columns", lambda files: files.fix_table() is not None or bool(files.sentence_logs()), _read_columns),
+    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign),
 )

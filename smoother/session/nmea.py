@@ -19,7 +19,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
 from smoother.session.fixes import FixColumns, screen_fixes
-from smoother.session.rows import counted
+from smoother.session.rows import counted, over_midnight
 from smoother.units import DAY, KMH, KNOT
 
 # [t_s,]$<talker><kind>,<data>[*<checksum>]; a garbled byte ends the match and so leaves the checksum out
@@ -100,7 +100,7 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     if not timed:
         flaws = "; ".join(problem.text for problem in tally.problems(file))
         raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
-    utc = _continuous_utc(np.array([sentence.time_of_day for sentence in timed]))
+    utc = over_midnight(np.array([sentence.time_of_day for sentence in timed]))
     columns, has_receive_times = _merge(sentences, utc, tally)
     gnss, problems = screen_fixes(columns, file)
     return NmeaReading(gnss, [*tally.problems(file), *problems], has_receive_times)
@@ -228,18 +228,6 @@ def _zda(message: Any) -> dict[str, float]:
 
 
 _VALUES = {"RMC": _rmc, "GGA": _gga, "GNS": _gns, "GST": _gst, "VTG": _vtg, "ZDA": _zda}
-
-
-def _continuous_utc(time_of_day: Array) -> Array:
-    """Seconds (N,) that run on over midnight, in file order, from the UTC of day of each sentence.
-
-    Days are counted on the median of five neighbours, so that one damaged time cannot shift all that follow.
-    """
-    padded = np.pad(time_of_day, 2, mode="edge")
-    steady = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    steps = np.diff(steady, prepend=steady[:1])
-    steady = steady + DAY * np.cumsum(np.where(steps < -0.5 * DAY, 1, np.where(steps > 0.5 * DAY, -1, 0)))
-    return np.asarray(time_of_day + DAY * np.round((steady - time_of_day) / DAY))
 
 
 def _merge(sentences: list[_Sentence], utc: Array, tally: _Tally) -> tuple[FixColumns, bool]:

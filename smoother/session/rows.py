@@ -7,6 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.samples import Problem
+from smoother.units import DAY
 
 MICROSECOND_WRAP = 2.0**32 * 1e-6  # s; Arduino's micros() starts again after 71.6 minutes
 MILLISECOND_WRAP = 2.0**32 * 1e-3  # s; millis() after 49.7 days
@@ -119,6 +120,18 @@ def _persists(t: Array, fell: BoolArray) -> BoolArray:
     after = np.append(t[1:], t[-1:])
     before = np.append(t[:1], t[:-1])
     return fell & (after < before)
+
+
+def over_midnight(time_of_day: Array) -> Array:
+    """Seconds (N,) that run on over midnight, in file order, from the UTC of day of each row.
+
+    Days are counted on the median of five neighbours, so that one damaged time cannot shift all that follow.
+    """
+    padded = np.pad(time_of_day, 2, mode="edge")
+    steady = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    steps = np.diff(steady, prepend=steady[:1])
+    steady = steady + DAY * np.cumsum(np.where(steps < -0.5 * DAY, 1, np.where(steps > 0.5 * DAY, -1, 0)))
+    return np.asarray(time_of_day + DAY * np.round((steady - time_of_day) / DAY))
 
 
 def longest_increasing(t: Array) -> BoolArray:

@@ -1,0 +1,92 @@
+"""What recordings of other programs have in common: columns of fixes and samples to the types, sanity of rates."""
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.inertial import screen_imu
+from smoother.units import DEG, KMH, KNOT, MPH, STANDARD_GRAVITY
+
+FASTEST_FIXES = 1000.0  # Hz; nothing writes more, and no receiver makes more than 100
+SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
+SPEED_UNITS = {
+    **dict.fromkeys(("km/h", "kmh", "kph", "km/hr"), KMH),
+    **dict.fromkeys(("m/s", "mps", "m/sec"), 1.0),
+    "mph": MPH,
+    **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
+}
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": 0.3048}
+ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
+RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class TimingLine:
+    """A timing line a file brings along: "start", "finish" or "split", its name, two points (lat, lon) in degrees."""
+
+    kind: str
+    name: str
+    first_deg: tuple[float, float]
+    second_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignReading:
+    """What a file of another program holds. `imu` only where it has all six inertial channels."""
+
+    gnss: GnssFixes
+    problems: list[Problem] = field(default_factory=list)
+    imu: RawImu | None = None
+    timing_lines: tuple[TimingLine, ...] = ()
+
+
+def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> tuple[GnssFixes, list[Problem]]:
+    """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd."""
+    unknown = np.full(t.size, np.nan)
+    columns = {column.name: unknown for column in fields(FixColumns)}
+    columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
+    blank = ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)
+    gnss, problems = screen_fixes(FixColumns(**{**columns, "is_blank": blank}), file)
+    _require_sane_times(file, gnss, problems)
+    return gnss, problems
+
+
+def _require_sane_times(file: str, gnss: GnssFixes, problems: list[Problem]) -> None:
+    repeated = sum(problem.count for problem in problems if problem.code == "gps_repeated_time")
+    if repeated > len(gnss):
+        raise SessionError(f"{file}: {repeated} rows repeat the time of another; its times cannot be used")
+    if len(gnss) < 2:
+        return
+    step = float(np.median(np.diff(gnss.t)))
+    if step * FASTEST_FIXES < 1.0 - 1e-6:
+        raise SessionError(f"{file}: {1.0 / step:.3g} fixes a second, which no receiver makes; its times are wrong")
+    if step > SLOWEST_FIXES:
+        raise SessionError(f"{file}: a fix every {step:.3g} s only; a kart's motion between them is not known")
+
+
+def imu_from(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu | None, list[Problem]]:
+    """Inertial samples of the rows that have all of them: accel (N, 3) m/s^2, gyro (N, 3) rad/s; None without any."""
+    present = np.all(np.isfinite(accel), axis=1) & np.all(np.isfinite(gyro), axis=1) & np.isfinite(t)
+    if not present.any():
+        return None, []
+    return screen_imu(file, t[present], accel[present], gyro[present])
+
+
+def factor(unit: str, units: dict[str, float], otherwise: str) -> float:
+    """Factor to SI of a unit as a file spells it; of the usual unit where the file does not say, or says nonsense."""
+    return units.get(unit.strip().lower(), units[otherwise])
+
+
+def seconds_since_first(unix: Array) -> Array:
+    """Times (N,) s from the first that is known, to the microsecond: UTC in seconds has no more as a float."""
+    known = unix[np.isfinite(unix)]
+    return np.round(unix - known[0], 6) if known.size else unix
+
+
+def date_note(file: str, reason: str) -> Problem:
+    """Say that the date of a recording is not certain."""
+    return Problem("gps_date_assumed", f"{file}: {reason}")

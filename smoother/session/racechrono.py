@@ -1,0 +1,125 @@
+"""RaceChrono CSV version 3: lines about the session, then three header rows (names, units, sources) and the values.
+
+Names repeat where several sources give the same quantity: that of the receiver is taken. A cell may be blank.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.samples import Problem, RawImu
+from smoother.session.foreign import (
+    ACCELERATION_UNITS,
+    LENGTH_UNITS,
+    RATE_UNITS,
+    SPEED_UNITS,
+    ForeignReading,
+    factor,
+    fixes_from,
+    imu_from,
+    seconds_since_first,
+)
+from smoother.session.records import head_of, read_records
+
+WHAT = "RaceChrono CSV of version 3"
+MARKS = ("racechrono", "format,3")
+NEEDED = ("timestamp", "latitude", "longitude")
+OPTIONAL = ("altitude", "speed", "bearing", "accuracy", "satellites", "fix_type")
+ACCELERATIONS = ("x_acc", "y_acc", "z_acc")
+RATES = ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Header rows: names, units and sources of every column, lower case; `keys` are the names made different."""
+
+    names: list[str]
+    units: list[str]
+    sources: list[str]
+
+    @property
+    def keys(self) -> list[str]:
+        return [f"{name} #{i}" for i, name in enumerate(self.names)]
+
+    def place(self, name: str, source: str) -> int | None:
+        """Column of that name, from that source if one says so, else the first."""
+        places = [i for i, other in enumerate(self.names) if other == name]
+        return next((i for i in places if source in self.sources[i]), places[0] if places else None)
+
+
+def read_racechrono(path: Path) -> ForeignReading:
+    """Read a RaceChrono CSV. Raises SessionError, one line, where it is none or nothing in it can be used."""
+    columns, offset = _header(path)
+    places = {name: columns.place(name, "gps") for name in (*NEEDED, *OPTIONAL)}
+    missing = [name for name in NEEDED if places[name] is None]
+    if missing:
+        raise SessionError(f"{path.name}: no column {missing[0]}; has {', '.join(columns.names[:12])}")
+    inertial = _inertial_places(columns)
+    keys = columns.keys
+    wanted = [keys[i] for i in dict.fromkeys([*(i for i in places.values() if i is not None), *inertial])]
+    records = read_records(path, offset, keys, wanted, ",", WHAT)
+
+    def value(name: str, units: dict[str, float] | None = None, usual: str = "") -> Array:
+        place = places[name]
+        if place is None:
+            return np.full(records.length, np.nan)
+        scale = 1.0 if units is None else factor(columns.units[place], units, usual)
+        return records.column(keys[place]) * scale
+
+    unix = value("timestamp")
+    t = seconds_since_first(unix)
+    has_position = np.isfinite(value("latitude")) | np.isfinite(value("longitude"))
+    chosen = {
+        "alt_m": value("altitude", LENGTH_UNITS, "m"),
+        "speed": value("speed", SPEED_UNITS, "m/s"),
+        "course_deg": value("bearing"),
+        "sigma_horizontal": value("accuracy", LENGTH_UNITS, "m"),
+        "num_sv": value("satellites"),
+        "fix": value("fix_type"),
+        "unix_s": unix,
+    }
+    rows = np.flatnonzero(has_position)  # rows of other sensors alone are no fixes that failed
+    gnss, problems = fixes_from(
+        path.name, t[rows], value("latitude")[rows], value("longitude")[rows], **{k: v[rows] for k, v in chosen.items()}
+    )
+    values = [records.column(keys[i]) for i in inertial]
+    imu, imu_problems = _imu(path.name, t, values, [columns.units[i] for i in inertial])
+    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu)
+
+
+def _header(path: Path) -> tuple[_Columns, int]:
+    """The header rows and the byte at which the values begin."""
+    seen: list[str] = []
+
+    def is_last(line: str) -> bool:
+        cells = _cells(line)
+        seen[:] = [*seen, line] if seen or "timestamp" in cells else []
+        return len(seen) == 3
+
+    lines, offset = head_of(path, is_last, WHAT)
+    names, units, sources = (_cells(line) for line in lines[-3:])
+    padded = [(row + [""] * len(names))[: len(names)] for row in (units, sources)]
+    return _Columns(names, padded[0], padded[1]), offset
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip(' "').lower() for cell in line.split(",")]
+
+
+def _inertial_places(columns: _Columns) -> list[int]:
+    """Columns of the six inertial channels, none unless all are there."""
+    places = [columns.place(name, "acc") for name in ACCELERATIONS]
+    places += [columns.place(name, "gyro") for name in RATES]
+    return [i for i in places if i is not None] if None not in places else []
+
+
+def _imu(file: str, t: Array, values: Sequence[Array], units: Sequence[str]) -> tuple[RawImu | None, list[Problem]]:
+    if not values:
+        return None, []
+    accel = np.stack(values[:3], axis=-1) * factor(units[0], ACCELERATION_UNITS, "g")
+    gyro = np.stack(values[3:], axis=-1) * factor(units[3], RATE_UNITS, "deg/s")
+    return imu_from(file, t, accel, gyro)

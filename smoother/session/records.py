@@ -1,0 +1,148 @@
+"""Text files of other programs: a head of free lines, then rows of numbers. Read in blocks, with bounds on everything.
+
+A row that has not as many values as the file names columns is left out and counted, whatever its values; a line too
+long to be one ends the reading, so that memory stays small whatever the file holds.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.samples import Problem
+from smoother.session.rows import counted
+
+BLOCK_BYTES = 4 << 20
+LONGEST_LINE = 1 << 20  # bytes; the rows of a car with 400 channels have 6000
+LONGEST_HEAD = 4 << 20  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """Columns by name, each (N,), NaN where a cell is no number; and how many rows had too many or too few cells."""
+
+    columns: dict[str, Array]
+    length: int
+    misfits: int
+    expected: int
+    found: int  # cells in the first row that does not fit
+
+    def column(self, name: str) -> Array:
+        """Column (N,), NaN throughout if the file has no such column."""
+        return self.columns.get(name, np.full(self.length, np.nan))
+
+    def problems(self, file: str) -> list[Problem]:
+        """What was wrong with the rows."""
+        if not self.misfits:
+            return []
+        text = f"{file}: {counted(self.misfits, 'row')} without the {self.expected} values of a row; dropped"
+        return [Problem("gps_row_damaged", text, self.misfits)]
+
+
+def head_of(path: Path, is_last: Callable[[str], bool], what: str) -> tuple[list[str], int]:
+    """Return the lines of a file up to the one that `is_last`, that one too, and the byte at which the next begins.
+
+    `what` names what the file has to be. Raises SessionError where there is no such line, or one is endless.
+    """
+    head: list[str] = []
+    offset = 0
+    try:
+        with path.open("rb") as file:
+            while line := file.readline(LONGEST_LINE + 1):
+                _require_short(path.name, line, len(head) + 1, what)
+                offset += len(line)
+                head.append(line.decode("utf-8", errors="replace").strip("\ufeff\r\n"))
+                if is_last(head[-1]):
+                    return head, offset
+                if offset > LONGEST_HEAD:
+                    break
+    except OSError as error:
+        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    if not any(line.strip() for line in head):
+        raise SessionError(f"{path.name}: the file is empty; expected {what}")
+    raise SessionError(f"{path.name}: no rows; not, or not a whole, {what}")
+
+
+def read_records(
+    path: Path, offset: int, names: Sequence[str], wanted: Sequence[str], separator: str | None, what: str
+) -> Records:
+    """Read the rows from byte `offset` on; the columns `wanted` of all `names` are kept.
+
+    separator : what stands between cells, None for any white space. Quotation marks are ignored. With semicolons a
+    comma is the decimal point. Raises SessionError where no row fits, or a line is endless.
+    """
+    parts: list[pl.DataFrame] = []
+    length = misfits = found = 0
+    for lines in _line_blocks(path, offset, what):
+        rows, widths = _split(lines, separator)
+        fits = widths == len(names)
+        if not fits.all():
+            misfits += int(np.count_nonzero(~fits))
+            found = found or int(widths[~fits][0])
+            rows = [row for row, fit in zip(rows, fits.tolist(), strict=True) if fit]
+        if rows:
+            parts.append(_numbers(rows, names, wanted))
+            length += len(rows)
+    if length == 0:
+        if misfits:
+            raise SessionError(f"{path.name}: rows have {found} values, but {len(names)} columns are named")
+        raise SessionError(f"{path.name}: a header, but no rows; was the recording started?")
+    table = pl.concat(parts)
+    columns = {name: _finite(table[name]) for name in wanted}
+    return Records(columns, length, misfits, len(names), found)
+
+
+def _line_blocks(path: Path, offset: int, what: str) -> Iterator[list[bytes]]:
+    """Yield lists of whole lines that are not blank."""
+    with path.open("rb") as file:
+        file.seek(offset)
+        rest = b""
+        while block := file.read(BLOCK_BYTES):
+            lines = (rest + block).replace(b"\r", b"\n").split(b"\n")
+            rest = lines.pop()
+            _require_short(path.name, rest, None, what)
+            yield [line for line in lines if line.strip()]
+        if rest.strip():
+            yield [rest]
+
+
+def _require_short(file: str, line: bytes, number: int | None, what: str) -> None:
+    if len(line) > LONGEST_LINE:
+        place = "a line" if number is None else f"line {number}"
+        raise SessionError(f"{file}: {place} has more than {LONGEST_LINE} characters; this is no {what}")
+
+
+def _split(lines: list[bytes], separator: str | None) -> tuple[list[bytes], np.ndarray]:
+    """Rows with a comma between the cells, and how many cells each has."""
+    if separator is None:
+        cells = [line.split() for line in lines]
+        return [b",".join(row) for row in cells], np.array([len(row) for row in cells], dtype=np.int64)
+    mark = separator.encode()
+    rows = [line.strip().replace(b'"', b"") for line in lines]
+    if separator != ",":
+        rows = [row.replace(b",", b".").replace(mark, b",") for row in rows]
+    return rows, np.array([row.count(b",") + 1 for row in rows], dtype=np.int64)
+
+
+def _numbers(rows: list[bytes], names: Sequence[str], wanted: Sequence[str]) -> pl.DataFrame:
+    places = [names.index(name) for name in wanted]
+    header = ",".join(f"c{i}" for i in range(len(names))).encode()
+    data = BytesIO(b"\n".join((header, *rows)))
+    frame = pl.read_csv(
+        data, infer_schema=False, quote_char=None, encoding="utf8-lossy", columns=[f"c{i}" for i in places]
+    )
+    chosen = [
+        pl.col(f"c{i}").str.strip_chars().cast(pl.Float64, strict=False).alias(name)
+        for i, name in zip(places, wanted, strict=True)
+    ]
+    return frame.select(chosen)
+
+
+def _finite(series: pl.Series) -> Array:
+    values = series.fill_null(np.nan).to_numpy()
+    return np.where(np.isfinite(values), values, np.nan)

@@ -1,0 +1,228 @@
+"""VBO, the text format of Racelogic's VBOX, as RaceBox, RaceChrono, Circuit Tools and this program write it.
+
+Latitude and longitude are total minutes, longitude positive to the west; times are UTC of the day. Satellite counts may
+carry 64 (brake) and 128 (DGPS). Programs differ in names, units and the order of coordinates in [laptiming].
+"""
+
+import datetime as dt
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.frames import velocity_n_from_course
+from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.foreign import (
+    ACCELERATION_UNITS,
+    RATE_UNITS,
+    SPEED_UNITS,
+    ForeignReading,
+    TimingLine,
+    date_note,
+    factor,
+    fixes_from,
+    imu_from,
+    seconds_since_first,
+)
+from smoother.session.records import Records, head_of, read_records
+from smoother.session.rows import over_midnight
+from smoother.units import DAY
+
+WHAT = "VBO file ([header], [column names], [data])"
+NAMES = {  # what is wanted: how programs call it, in lower case
+    "sats": ("sats", "satellites", "sat"),
+    "time": ("time", "utc time", "utc-time"),
+    "lat": ("lat", "latitude"),
+    "lon": ("long", "lng", "lon", "longitude"),
+    "speed": ("velocity", "velocity kmh", "velocity mph", "velocity knots", "velocity m/s", "speed"),
+    "heading": ("heading", "course", "bearing"),
+    "height": ("height", "altitude"),
+    "climb": ("vert-vel", "vertvel", "vert_vel", "vertical velocity m/s", "vertical-velocity"),
+    "accuracy": ("accuracy",),
+    "fix": ("fix_type", "fix-type"),
+}
+IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to be axes of one right-handed sensor
+    (
+        ("longacc", "latacc", "vertacc"),
+        ("x-rotation-gyroscope", "y-rotation-gyroscope", "z-rotation-gyroscope"),
+    ),
+    (
+        ("x_acc-acc", "y_acc-acc", "z_acc-acc"),
+        ("x_rate_of_rotation-gyro", "y_rate_of_rotation-gyro", "z_rate_of_rotation-gyro"),
+    ),
+    (("x_acc", "y_acc", "z_acc"), ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")),
+)
+NEEDED = ("time", "lat", "lon")
+SATELLITE_BITS = 64  # and above: brake trigger and DGPS
+MINUTES = 1.0 / 60.0  # of a degree
+CREATED = re.compile(r"File created on\s+(\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
+STARTED = re.compile(r"UTC Date Started\s*:\s*(\d{1,2})/(\d{1,2})/(\d{4})(?:\s+(\d{1,2}):(\d{2}))?", re.IGNORECASE)
+LINE = re.compile(r"^(start|finish|split)\s+" + r"([-+]?\d+(?:\.\d*)?)[\s,]+" * 3 + r"([-+]?\d+(?:\.\d*)?)(.*)", re.I)
+
+
+@dataclass(frozen=True)
+class _Head:
+    """The sections before the data: lines by section, lower case; "" holds what stands before the first."""
+
+    sections: dict[str, list[str]]
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns; a repeated one gets a number, so that the first keeps the name."""
+        named = " ".join(self.sections.get("column names", [])).split()
+        return _unique(named or self.sections.get("header", []))
+
+    def unit_of(self, column: str) -> str:
+        """Unit as the [header] adds it to a name that the columns have without, or ""."""
+        for line in self.sections.get("header", []):
+            name, _, unit = line.lower().rpartition(" ")
+            if name and re.sub(r"[\s_-]", "", name) in (column, _WORDS.get(column, column)):
+                return unit
+        return ""
+
+
+_WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity"}
+
+
+def read_vbo(path: Path) -> ForeignReading:
+    """Read a VBO file. Raises SessionError, one line, where it is none or nothing in it can be used."""
+    lines, offset = head_of(path, lambda line: line.strip().lower() == "[data]", WHAT)
+    head = _Head(_sections(lines[:-1]))
+    names = head.columns
+    found = {key: next((name for name in choices if name in names), None) for key, choices in NAMES.items()}
+    missing = [key for key in NEEDED if found[key] is None]
+    if missing:
+        raise SessionError(f"{path.name}: no column for {missing[0]}; has {', '.join(names[:12])}")
+    inertial = [triple for triple in IMU_NAMES if all(name in names for group in triple for name in group)][:1]
+    wanted = [name for name in found.values() if name is not None]
+    wanted += [name for triple in inertial for group in triple for name in group]
+    records = read_records(path, offset, names, list(dict.fromkeys(wanted)), None, WHAT)
+    columns = {key: records.column(name or "") for key, name in found.items()}
+    utc = _utc(columns["time"])
+    t = seconds_since_first(utc)
+    gnss, problems = _fixes(path.name, head, columns, t, utc)
+    imu, imu_problems = _imu(path.name, head, records, t, inertial)
+    timing = _timing_lines(head, gnss)
+    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu, timing)
+
+
+def _sections(lines: Iterable[str]) -> dict[str, list[str]]:
+    sections: dict[str, list[str]] = {}
+    name = ""
+    for line in lines:
+        text = line.strip()
+        if text.startswith("[") and text.endswith("]"):
+            name = text[1:-1].strip().lower()
+        elif text:
+            sections.setdefault(name, []).append(text)
+    return sections
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    lower = [name.lower().replace(",", ";") for name in names]
+    return [name if lower.index(name) == i else f"{name} #{i}" for i, name in enumerate(lower)]
+
+
+def _utc(clock: Array) -> Array:
+    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number; NaN where that is no time."""
+    with np.errstate(invalid="ignore"):
+        hours, minutes, seconds = clock // 10_000, clock // 100 % 100, clock % 100
+        good = (clock >= 0.0) & (hours < 24) & (minutes < 60) & (seconds < 61)
+    utc = np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
+    utc[good] = over_midnight(utc[good]) if good.any() else utc[good]
+    return utc
+
+
+def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Array) -> tuple[GnssFixes, list[Problem]]:
+    satellites = columns["sats"] % SATELLITE_BITS
+    counts = np.isfinite(satellites) & (satellites > 0)
+    fix = columns["fix"]
+    if counts.any():  # some programs write 0 throughout
+        fix = np.where(satellites == 0, 0.0, fix)
+    speed = columns["speed"] * factor(head.unit_of("velocity"), SPEED_UNITS, "km/h")
+    velocity_n = velocity_n_from_course(speed, columns["heading"])  # components, so that the climb counts too
+    midnight, date_problems = _midnight(file, head, utc)
+    gnss, problems = fixes_from(
+        file,
+        t,
+        columns["lat"] * MINUTES,
+        -columns["lon"] * MINUTES,
+        alt_m=columns["height"],
+        speed=speed,
+        course_deg=columns["heading"],
+        velocity_north=velocity_n[:, 0],
+        velocity_east=-velocity_n[:, 1],
+        velocity_up=columns["climb"],
+        sigma_horizontal=columns["accuracy"],
+        num_sv=np.where(counts, satellites, np.nan),
+        fix=fix,
+        unix_s=utc + midnight,
+    )
+    return gnss, [*date_problems, *problems]
+
+
+def _midnight(file: str, head: _Head, utc: Array) -> tuple[float, list[Problem]]:
+    """Unix time that `utc` counts from, NaN without a date; the stated start may be just across midnight."""
+    everything = "\n".join(line for lines in head.sections.values() for line in lines)
+    if match := STARTED.search(everything):
+        midnight = _day(match)
+        if match[4] is not None and np.isfinite(utc).any():
+            stated = int(match[4]) * 3600.0 + int(match[5]) * 60.0
+            midnight += DAY * round((stated - float(utc[np.isfinite(utc)][0])) / DAY)
+        return midnight, []
+    if match := CREATED.search(everything):
+        return _day(match), [date_note(file, "the date is that of the file, the only one in it")]
+    return float("nan"), [date_note(file, "no date in it")]
+
+
+def _day(match: re.Match[str]) -> float:
+    try:
+        day = dt.date(int(match[3]), int(match[2]), int(match[1]))
+    except ValueError:
+        return float("nan")
+    return (day - dt.date(1970, 1, 1)).days * DAY
+
+
+def _imu(
+    file: str,
+    head: _Head,
+    records: Records,
+    t: Array,
+    inertial: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
+) -> tuple[RawImu | None, list[Problem]]:
+    if not inertial:
+        return None, []
+    forces, rates = inertial[0]
+    accel = np.stack([records.column(name) for name in forces], axis=-1)
+    gyro = np.stack([records.column(name) for name in rates], axis=-1)
+    accel *= factor(head.unit_of(forces[0]), ACCELERATION_UNITS, "g")
+    gyro *= factor(head.unit_of(rates[0]), RATE_UNITS, "deg/s")
+    return imu_from(file, t, accel, gyro)
+
+
+def _timing_lines(head: _Head, gnss: GnssFixes) -> tuple[TimingLine, ...]:
+    """The lines of [laptiming], each in the order of coordinates that puts it nearest to the fixes."""
+    lines = [match for text in head.sections.get("laptiming", []) if (match := LINE.match(text))]
+    if not lines or len(gnss) == 0:
+        return ()
+    return tuple(_timing_line(match, gnss) for match in lines)
+
+
+def _timing_line(match: re.Match[str], gnss: GnssFixes) -> TimingLine:
+    a, b, c, d = (float(match[i]) * MINUTES for i in range(2, 6))
+    longitude_first = ((b, -a), (d, -c))
+    latitude_first = ((a, -b), (c, -d))
+    first, second = min((longitude_first, latitude_first), key=lambda ends: _distance_deg(ends, gnss))
+    return TimingLine(match[1].lower(), match[6].strip(" \t¬Â\ufffd"), first, second)
+
+
+def _distance_deg(ends: tuple[tuple[float, float], tuple[float, float]], gnss: GnssFixes) -> float:
+    """Distance of the middle of a line from the nearest fix, in degrees; far where it cannot be on Earth."""
+    lat, lon = 0.5 * (ends[0][0] + ends[1][0]), 0.5 * (ends[0][1] + ends[1][1])
+    east = np.mod(gnss.lon_deg - lon + 180.0, 360.0) - 180.0
+    off = np.hypot(gnss.lat_deg - lat, east * np.cos(np.radians(gnss.lat_deg)))
+    return float(np.min(off)) if abs(lat) <= 90.0 else float("inf")
