@@ -1,11 +1,32 @@
 """From a trajectory to everything that its laps say: the one entry to the lap analysis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.laps.results import FixPath, GivenLines, LapAnalysis, ReferenceLap, ReferenceLine
-from smoother.trajectory import Trajectory
+from smoother.arrays import Array, BoolArray
+from smoother.laps.circuit import Circuit, find_circuit, usual_speed
+from smoother.laps.corners import make_corners
+from smoother.laps.delta import delta_sigma, grid_of, lap_times_at, make_traces, row_values
+from smoother.laps.passages import Passage, find_passages, reasons
+from smoother.laps.path import PlanPath, plan_path
+from smoother.laps.results import (
+    Corner,
+    FixPath,
+    GivenLines,
+    Lap,
+    LapAnalysis,
+    Line,
+    Reason,
+    ReferenceLap,
+    ReferenceLine,
+)
+from smoother.laps.sectors import found_sectors, lap_sigmas, line_times
+from smoother.laps.sigma import Drift, position_errors
+from smoother.laps.statistics import official_times, statistics_of
+from smoother.laps.timing import BESIDE, raw_crossings
+from smoother.samples import Problem
+from smoother.trajectory import JointPosition, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,6 +35,7 @@ class LapOptions:
 
     lines: start/finish and sectors, None: found. reference, reference_lap: of another session, for comparisons.
     official (K,) s: transponder times in driving order. shortest m: a loop below is no lap (indoor tracks have 200).
+    drift: how the position error changes with time, of results read from files.
     """
 
     lines: GivenLines | None = None
@@ -21,6 +43,18 @@ class LapOptions:
     reference_lap: ReferenceLap | None = None
     official: tuple[float, ...] = ()
     shortest: float = 100.0
+    drift: Drift | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What every stage needs."""
+
+    trajectory: Trajectory
+    path: PlanPath
+    fixes: FixPath
+    options: LapOptions
+    errors: JointPosition | None
 
 
 def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None = None) -> LapAnalysis:
@@ -28,11 +62,31 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
 
     `trajectory` at 10 Hz or more; `fixes` are the raw ones, for gaps and for times without smoothing.
     """
-    return without_laps(trajectory)
+    options = options or LapOptions()
+    if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
+        return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
+    errors, source = position_errors(trajectory, options.drift)
+    given = _Given(trajectory, plan_path(trajectory), fixes, options, errors)
+    circuit = find_circuit(given.path, options.lines, options.reference, options.shortest)
+    if isinstance(circuit, Problem):
+        return without_laps(trajectory, circuit)
+    passages = find_passages(given.path, circuit, fixes, _beside(trajectory))
+    if not any(passage.is_timed for passage in passages):
+        none = Problem("no_laps", "no whole lap: the line was not passed twice")
+        return _empty_circuit(without_laps(trajectory, *circuit.problems, none), circuit, passages, given)
+    return replace(_analysed(given, circuit, passages), sigma_source=source)
 
 
-def without_laps(trajectory: Trajectory) -> LapAnalysis:
-    """Return the analysis of a session that has none."""
+def _beside(trajectory: Trajectory) -> float:
+    """How far (m) beside the truth a passage may seem to lie: three sigma of the position, within reason."""
+    if trajectory.sigmas is None:
+        return BESIDE
+    sigma = float(np.nanmedian(trajectory.sigmas.position_n[:, :2]))
+    return float(np.clip(3.0 * sigma, 4.0, 12.0)) if np.isfinite(sigma) else BESIDE
+
+
+def without_laps(trajectory: Trajectory, *problems: Problem) -> LapAnalysis:
+    """Return the analysis of a session that has none, and why."""
     n = len(trajectory)
     return LapAnalysis(
         laps=(),
@@ -49,4 +103,152 @@ def without_laps(trajectory: Trajectory) -> LapAnalysis:
         sigma_source="none",
         lap_of_row=np.full(n, -1, dtype=np.int64),
         lap_distance=np.full(n, np.nan),
+        problems=problems,
     )
+
+
+def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) -> LapAnalysis:
+    path, options = given.path, given.options
+    usual = float(np.median(usual_speed(path, circuit.curve, circuit.followed)))
+    why = tuple(reasons(p, path, circuit, given.trajectory, given.fixes, usual) for p in passages)
+    valid = np.array([not reason for reason in why])
+    quickest = _quickest(passages, valid)
+    elapsed = _elapsed(given, circuit, passages, quickest)
+    index = None if options.reference_lap is not None else quickest
+    traces = make_traces(
+        given.trajectory, circuit, passages, row_values(given.trajectory), elapsed, valid, given.errors
+    )
+    if given.errors is not None and elapsed is not None:
+        sigma = delta_sigma(circuit.curve, traces.t, path, traces.distance, index, given.errors)
+        traces = replace(traces, delta_sigma=sigma)
+    corners = make_corners(circuit.curve, traces, given.trajectory, path, index, elapsed, valid, given.errors)
+    lines = circuit.sector_lines or _sectors(circuit, corners, valid)
+    laps = _laps(given, circuit, passages, why, lines)
+    return LapAnalysis(
+        laps=laps,
+        start_line=circuit.start_line,
+        sector_lines=lines,
+        finish_line=circuit.finish_line,
+        reference=circuit.curve.line,
+        traces=traces,
+        corners=corners,
+        statistics=statistics_of(laps, traces, circuit.curve, path, given.errors),
+        reference_lap=index,
+        reference_name="" if options.reference_lap is None else options.reference_lap.name,
+        official=official_times(options.official, laps),
+        sigma_source="none",
+        lap_of_row=_lap_of_row(path.t, passages),
+        lap_distance=_lap_distance(circuit),
+        track="" if options.lines is None else options.lines.name,
+        problems=circuit.problems,
+    )
+
+
+def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passage, ...], given: _Given) -> LapAnalysis:
+    """A track and a line, but no whole lap on it."""
+    laps = tuple(_untimed(given, passage) for passage in passages)
+    return replace(
+        nothing,
+        laps=laps,
+        start_line=circuit.start_line,
+        finish_line=circuit.finish_line,
+        reference=circuit.curve.line,
+        lap_of_row=_lap_of_row(given.path.t, passages),
+        lap_distance=_lap_distance(circuit),
+    )
+
+
+def _untimed(given: _Given, passage: Passage) -> Lap:
+    reason: Reason = "in-lap" if passage.starts_at_line else "out-lap"
+    empty = np.full(1, np.nan)
+    return _lap(given, passage, (reason,), np.nan, empty, empty, np.nan)
+
+
+def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
+    """Index of the lap that others are compared with: the best that counts, else the quickest timed one."""
+    for wanted in (valid, np.array([p.is_timed for p in passages])):
+        chosen = np.flatnonzero(wanted)
+        if chosen.size:
+            return int(min(chosen, key=lambda i: passages[i].end - passages[i].start))
+    return None
+
+
+def _elapsed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...], quickest: int | None) -> Array | None:
+    """Elapsed time (M,) s of the lap that others are compared with."""
+    distance, elsewhere = grid_of(circuit.curve), given.options.reference_lap
+    if elsewhere is not None:
+        return np.interp(distance, elsewhere.distance, elsewhere.elapsed, left=np.nan, right=np.nan)
+    if quickest is None:
+        return None
+    passage = passages[quickest]
+    return lap_times_at(given.path, circuit, passage, distance) - passage.start
+
+
+def _sectors(circuit: Circuit, corners: tuple[Corner, ...], valid: BoolArray) -> tuple[Line, ...]:
+    if not valid.any() or (circuit.start_line.source != "found" and circuit.sector_lines):
+        return ()
+    return found_sectors(circuit.curve, corners, valid)
+
+
+def _laps(
+    given: _Given,
+    circuit: Circuit,
+    passages: tuple[Passage, ...],
+    why: tuple[tuple[Reason, ...], ...],
+    lines: tuple[Line, ...],
+) -> tuple[Lap, ...]:
+    times = line_times(given.path, circuit, passages, lines)
+    sigma, sector_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors)
+    raw = _raw_times(given, circuit, passages)
+    return tuple(
+        _lap(given, passage, why[i], float(sigma[i]), np.diff(times[i]), sector_sigma[i], float(raw[i]))
+        for i, passage in enumerate(passages)
+    )
+
+
+def _lap(
+    given: _Given,
+    passage: Passage,
+    why: tuple[Reason, ...],
+    sigma: float,
+    sector_time: Array,
+    sector_sigma: Array,
+    raw_time: float,
+) -> Lap:
+    path = given.path
+    rows = np.flatnonzero((path.t >= passage.start) & (path.t <= passage.end))
+    speed = path.speed[rows] if rows.size else np.full(1, np.nan)
+    driven = np.interp([passage.start, passage.end], path.t, path.driven)
+    return Lap(
+        number=passage.number,
+        start=passage.start,
+        end=passage.end,
+        time=passage.end - passage.start if passage.is_timed else np.nan,
+        sigma=sigma if passage.is_timed else np.nan,
+        reasons=why,
+        sector_time=sector_time,
+        sector_sigma=sector_sigma,
+        raw_time=raw_time,
+        distance=float(driven[1] - driven[0]),
+        top_speed=float(speed.max()),
+        min_speed=float(speed.min()),
+    )
+
+
+def _raw_times(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) -> Array:
+    """Lap times (L,) s by straight lines between the raw fixes."""
+    start = np.array([p.start if p.starts_at_line else np.nan for p in passages])
+    end = np.array([p.end if p.ends_at_line else np.nan for p in passages])
+    last = circuit.finish_line or circuit.start_line
+    return np.asarray(raw_crossings(given.fixes, last, end) - raw_crossings(given.fixes, circuit.start_line, start))
+
+
+def _lap_of_row(t: Array, passages: tuple[Passage, ...]) -> np.ndarray:
+    out = np.full(len(t), -1, dtype=np.int64)
+    for passage in passages:
+        out[(t >= passage.start) & (t <= passage.end)] = passage.number
+    return out
+
+
+def _lap_distance(circuit: Circuit) -> Array:
+    return np.where(circuit.followed.is_on, circuit.curve.wrapped(circuit.followed.distance), np.nan)

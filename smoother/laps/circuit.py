@@ -1,0 +1,237 @@
+"""The track as this session shows it: reference line, where on it the kart was, and the start/finish line.
+
+Found from the path alone when nothing is given; a given line only moves the zero. A closed track comes from the loop
+that the path repeats, or from two passages of a given line; an open one from a passage of a given start and finish.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.laps.follow import Followed, follow, refollow
+from smoother.laps.line import BESIDE, best_place, line_across, meeting_places, oriented
+from smoother.laps.loop import find_loop
+from smoother.laps.path import PlanPath
+from smoother.laps.reference import Curve, first_line, mean_line, open_line, shifted
+from smoother.laps.results import GivenLines, Line, ReferenceLine
+from smoother.laps.timing import gate_crossings
+from smoother.samples import Problem
+
+MEANS = 2  # times that the line is moved to the mean of the laps; the second changes it by centimetres
+USUAL = 1.2  # of the quickest lap's time per metre: slower laps do not shape the reference line
+ODD = 6.0  # m from the median of the laps, beyond which one does not shape the line there
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """The track and the kart on it. curve, with its zero at the start line; followed; start_line; sector_lines as
+    given; finish_line and open curve for point-to-point. problems: what was odd."""
+
+    curve: Curve
+    followed: Followed
+    start_line: Line
+    sector_lines: tuple[Line, ...] = ()
+    finish_line: Line | None = None
+    problems: tuple[Problem, ...] = ()
+
+
+def find_circuit(
+    path: PlanPath, lines: GivenLines | None, reference: ReferenceLine | None, shortest: float
+) -> Circuit | Problem:
+    """Return the track, or the problem that says why there is none."""
+    if lines is not None and lines.finish is not None:
+        return _point_to_point(path, lines, lines.finish, shortest)
+    if reference is not None:
+        curve = Curve(reference)
+        followed = follow(path, curve)
+    else:
+        first = _first_curve(path, lines, shortest)
+        if first is None:
+            return _no_loop(lines)
+        curve, followed = _mean(path, first)
+    if not followed.is_on.any():
+        return Problem("no_loop", "the path never follows the reference line; no laps")
+    return _with_lines(path, curve, followed, lines, keep_zero=reference is not None)
+
+
+def _no_loop(lines: GivenLines | None) -> Problem:
+    text = "the path does not come back to the same place in the same direction; no laps"
+    if lines is not None:
+        text = "the line was not passed twice in the same direction; no whole lap"
+    return Problem("no_laps", text)
+
+
+def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float) -> Curve | None:
+    loop = find_loop(path, shortest)
+    if loop is not None:
+        return Curve(first_line(path, loop.start, loop.end))
+    if lines is None:
+        return None
+    passages = _between_gates(path, lines.start, lines.start, shortest)
+    return None if passages is None else Curve(first_line(path, *passages))
+
+
+def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) -> tuple[float, float] | None:
+    """The quickest passage (start, end) s from one gate to another, in whichever direction the first is passed more."""
+    best: tuple[float, float] | None = None
+    for forward in _both_ways(start):
+        t0 = gate_crossings(path, oriented("", start, forward, ""), BESIDE)
+        ways = [forward] if end is start else _both_ways(end)
+        t1 = np.sort(np.concatenate([gate_crossings(path, oriented("", end, way, ""), BESIDE) for way in ways]))
+        for t in t0:
+            driven = np.interp(t1, path.t, path.driven) - np.interp(t, path.t, path.driven)
+            later = t1[(t1 > t) & (driven > shortest)]
+            if later.size and (best is None or later[0] - t < best[1] - best[0]):
+                best = (float(t), float(later[0]))
+    return best
+
+
+def _both_ways(ends: Array) -> list[Array]:
+    span = ends[1] - ends[0]
+    normal = np.array([-span[1], span[0]]) / np.linalg.norm(span)
+    return [normal, -normal]
+
+
+def _mean(path: PlanPath, curve: Curve) -> tuple[Curve, Followed]:
+    """Move the line to the mean of the laps."""
+    followed = follow(path, curve)
+    for _ in range(MEANS):
+        lateral, up = laps_on_line(path, curve, followed)
+        if len(lateral) < 2:
+            break
+        moved = Curve(mean_line(curve.line, lateral, up))
+        curve, followed = moved, refollow(path, curve, followed, moved)
+    return curve, followed
+
+
+def laps_on_line(path: PlanPath, curve: Curve, followed: Followed) -> tuple[Array, Array]:
+    """Offset to the left and height (L, P) m, at the line's points, of laps driven at a usual pace and in full."""
+    numbers, pace, rows = [], [], []
+    lap = np.floor(followed.distance / curve.length)
+    for number in np.unique(lap[followed.is_on]):
+        r = np.flatnonzero(lap == number)
+        covered = np.ptp(followed.distance[r])
+        if len(r) < 8 or covered < 0.5 * curve.length or np.mean(followed.is_on[r]) < 0.8:
+            continue
+        numbers.append(number)
+        pace.append((path.t[r[-1]] - path.t[r[0]]) / covered)
+        rows.append(r)
+    at = curve.line.distance
+    lateral, up = np.full((len(rows), len(at)), np.nan), np.full((len(rows), len(at)), np.nan)
+    for i, (number, r) in enumerate(zip(numbers, rows, strict=True)):
+        if pace[i] > USUAL * min(pace):
+            continue
+        on = r[followed.is_on[r]]
+        within = np.maximum.accumulate(followed.distance[on] - number * curve.length)
+        inside = (at >= within[0]) & (at <= within[-1])
+        lateral[i, inside] = np.interp(at[inside], within, followed.lateral[on])
+        up[i, inside] = np.interp(at[inside], within, path.up[on])
+    kept = np.isfinite(lateral).any(axis=1)
+    lateral, up = lateral[kept], up[kept]
+    if len(lateral) > 2:
+        odd = np.abs(lateral - _median(lateral)) > ODD
+        lateral[odd] = np.nan
+    return lateral, up
+
+
+def _median(values: Array) -> Array:
+    """Median (P,) of the known values of each column; 0 where there are none."""
+    known = np.isfinite(values)
+    filled = np.where(known.any(axis=0), values, 0.0)
+    return np.asarray(np.nanmedian(filled, axis=0))
+
+
+def _with_lines(
+    path: PlanPath, curve: Curve, followed: Followed, lines: GivenLines | None, *, keep_zero: bool
+) -> Circuit:
+    """Put the zero of the track where the start line stands."""
+    problems: list[Problem] = []
+    zero: float | None = 0.0 if keep_zero else None
+    given = None
+    if lines is not None:
+        places = meeting_places(curve, lines.start)
+        if places.size == 0:
+            problems.append(
+                Problem("line_missed", f"the track does not pass the given line{_named(lines)}; one was found instead")
+            )
+        else:
+            if places.size > 1:
+                text = f"the given line is passed {places.size} times a lap; the passage nearest its middle counts"
+                problems.append(Problem("line_passed_often", text))
+            zero, given = float(places[0]), lines.start
+    if zero is None:
+        zero = best_place(curve, usual_speed(path, curve, followed), _laps_at(curve, followed))
+    if zero != 0.0:
+        curve = Curve(shifted(curve.line, zero))
+        followed = replace(followed, distance=followed.distance - zero)
+    if given is not None and lines is not None:
+        forward = curve.tangent(np.zeros(1))[0]
+        start = oriented("start/finish", given, forward, lines.source, 0.0)
+    else:
+        start = line_across(curve, 0.0, "start/finish", _spread(curve, followed))
+    sectors = () if lines is None or given is None else _given_sectors(curve, lines, problems)
+    return Circuit(curve, followed, start, sectors, None, tuple(problems))
+
+
+def _named(lines: GivenLines) -> str:
+    return f" of {lines.name}" if lines.name else ""
+
+
+def _given_sectors(curve: Curve, lines: GivenLines, problems: list[Problem]) -> tuple[Line, ...]:
+    """Sector lines where they meet the track, in driving order."""
+    found: list[Line] = []
+    for number, ends in enumerate(lines.sectors, start=1):
+        places = meeting_places(curve, ends)
+        places = places[(places > 1.0) & (places < curve.length - 1.0)]
+        if places.size == 0:
+            problems.append(Problem("sector_missed", f"the track does not pass the line at the end of sector {number}"))
+            continue
+        at = float(places[0])
+        found.append(oriented(f"sector {number}", ends, curve.tangent(np.array([at]))[0], lines.source, at))
+    return tuple(sorted(found, key=lambda line: line.distance))
+
+
+def _spread(curve: Curve, followed: Followed) -> float:
+    """Largest usual offset of laps from the reference line near its zero, m."""
+    near = followed.is_on & (np.abs(np.mod(followed.distance + 20.0, curve.length) - 20.0) < 20.0)
+    return float(np.quantile(np.abs(followed.lateral[near]), 0.95)) if near.any() else 0.0
+
+
+def usual_speed(path: PlanPath, curve: Curve, followed: Followed) -> Array:
+    """Median speed (P,) m/s at the points of the line."""
+    on = followed.is_on
+    index = np.floor(curve.wrapped(followed.distance[on]) / curve.length * len(curve.line.distance)).astype(np.int64)
+    index = np.clip(index, 0, len(curve.line.distance) - 1)
+    order = np.argsort(index, kind="stable")
+    index, speed = index[order], path.speed[on][order]
+    places, first = np.unique(index, return_index=True)
+    medians = np.array([np.median(part) for part in np.split(speed, first[1:])])
+    period = len(curve.line.distance) if curve.line.is_closed else None
+    return np.asarray(np.interp(np.arange(len(curve.line.distance)), places, medians, period=period))
+
+
+def _laps_at(curve: Curve, followed: Followed) -> Array:
+    """How many whole laps (P,) a line at each point would give."""
+    on = followed.distance[followed.is_on]
+    first, last = float(on[0]), float(np.max(on))
+    at = curve.line.distance
+    return np.asarray(np.floor((last - at) / curve.length) - np.ceil((first - at) / curve.length))
+
+
+def _point_to_point(path: PlanPath, lines: GivenLines, finish: Array, shortest: float) -> Circuit | Problem:
+    passage = _between_gates(path, lines.start, finish, shortest)
+    if passage is None:
+        return Problem("no_laps", "the finish line was not passed after the start line; no whole run")
+    curve = Curve(open_line(path, *passage))
+    followed = follow(path, curve)
+    problems: list[Problem] = []
+    ends = curve.tangent(np.array([0.0, curve.length]))
+    start = oriented("start", lines.start, ends[0], lines.source, 0.0)
+    end = oriented("finish", finish, ends[1], lines.source, curve.length)
+    return Circuit(curve, followed, start, _given_sectors(curve, lines, problems), end, tuple(problems))
+
+
+def on_track(followed: Followed, rows: np.ndarray) -> BoolArray:
+    """Whether the kart is on the line at these rows."""
+    return np.asarray(followed.is_on[rows])

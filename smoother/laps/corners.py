@@ -1,0 +1,249 @@
+"""Corners: where the reference line bends, and what every lap did there.
+
+A corner is a stretch that bends to one side, tighter than a straight that is driven in an arc, and turns the kart by
+more than a kink does. Between two corners the lap is divided where it is fastest, so that braking belongs to the corner
+that follows and acceleration to the one before.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.laps.delta import GRID, SURE
+from smoother.laps.path import PlanPath
+from smoother.laps.reference import Curve
+from smoother.laps.results import Corner, Traces
+from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.trajectory import JointPosition, Trajectory
+from smoother.units import DEG
+
+TIGHTEST_STRAIGHT = 1.0 / 70.0  # 1/m; a bend must be tighter than this somewhere
+BEND_ENDS = 1.0 / 160.0  # 1/m, or a third of the bend's own greatest curvature
+LEAST_TURN = 20.0 * DEG  # rad
+JOINED = 8.0  # m; two bends to the same side closer than this are one corner
+ACCELERATION_SIGMA = 0.7  # m/s^2, of the smoothed acceleration that starts a braking zone
+EARLY = 30.0  # m before its segment that the braking for a corner may begin
+LEAST_JERK = 3.0  # m/s^3; nobody brakes more softly
+
+
+@dataclass(frozen=True)
+class Bend:
+    """Where a corner is: start, apex, end m; curvature 1/m at the apex, positive to the left."""
+
+    start: float
+    apex: float
+    end: float
+    curvature: float
+
+
+def find_bends(curve: Curve) -> tuple[Bend, ...]:
+    """Return the corners of a track in driving order from the line."""
+    curvature, spacing = curve.line.curvature, curve.length / max(1, len(curve.line.distance))
+    bends: list[Bend] = []
+    for side in (1.0, -1.0):
+        bends += _bends_to(side * curvature, side, spacing, curve)
+    return tuple(sorted(bends, key=lambda bend: bend.apex))
+
+
+def _bends_to(curvature: Array, side: float, spacing: float, curve: Curve) -> list[Bend]:
+    bent = _joined(curvature > BEND_ENDS, round(JOINED / spacing))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], bent.astype(np.int8), [0]])))
+    found = []
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        inside = curvature[a:b]
+        peak = float(inside.max())
+        tight = np.flatnonzero(inside > max(BEND_ENDS, peak / 3.0))
+        first, last = a + tight[0], a + tight[-1]
+        turn = float(curvature[first : last + 1].sum() * spacing)
+        if peak < TIGHTEST_STRAIGHT or turn < LEAST_TURN:
+            continue
+        apex = float(np.average(np.arange(a, b), weights=np.where(inside > 0.9 * peak, inside, 0.0)))
+        d = curve.line.distance
+        found.append(Bend(float(d[first]), float(np.interp(apex, np.arange(len(d)), d)), float(d[last]), side * peak))
+    return found
+
+
+def _joined(mask: BoolArray, gap: int) -> BoolArray:
+    """Close holes of up to `gap` points."""
+    known = np.flatnonzero(mask)
+    out = mask.copy()
+    for a, b in pairwise(known):
+        if 1 < b - a <= gap:
+            out[a:b] = True
+    return out
+
+
+def make_corners(
+    curve: Curve,
+    traces: Traces,
+    trajectory: Trajectory,
+    path: PlanPath,
+    reference: int | None,
+    elapsed: Array | None,
+    counting: BoolArray,
+    errors: JointPosition | None,
+) -> tuple[Corner, ...]:
+    """Return all corners with what every lap did.
+
+    reference: index of the lap compared with, None if it is from elsewhere; elapsed (M,) s of the lap compared with.
+    """
+    bends = find_bends(curve)
+    if not bends:
+        return ()
+    speed = _mean_speed(traces, counting)
+    bounds = _bounds(bends, traces.distance, speed)
+    at_bounds = _at(traces.t, traces.distance, bounds)
+    spent = np.diff(at_bounds, axis=1)
+    lost = np.full(spent.shape, np.nan)
+    if elapsed is not None:
+        lost = spent - np.diff(np.interp(bounds, traces.distance, elapsed))
+    sigma = _lost_sigma(curve, bounds, at_bounds, path, reference, errors)
+    return tuple(
+        _corner(i, bend, bounds, traces, trajectory, spent[:, i], lost[:, i], sigma[:, i])
+        for i, bend in enumerate(bends)
+    )
+
+
+def _mean_speed(traces: Traces, counting: BoolArray) -> Array:
+    speed = traces.speed[counting] if counting.any() else traces.speed
+    known = np.isfinite(speed)
+    mean = np.where(known, speed, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    have = known.any(axis=0)
+    return np.asarray(np.interp(traces.distance, traces.distance[have], mean[have])) if have.any() else mean
+
+
+def _bounds(bends: tuple[Bend, ...], distance: Array, speed: Array) -> Array:
+    """Ends (C + 1,) of the segments: the line, the fastest places between neighbours, the line again."""
+    bounds = [0.0]
+    for before, after in pairwise(bends):
+        low, high = np.searchsorted(distance, [before.apex, after.apex])
+        part = slice(int(low), max(int(high), int(low) + 1))
+        bounds.append(float(distance[part][np.argmax(speed[part])]))
+    bounds.append(float(distance[-1]))
+    return np.maximum.accumulate(np.array(bounds))
+
+
+def _at(values: Array, distance: Array, wanted: Array) -> Array:
+    """Rows of values (L, M) at distances (B,), (L, B); NaN beside a NaN."""
+    return np.stack([np.interp(wanted, distance, row) for row in values])
+
+
+def _lost_sigma(
+    curve: Curve,
+    bounds: Array,
+    at_bounds: Array,
+    path: PlanPath,
+    reference: int | None,
+    errors: JointPosition | None,
+) -> Array:
+    """Sigma (L, C) of the time lost in each segment; of its own time alone when the reference is from elsewhere."""
+    out = np.full((len(at_bounds), len(bounds) - 1), np.nan)
+    if errors is None:
+        return out
+    normal = curve.tangent(bounds)
+    for lap, ours in enumerate(at_bounds):
+        theirs = np.empty(0) if reference is None or reference == lap else at_bounds[reference]
+        times = np.concatenate([ours, theirs])
+        known = np.isfinite(times)
+        if not known[: len(ours)].any():
+            continue
+        filled = np.where(known, times, path.t[0])
+        normals = np.concatenate([normal, normal[: len(theirs)]])
+        covariance = time_covariance(errors, filled, normals, path.at(filled)[1])
+        step = np.eye(len(bounds))[1:] - np.eye(len(bounds))[:-1]
+        weights = np.concatenate([step, -step], axis=1) if theirs.size else step
+        usable = np.all(known[None, :] | (weights == 0.0), axis=1)
+        out[lap] = np.where(usable, sigma_of(covariance, weights), np.nan)
+        if reference == lap:
+            out[lap] = np.where(usable, 0.0, np.nan)
+    return out
+
+
+def _corner(
+    i: int,
+    bend: Bend,
+    bounds: Array,
+    traces: Traces,
+    trajectory: Trajectory,
+    spent: Array,
+    lost: Array,
+    lost_sigma: Array,
+) -> Corner:
+    d = traces.distance
+    inside = (d >= bend.start) & (d <= bend.end)
+    known = np.isfinite(traces.speed[:, inside]).all(axis=1)
+    lowest = np.where(known, np.min(np.nan_to_num(traces.speed[:, inside], nan=np.inf), axis=1), np.nan)
+    ends = _at(traces.speed, d, np.array([bend.start, bend.end]))
+    braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
+    with np.errstate(invalid="ignore"):
+        is_real = np.abs(lost) > SURE * lost_sigma
+    return Corner(
+        number=i + 1,
+        start=bend.start,
+        apex=bend.apex,
+        end=bend.end,
+        turns_left=bend.curvature > 0.0,
+        radius=1.0 / abs(bend.curvature),
+        segment=(float(bounds[i]), float(bounds[i + 1])),
+        entry_speed=ends[:, 0],
+        min_speed=lowest,
+        exit_speed=ends[:, 1],
+        speed_sigma=_speed_sigma(traces, trajectory, inside),
+        braking_point=braking,
+        braking_sigma=braking_sigma,
+        time=spent,
+        time_lost=lost,
+        time_lost_sigma=lost_sigma,
+        is_real=is_real & np.isfinite(lost_sigma) & (lost_sigma > 0.0),
+    )
+
+
+def _speed_sigma(traces: Traces, trajectory: Trajectory, inside: BoolArray) -> Array:
+    out = np.full(len(traces.t), np.nan)
+    if trajectory.sigmas is None:
+        return out
+    for lap, t in enumerate(traces.t[:, inside]):
+        known = np.isfinite(t)
+        if known.any():
+            out[lap] = float(np.sqrt(np.mean(np.interp(t[known], trajectory.t, trajectory.sigmas.speed) ** 2)))
+    return out
+
+
+def _braking(traces: Traces, trajectory: Trajectory, start: float, apex: float) -> tuple[Array, Array]:
+    """Where each lap began the braking zone that takes most speed before the apex, (L,) m, and its sigma (L,) m."""
+    part = np.flatnonzero((traces.distance >= start) & (traces.distance <= apex))
+    point, sigma = np.full(len(traces.t), np.nan), np.full(len(traces.t), np.nan)
+    if part.size < 2:
+        return point, sigma
+    for lap in range(len(traces.t)):
+        braking = traces.zone[lap, part] == -1
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], braking.astype(np.int8), [0]])))
+        if edges.size == 0:
+            continue
+        gains = [
+            float(-np.sum(traces.longitudinal[lap, part[a:b]])) for a, b in zip(edges[::2], edges[1::2], strict=True)
+        ]
+        first = int(part[edges[2 * int(np.argmax(gains))]])
+        earliest = max(0, first - round(EARLY / GRID))
+        while first > earliest and traces.zone[lap, first - 1] == -1:
+            first -= 1  # this lap braked before the place where laps are usually fastest
+        point[lap] = float(traces.distance[first])
+        sigma[lap] = _braking_sigma(traces, trajectory, lap, first)
+    return point, sigma
+
+
+def _braking_sigma(traces: Traces, trajectory: Trajectory, lap: int, index: int) -> float:
+    """Position of the kart, and how far it goes while the acceleration cannot be told from the threshold."""
+    speed = float(traces.speed[lap, index])
+    later = min(index + round(4.0 / GRID), len(traces.distance) - 1)
+    change = traces.longitudinal[lap, later] - traces.longitudinal[lap, index]
+    seconds = traces.t[lap, later] - traces.t[lap, index]
+    jerk = max(LEAST_JERK, abs(float(change / seconds))) if seconds > 0.0 else LEAST_JERK
+    place = (
+        0.0
+        if trajectory.sigmas is None
+        else float(np.interp(traces.t[lap, index], trajectory.t, trajectory.sigmas.track))
+    )
+    return float(np.sqrt(place**2 + (speed * ACCELERATION_SIGMA / jerk) ** 2 + GRID**2 / 12.0))

@@ -1,0 +1,253 @@
+"""Every lap over track distance: when and how fast it was where, its delta by position, its line, each with sigma.
+
+Delta compares times at the same place of the track, not after the same distance driven, which drifts by seconds of a
+second over a lap as lines differ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.frames import wrap_angle
+from smoother.laps.circuit import Circuit
+from smoother.laps.passages import Passage
+from smoother.laps.path import PlanPath, level_acceleration, plan_path
+from smoother.laps.reference import Curve
+from smoother.laps.results import ReferenceLap, Traces
+from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.trajectory import JointPosition, Trajectory
+from smoother.units import DEG
+
+GRID = 2.0  # m between places
+SIGMA_PLACES = 40  # places to a lap at which sigmas are worked out; between them they hardly change
+BLENDED = 30.0  # m over which times on the grid are led into the crossing times, where a line stands askew
+SMOOTHED_OVER = 0.4  # s, of the acceleration that zones are judged by
+BRAKING, BRAKING_ENDS = -2.0, -1.0  # m/s^2, hysteresis
+DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
+MOVING = 5.0  # m/s, above which a heading can be compared with a course
+OBSERVABLE = 2.5 * DEG  # rad, sigma of sideslip: a kart slides 3 to 8 deg
+SURE = 2.0  # sigmas
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """What traces are made of, per row (N,): along and left acceleration, zone, sideslip with sigma, balance."""
+
+    along: Array
+    left: Array
+    zone: IntArray
+    sideslip: Array
+    sideslip_sigma: Array
+    balance: Array
+
+
+def row_values(trajectory: Trajectory) -> Timed:
+    """Return what is read off each row before laps are looked at."""
+    path = plan_path(trajectory)
+    acceleration = level_acceleration(trajectory)
+    along = _smoothed(acceleration[:, 0], path.t)
+    sideslip, sigma, balance = _sideslip(trajectory, path, acceleration[:, 1])
+    return Timed(along, acceleration[:, 1], zones(along), sideslip, sigma, balance)
+
+
+def _smoothed(values: Array, t: Array) -> Array:
+    window = 2 * round(0.5 * SMOOTHED_OVER / float(np.median(np.diff(t)))) + 1
+    if window < 3 or len(values) < window:
+        return values
+    return np.asarray(savgol_filter(values, window, 1))
+
+
+def zones(along: Array) -> IntArray:
+    """-1 braking, +1 driving, 0 neither, (N,), with hysteresis, of an acceleration (N,) m/s^2 along the path."""
+    braking = _hysteresis(-along, -BRAKING, -BRAKING_ENDS)
+    driving = _hysteresis(along, DRIVING, DRIVING_ENDS)
+    return np.where(braking, -1, np.where(driving, 1, 0)).astype(np.int64)
+
+
+def _hysteresis(values: Array, enter: float, leave: float) -> BoolArray:
+    """True in each run above `leave` that reaches `enter`: the zone begins where the pedal begins to act."""
+    above = values > leave
+    run = np.cumsum(np.diff(above, prepend=False))
+    reached = np.zeros(int(run[-1]) + 1, dtype=np.bool_)
+    np.logical_or.at(reached, run, values > enter)
+    return np.asarray(above & reached[run])
+
+
+def _sideslip(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Array, Array, Array]:
+    """Sideslip, its sigma (N,) rad, and balance (N,) rad/s; all NaN where the attitude does not show them."""
+    nothing = np.full(len(trajectory), np.nan)
+    sigmas = trajectory.sigmas
+    mounting = trajectory.report.identified.get("R_bs")
+    if sigmas is None or trajectory.report.mode != "full" or (mounting is not None and not mounting.observable):
+        return nothing, nothing.copy(), nothing.copy()
+    course = np.arctan2(path.velocity_n[:, 1], path.velocity_n[:, 0])
+    sideslip = wrap_angle(course - trajectory.euler[:, 2])
+    across = np.hypot(sigmas.velocity_n[:, 0], sigmas.velocity_n[:, 1]) / np.sqrt(2.0)
+    sigma = np.hypot(sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1))
+    moving = path.speed > MOVING
+    if not moving.any() or not float(np.nanmedian(sigma[moving])) < OBSERVABLE:
+        return nothing, nothing.copy(), nothing.copy()
+    balance = trajectory.angular_rate_b[:, 2] - left / np.maximum(path.speed, 0.1)
+    hidden = ~moving | ~(sigma < 2.0 * OBSERVABLE)
+    return tuple(np.where(hidden, np.nan, v) for v in (sideslip, sigma, balance))  # type: ignore[return-value]
+
+
+def grid_of(curve: Curve) -> Array:
+    """Track distances (M,) from 0 to the whole lap, both ends on the line."""
+    return np.linspace(0.0, curve.length, max(8, round(curve.length / GRID)) + 1)
+
+
+def lap_times_at(path: PlanPath, circuit: Circuit, passage: Passage, distance: Array) -> Array:
+    """Times (M,) s at which one lap was at track distances (M,) m; NaN where it was not on the track."""
+    followed = circuit.followed
+    first, last = np.searchsorted(path.t, [passage.start, passage.end])
+    rows = np.arange(max(first - 1, 0), min(last + 1, len(path.t)))
+    rows = rows[np.isfinite(followed.distance[rows])]
+    if len(rows) < 2:
+        return np.full(len(distance), np.nan)
+    along = np.maximum.accumulate(followed.distance[rows] - passage.base)
+    along = along + 1e-9 * np.arange(len(along))  # standing still must not make times ambiguous
+    t = np.interp(distance, along, path.t[rows])
+    t += _led_in(distance, passage.start - np.interp(0.0, along, path.t[rows]), passage.starts_at_line)
+    end = distance[-1]
+    t += _led_in(end - distance, passage.end - np.interp(end, along, path.t[rows]), passage.ends_at_line)
+    on = np.interp(distance, along, followed.is_on[rows].astype(np.float64)) > 0.5
+    here = (distance >= along[0] - GRID) & (distance <= along[-1] + GRID) & on
+    if passage.starts_at_line:
+        here[0] = True
+    if passage.ends_at_line:
+        here[-1] = True
+    inside = (t >= passage.start - 1e-6) & (t <= passage.end + 1e-6)
+    return np.where(here & inside, t, np.nan)
+
+
+def _led_in(distance: Array, error: float, is_crossing: bool) -> Array:
+    if not is_crossing:
+        return np.zeros(len(distance))
+    return np.asarray(error * np.clip(1.0 - distance / BLENDED, 0.0, 1.0))
+
+
+def make_traces(
+    trajectory: Trajectory,
+    circuit: Circuit,
+    passages: tuple[Passage, ...],
+    values: Timed,
+    reference: Array | None,
+    counting: BoolArray,
+    errors: JointPosition | None,
+) -> Traces:
+    """Return the traces of all laps.
+
+    reference (M,) s: elapsed time of the reference lap at each place, None without; counting (L,): the laps whose mean
+    the reference line is.
+    """
+    path, curve = plan_path(trajectory), circuit.curve
+    distance = grid_of(curve)
+    t = np.stack([lap_times_at(path, circuit, passage, distance) for passage in passages])
+    known = np.isfinite(t)
+    at = np.where(known, t, path.t[0])
+
+    def sampled(rows: Array) -> Array:
+        return np.where(known, np.interp(at, path.t, rows), np.nan)
+
+    position, velocity = path.at(at.ravel())
+    speed = np.where(known, np.hypot(velocity[:, 0], velocity[:, 1]).reshape(t.shape), np.nan)
+    lateral = _lateral(curve, position.reshape(*t.shape, 2), distance)
+    lateral = np.where(known, lateral, np.nan)
+    lateral_sigma = _lateral_sigma(curve, distance, t, counting, errors)
+    elapsed = t - np.array([p.start if p.starts_at_line else np.nan for p in passages])[:, None]
+    delta = elapsed - reference if reference is not None else np.full(t.shape, np.nan)
+    nearest = np.clip(np.searchsorted(path.t, at), 0, len(path.t) - 1)
+    return Traces(
+        distance=distance,
+        t=t,
+        speed=speed,
+        delta=delta,
+        delta_sigma=np.full(t.shape, np.nan),
+        lateral=lateral,
+        lateral_sigma=lateral_sigma,
+        is_off_line=np.nan_to_num(np.abs(lateral) / lateral_sigma) > SURE,
+        longitudinal=sampled(values.along),
+        lateral_acceleration=sampled(values.left),
+        yaw_rate=sampled(trajectory.angular_rate_b[:, 2]),
+        zone=np.where(known, values.zone[nearest], 0),
+        sideslip=sampled(values.sideslip),
+        sideslip_sigma=sampled(values.sideslip_sigma),
+        balance=sampled(values.balance),
+    )
+
+
+def _lateral(curve: Curve, position: Array, distance: Array) -> Array:
+    """Offset (L, M) to the left of the reference line, at its own places."""
+    away, tangent = position - curve.position(distance), curve.tangent(distance)
+    return np.asarray(tangent[:, 0] * away[..., 1] - tangent[:, 1] * away[..., 0])
+
+
+def sigma_places(distance: Array) -> IntArray:
+    """Indices (B,) of the places at which sigmas are worked out, first and last of them the ends."""
+    return np.unique(np.linspace(0, len(distance) - 1, min(SIGMA_PLACES, len(distance))).round().astype(np.int64))
+
+
+def _lateral_sigma(curve: Curve, distance: Array, t: Array, counting: BoolArray, errors: JointPosition | None) -> Array:
+    """Sigma (L, M) m of each lap's offset from the mean of the laps that count."""
+    out = np.full(t.shape, np.nan)
+    if errors is None:
+        return out
+    places = sigma_places(distance)
+    tangent = curve.tangent(distance[places])
+    for place, (north, west) in zip(places, tangent, strict=True):
+        laps = np.flatnonzero(np.isfinite(t[:, place]))
+        if len(laps) == 0:
+            continue
+        left = np.tile([-west, north, 0.0], (len(laps), 1))
+        shaping = counting[laps] / max(1, int(np.count_nonzero(counting[laps])))
+        out[laps, place] = sigma_of(errors.covariance(t[laps, place], left), np.eye(len(laps)) - shaping)
+    return _between(distance, places, out, np.isfinite(t))
+
+
+def _between(distance: Array, places: IntArray, values: Array, known: BoolArray) -> Array:
+    """Fill in (L, M) between the places worked out."""
+    out = np.full(values.shape, np.nan)
+    for lap in range(len(values)):
+        have = places[np.isfinite(values[lap, places])]
+        if have.size:
+            out[lap] = np.interp(distance, distance[have], values[lap, have])
+    return np.where(known, out, np.nan)
+
+
+def delta_sigma(
+    curve: Curve, traces_t: Array, path: PlanPath, distance: Array, reference: int | None, errors: JointPosition
+) -> Array:
+    """Sigma (L, M) s of each lap's delta: of four crossings, two of its own and two of the reference lap.
+
+    reference: its index; of a lap from elsewhere, None, nothing is known and only a lap's own crossings count.
+    """
+    places = sigma_places(distance)
+    normal = curve.tangent(distance[places])
+    theirs = np.empty(0) if reference is None else traces_t[reference, places]
+    out = np.full(traces_t.shape, np.nan)
+    for lap in range(len(traces_t)):
+        if lap == reference or not np.isfinite(traces_t[lap, 0]):
+            continue
+        ours = traces_t[lap, places]
+        both = np.isfinite(ours) if reference is None else np.isfinite(ours) & np.isfinite(theirs)
+        times = ours[both] if reference is None else np.concatenate([ours[both], theirs[both]])
+        normals = np.tile(normal[both], (1 if reference is None else 2, 1))
+        covariance = time_covariance(errors, times, normals, path.at(times)[1])
+        elapsed = np.eye(int(np.count_nonzero(both)))
+        elapsed[:, 0] -= 1.0  # since the line
+        weights = elapsed if reference is None else np.concatenate([elapsed, -elapsed], axis=1)
+        out[lap, places[both]] = sigma_of(covariance, weights)
+    known = np.isfinite(traces_t)
+    filled = _between(distance, places, out, known)
+    if reference is not None:
+        filled[reference] = np.where(known[reference], 0.0, np.nan)
+    return filled
+
+
+def as_reference_lap(distance: Array, elapsed: Array, name: str) -> ReferenceLap:
+    """Return a lap's elapsed times (M,) over track distance as something that other sessions can be compared with."""
+    known = np.isfinite(elapsed)
+    return ReferenceLap(distance[known], elapsed[known], name)

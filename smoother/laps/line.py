@@ -1,0 +1,87 @@
+"""Timing lines: where a given one meets the track, and where to put one if none was given.
+
+A given line is trusted for its place and direction, not for its ends: fixes lie metres beside the truth, so a kart may
+pass beside the gate. What counts is where the line meets the reference line; a second straight that it also meets, if
+it was drawn long, is told apart by the direction or by being farther from the middle of the gate.
+"""
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from smoother.arrays import Array
+from smoother.laps.reference import Curve
+from smoother.laps.results import Line
+
+BESIDE = 12.0  # m beyond the ends of a gate at which a track may pass: three sigma of the wander of a GPS, twice
+HALF_WIDTH = 8.0  # m, of a line that was found: a wide kart track and the spread of its fixes
+BETWEEN = 0.45  # of the distance to another part of the track, which the line must not reach
+STRAIGHT = 1.0 / 120.0  # 1/m: what counts as straight where a line may be put
+STRAIGHT_FOR = 10.0  # m before and after the line
+FAST = 0.9  # of the best place's speed: all such places are about as good, and the one that gives more laps is chosen
+LEAST_OBLIQUE = 0.5  # least sine between line and track: 30 deg
+
+
+def meeting_places(curve: Curve, ends: Array) -> Array:
+    """Return track distances (K,) m where a line with ends (2, 2) m meets the track, the most central one first."""
+    centre, span = ends.mean(axis=0), ends[1] - ends[0]
+    width = float(np.linalg.norm(span))
+    across = span / width
+    normal = np.array([-across[1], across[0]])
+    points = curve.line.position_n - centre
+    past, place = points @ normal, points @ across
+    later, later_place = np.roll(past, -1), np.roll(place, -1)
+    meets = np.sign(past) != np.sign(later)
+    meets[-1] &= curve.line.is_closed
+    share = past / np.where(meets, past - later, 1.0)
+    where = np.abs(place + share * (later_place - place))
+    meets &= where < 0.5 * width + BESIDE
+    k = np.flatnonzero(meets)
+    oblique = np.abs(curve.line.tangent_n[k] @ normal) < LEAST_OBLIQUE
+    k = k[~oblique]
+    spacing = curve.length / len(points) if curve.line.is_closed else float(np.median(np.diff(curve.line.distance)))
+    return np.asarray(curve.line.distance[k] + share[k] * spacing)[np.argsort(where[k], kind="stable")]
+
+
+def oriented(name: str, ends: Array, forward: Array, source: str, distance: float = float("nan")) -> Line:
+    """Return the line with its ends named left and right as seen by someone who passes it in direction forward (2,)."""
+    span = ends[0] - ends[1]
+    is_left = forward[0] * span[1] - forward[1] * span[0] > 0.0
+    left, right = (ends[0], ends[1]) if is_left else (ends[1], ends[0])
+    return Line(name, left, right, source, distance)
+
+
+def line_across(curve: Curve, distance: float, name: str, spread: float = 0.0) -> Line:
+    """Return a line perpendicular to the track at `distance`, wide enough for laps that spread over `spread` m."""
+    at = np.array([distance])
+    centre, tangent = curve.position(at)[0], curve.tangent(at)[0]
+    left = np.array([-tangent[1], tangent[0]])
+    half = min(max(HALF_WIDTH, spread + 3.0), BETWEEN * _room(curve, distance))
+    return Line(name, centre + half * left, centre - half * left, "found", distance)
+
+
+def best_place(curve: Curve, speed: Array, laps_at: Array) -> float:
+    """Return the track distance where a line times best: fast and straight, and as many whole laps as possible.
+
+    speed, laps_at (P,) at the points of the line: usual speed in m/s, and how many laps a line there would give.
+    An error of position along the track becomes one of time divided by the speed.
+    """
+    mode = "wrap" if curve.line.is_closed else "nearest"
+    window = 2 * max(1, round(STRAIGHT_FOR * len(speed) / curve.length)) + 1
+    straight = maximum_filter1d(np.abs(curve.line.curvature), window, mode=mode)
+    steady = minimum_filter1d(speed, window, mode=mode)
+    worth = np.where(straight < STRAIGHT, 1.0, STRAIGHT / np.maximum(straight, STRAIGHT)) * steady
+    good = worth >= FAST * worth.max()
+    good &= laps_at == laps_at[good].max()
+    return float(curve.line.distance[np.flatnonzero(good)[np.argmax(worth[good])]])
+
+
+def _room(curve: Curve, distance: float) -> float:
+    """Distance (m) from the line at `distance` to the nearest part of the track that is elsewhere along it."""
+    along = np.abs(curve.line.distance - distance)
+    if curve.line.is_closed:
+        along = np.minimum(along, curve.length - along)
+    elsewhere = along > 40.0
+    if not elsewhere.any():
+        return np.inf
+    centre = curve.position(np.array([distance]))[0]
+    return float(np.linalg.norm(curve.line.position_n[elsewhere] - centre, axis=1).min())

@@ -1,0 +1,116 @@
+"""Is this a circuit? A loop is recognised by coming back to the same place in the same direction, again and again.
+
+For places along the path, the distances driven until the path is there again, in the same direction, are collected.
+The lap is the shortest distance after which most of the path repeats: a parallel straight nearby repeats only a part,
+a crossing in the middle of an eight is met in another direction, two laps are longer than one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.laps.path import PlanPath
+
+SAME_PLACE = 10.0  # m: how wide a track is driven, plus what the GPS wanders between two laps
+SAME_DIRECTION = 0.7  # least cosine between the two directions of travel
+SPACING = 4.0  # m between the places that are compared
+MOST_PLACES = 1500  # that are looked for again; more say nothing new
+LONGEST_LAP = 30_000.0  # m
+BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
+SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
+REPEATING = 0.3  # least share of the path that must repeat for a loop to be one
+NEARLY_ALL = 0.7  # of the best share: a shorter loop that repeats as well is preferred to a multiple of it
+LEAST_REPEAT = 40.0  # m of path that must repeat
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A lap as first found: length m, and start and end s of its quickest passage, to the same place again."""
+
+    length: float
+    start: float
+    end: float
+
+
+def find_loop(path: PlanPath, shortest: float) -> Loop | None:
+    """Return the loop that the path repeats, None where it does not come back. `shortest` m: no lap is shorter."""
+    row = _places(path)
+    if len(row) < 8:
+        return None
+    driven = path.driven[row]
+    again = _repeats(path, row, shortest)
+    if len(again[0]) == 0:
+        return None
+    length = _lap_length(driven, *again)
+    return None if length is None else _quickest(path, row, length, *again)
+
+
+def _places(path: PlanPath) -> IntArray:
+    """Rows every :data:`SPACING` m of driven distance."""
+    wanted = np.arange(0.0, path.driven[-1], SPACING)
+    return np.asarray(np.searchsorted(path.driven, wanted), dtype=np.int64)
+
+
+def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, IntArray]:
+    """Pairs (i, j) of places, i before j, at the same place in the same direction, at least `shortest` m apart."""
+    position, driven = path.position_n[row], path.driven[row]
+    direction = path.velocity_n[row] / np.maximum(path.speed[row], 1e-6)[:, None]
+    chosen = np.unique(np.linspace(0, len(row) - 1, min(MOST_PLACES, len(row))).astype(np.int64))
+    found = cKDTree(position).query_ball_point(position[chosen], SAME_PLACE)
+    i = np.repeat(chosen, [len(near) for near in found])
+    j = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    apart = driven[j] - driven[i]
+    good = (apart > shortest) & (apart < LONGEST_LAP)
+    good &= np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
+    return i[good], j[good]
+
+
+def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
+    """The shortest distance (m) after which the path repeats nearly as well as it does at all."""
+    places, column = np.unique(i, return_inverse=True)
+    apart = driven[j] - driven[i]
+    bins = int(apart.max() / BIN) + 2
+    hit = np.zeros((len(places), bins), dtype=np.bool_)
+    hit[column, (apart / BIN).astype(np.int64)] = True
+    step = driven[-1] / max(1, min(MOST_PLACES, len(driven)) - 1)
+    share = np.zeros(bins)
+    for b in np.flatnonzero(hit.any(axis=0)):
+        width = max(1, round(SLACK * b))
+        covered = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
+        possible = driven[-1] - (b + 0.5) * BIN
+        share[b] = covered / max(possible, covered, LEAST_REPEAT)
+    best = float(share.max())
+    if best < REPEATING:
+        return None
+    first = int(np.flatnonzero(share >= NEARLY_ALL * best)[0])
+    near = _around(apart, first)
+    return float(np.median(apart[near]))
+
+
+def _around(apart: Array, b: int) -> BoolArray:
+    centre = (b + 0.5) * BIN
+    return np.asarray(np.abs(apart - centre) < max(1.5 * BIN, 2.0 * SLACK * centre))
+
+
+def _quickest(path: PlanPath, row: IntArray, length: float, i: IntArray, j: IntArray) -> Loop | None:
+    """The quickest of the passages of about one lap: without stops, pits and excursions."""
+    apart = path.driven[row[j]] - path.driven[row[i]]
+    one = np.abs(apart - length) < max(1.5 * BIN, 1.5 * SLACK * length)
+    if not one.any():
+        return None
+    i, j, apart = i[one], j[one], apart[one]
+    pace = (path.t[row[j]] - path.t[row[i]]) / apart  # per metre, as the ends of the pairs are metres apart
+    k = int(np.argmin(pace))
+    start = row[i[k]]
+    end = _nearest_return(path, int(start), int(row[j[k]]))
+    return Loop(float(path.driven[end] - path.driven[start]), float(path.t[start]), float(path.t[end]))
+
+
+def _nearest_return(path: PlanPath, start: int, near: int) -> int:
+    """The row around `near` that is closest to `start`."""
+    low, high = np.searchsorted(path.driven, path.driven[near] + np.array([-1.5, 1.5]) * SAME_PLACE)
+    rows = np.arange(low, min(high + 1, len(path.t)))
+    away = path.position_n[rows] - path.position_n[start]
+    return int(rows[np.argmin(np.sum(away**2, axis=1))])

@@ -1,0 +1,86 @@
+"""The driven path in plan: position and velocity at any time, distance driven, and level accelerations."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from smoother.arrays import Array, IntArray, frozen
+from smoother.trajectory import Trajectory
+
+STANDING = 1.0  # m/s; below, distance is the wander of the GPS and not counted
+SMOOTHED_OVER = 0.5  # s, of the cubics that give acceleration where there is no inertial sensor
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPath:
+    """Rows of a trajectory seen from above. t (N,) s; position_n, velocity_n (N, 2) north and west; up (N,) m."""
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    up: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        for name, shape in (("t", (n,)), ("position_n", (n, 2)), ("velocity_n", (n, 2)), ("up", (n,))):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"PlanPath.{name}"))
+
+    @cached_property
+    def speed(self) -> Array:
+        """Horizontal speed, (N,) m/s."""
+        return np.asarray(np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1]))
+
+    @cached_property
+    def driven(self) -> Array:
+        """Distance driven since the first row, (N,) m, not counting what happens at walking pace."""
+        moving = np.where(self.speed > STANDING, self.speed, 0.0)
+        return np.concatenate([[0.0], np.cumsum(0.5 * (moving[1:] + moving[:-1]) * np.diff(self.t))])
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Position (K, 2) m and velocity (K, 2) m/s at times t (K,), by cubic Hermite between rows."""
+        k = self.row_before(t)
+        h = (self.t[k + 1] - self.t[k])[:, None]
+        u = (np.asarray(t)[:, None] - self.t[k][:, None]) / h
+        p0, p1, v0, v1 = self.position_n[k], self.position_n[k + 1], self.velocity_n[k], self.velocity_n[k + 1]
+        rise = 3.0 * u**2 - 2.0 * u**3
+        position = (1.0 - rise) * p0 + rise * p1 + h * u * (1.0 - u) * ((1.0 - u) * v0 - u * v1)
+        slope = 6.0 * u * (1.0 - u) * (p1 - p0) / h
+        velocity = slope + (1.0 - 4.0 * u + 3.0 * u**2) * v0 + (3.0 * u**2 - 2.0 * u) * v1
+        return np.asarray(position), np.asarray(velocity)
+
+    def row_before(self, t: Array) -> IntArray:
+        """Index (K,) of the last row at or before t (K,), so that there is one after it."""
+        return np.asarray(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2), dtype=np.int64)
+
+
+def plan_path(trajectory: Trajectory) -> PlanPath:
+    """Return the path of a trajectory's antenna."""
+    return PlanPath(
+        trajectory.t, trajectory.position_n[:, :2], trajectory.velocity_n[:, :2], trajectory.position_n[:, 2]
+    )
+
+
+def level_acceleration(trajectory: Trajectory) -> Array:
+    """Return the acceleration (N, 2) m/s^2 along and left of the path.
+
+    By the inertial sensor where the attitude is known, else from the smoothed speed over :data:`SMOOTHED_OVER`.
+    """
+    path = plan_path(trajectory)
+    acceleration_n = np.einsum("nij,nj->ni", trajectory.R_nb, trajectory.acceleration_b)[:, :2]
+    unknown = ~np.isfinite(acceleration_n).all(axis=1)
+    if unknown.any():
+        acceleration_n[unknown] = _from_velocity(path)[unknown]
+    forward = path.velocity_n / np.maximum(path.speed, 1e-9)[:, None]
+    along = np.sum(acceleration_n * forward, axis=1)
+    left = forward[:, 0] * acceleration_n[:, 1] - forward[:, 1] * acceleration_n[:, 0]
+    return np.stack([along, left], axis=1)
+
+
+def _from_velocity(path: PlanPath) -> Array:
+    step = float(np.median(np.diff(path.t)))
+    window = max(5, 2 * round(0.5 * SMOOTHED_OVER / step) + 1)
+    if len(path.t) < window:
+        return np.gradient(path.velocity_n, path.t, axis=0) if len(path.t) > 1 else np.zeros((len(path.t), 2))
+    return np.asarray(savgol_filter(path.velocity_n, window, 3, deriv=1, delta=step, axis=0))

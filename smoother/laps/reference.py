@@ -1,0 +1,195 @@
+"""The reference line: the mean of the laps, smooth, and places on it: track distance and lateral offset.
+
+A closed line is a periodic cubic spline through points a metre apart; an open one (point-to-point) an ordinary one.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.laps.path import PlanPath
+from smoother.laps.results import ReferenceLine
+
+SPACING = 1.0  # m between points of the line
+SMOOTHED_OVER = 2.0  # m, one sigma: steps where lap ends were joined, not corners, which are longer
+CURVATURE_SMOOTHED_OVER = 4.0  # m, one sigma; the shortest corner of a kart track is 10 m long
+BENT = 0.9  # of the radius: beyond this far inside a corner, places on the line are no longer unique
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A reference line that can be evaluated anywhere; distances wrap around where it is closed."""
+
+    line: ReferenceLine
+
+    @property
+    def length(self) -> float:
+        """Length of the lap, m."""
+        return self.line.length
+
+    def position(self, distance: Array) -> Array:
+        """Position (K, 2) m in n."""
+        return np.asarray(self._spline(self.wrapped(distance)))
+
+    def tangent(self, distance: Array) -> Array:
+        """Unit tangent (K, 2)."""
+        tangent = self._spline(self.wrapped(distance), nu=1)
+        return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
+
+    def curvature(self, distance: Array) -> Array:
+        """Curvature (K,) 1/m, positive to the left."""
+        period = self.length if self.line.is_closed else None
+        return np.asarray(np.interp(self.wrapped(distance), self.line.distance, self.line.curvature, period=period))
+
+    def up(self, distance: Array) -> Array:
+        """Mean height (K,) m."""
+        period = self.length if self.line.is_closed else None
+        return np.asarray(np.interp(self.wrapped(distance), self.line.distance, self.line.up, period=period))
+
+    def wrapped(self, distance: Array) -> Array:
+        """Distance within the lap, 0 <= d < length; on an open line held at its ends."""
+        if self.line.is_closed:
+            return np.asarray(np.mod(distance, self.length))
+        return np.asarray(np.clip(distance, 0.0, self.length))
+
+    def project(self, position_n: Array, guess: Array, rounds: int = 3) -> tuple[Array, Array]:
+        """Track distance (K,), unwrapped beside `guess` (K,), and offset to the left (K,) of positions (K, 2).
+
+        Newton's method on the foot of the perpendicular; `guess` must be right to some metres.
+        """
+        distance = np.asarray(guess, dtype=np.float64)
+        for _ in range(rounds):
+            away, tangent = position_n - self.position(distance), self.tangent(distance)
+            lateral = _left(tangent, away)
+            stretch = 1.0 - np.clip(lateral * self.curvature(distance), -BENT, BENT)
+            distance = distance + np.clip(np.sum(away * tangent, axis=1) / stretch, -5.0, 5.0)
+        away, tangent = position_n - self.position(distance), self.tangent(distance)
+        return distance, _left(tangent, away)
+
+    @cached_property
+    def _spline(self) -> Any:
+        line = self.line
+        if not line.is_closed:
+            return CubicSpline(line.distance, line.position_n)
+        ends = np.append(line.distance, line.length)
+        return CubicSpline(ends, np.concatenate([line.position_n, line.position_n[:1]]), bc_type="periodic")
+
+
+def _left(tangent: Array, away: Array) -> Array:
+    return np.asarray(tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0])
+
+
+def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceLine:
+    """Return the smooth line through `points` (K, 2) with heights `up` (K,), about a metre apart, by arc length."""
+    for _ in range(2):  # resampling changes the length a little; after the second time it is that of the spline
+        points, up = _evenly(points, up, is_closed)
+    mode = "wrap" if is_closed else "nearest"
+    smooth = gaussian_filter1d(points, SMOOTHED_OVER / SPACING, axis=0, mode=mode)
+    if not is_closed:
+        smooth[[0, -1]] = points[[0, -1]]
+    points, up = _evenly(smooth, up, is_closed)
+    tangent = _difference(points, is_closed)
+    step = np.linalg.norm(tangent, axis=1)
+    tangent = tangent / step[:, None]
+    turn = _difference(np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))[:, None], is_closed, is_angle=True)[:, 0]
+    distance, length = _arc_length(points, is_closed)
+    curvature = gaussian_filter1d(turn / step, CURVATURE_SMOOTHED_OVER / SPACING, mode=mode)
+    return ReferenceLine(distance, points, tangent, curvature, up, length, is_closed)
+
+
+def shifted(line: ReferenceLine, distance: float) -> ReferenceLine:
+    """Return the same closed line with its zero at `distance` m."""
+    curve = Curve(line)
+    at = distance + line.distance
+    return ReferenceLine(
+        line.distance,
+        curve.position(at),
+        curve.tangent(at),
+        curve.curvature(at),
+        curve.up(at),
+        line.length,
+        line.is_closed,
+    )
+
+
+def first_line(path: PlanPath, start: float, end: float) -> ReferenceLine:
+    """Return the closed line along one passage; the gap at its ends, where the GPS wandered, is spread over it all."""
+    t = np.linspace(start, end, max(16, round((end - start) * 20.0)))
+    points, _ = path.at(t)
+    driven = np.interp(t, path.t, path.driven)
+    share = ((driven - driven[0]) / max(driven[-1] - driven[0], 1e-9))[:, None]
+    points = points + (points[0] - points[-1]) * (share - 0.5)
+    up = np.interp(t, path.t, path.up)
+    up = up + (up[0] - up[-1]) * (share[:, 0] - 0.5)
+    return line_through(points[:-1], up[:-1])
+
+
+def open_line(path: PlanPath, start: float, end: float) -> ReferenceLine:
+    """Return the open line along one passage from `start` to `end` s."""
+    t = np.linspace(start, end, max(16, round((end - start) * 20.0)))
+    return line_through(path.at(t)[0], np.interp(t, path.t, path.up), is_closed=False)
+
+
+def mean_line(line: ReferenceLine, lateral: Array, up: Array) -> ReferenceLine:
+    """Return the line moved to the mean of the laps: lateral, up (L, P) at its points, NaN where a lap has no value."""
+    known = np.isfinite(lateral)
+    count = known.sum(axis=0)
+    offset = np.where(count > 0, np.where(known, lateral, 0.0).sum(axis=0) / np.maximum(count, 1), 0.0)
+    high = np.where(known & np.isfinite(up), up, 0.0).sum(axis=0) / np.maximum(count, 1)
+    left = np.stack([-line.tangent_n[:, 1], line.tangent_n[:, 0]], axis=1)
+    up_mean = np.where(count > 0, high, line.up)
+    return line_through(line.position_n + offset[:, None] * left, up_mean, line.is_closed)
+
+
+def _evenly(points: Array, up: Array, is_closed: bool) -> tuple[Array, Array]:
+    distance, length = _arc_length(points, is_closed)
+    values = np.concatenate([points, up[:, None]], axis=1)
+    if is_closed:
+        distance, values = np.append(distance, length), np.concatenate([values, values[:1]])
+    keep = np.concatenate([[True], np.diff(distance) > 1e-6])
+    distance, values = distance[keep], values[keep]
+    count = max(16, round(length / SPACING))
+    at = np.arange(count) * length / count if is_closed else np.linspace(0.0, distance[-1], count + 1)
+    if is_closed:
+        values[-1] = values[0]
+        spline = CubicSpline(distance, values, bc_type="periodic")
+    else:
+        spline = CubicSpline(distance, values)
+    even = spline(at)
+    return even[:, :2], even[:, 2]
+
+
+def _arc_length(points: Array, is_closed: bool) -> tuple[Array, float]:
+    """Distance (K,) of each point along the polygon, and the whole length."""
+    ends = np.concatenate([points, points[:1]]) if is_closed else points
+    step = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+    total = np.concatenate([[0.0], np.cumsum(step)])
+    return (total[:-1], float(total[-1])) if is_closed else (total, float(total[-1]))
+
+
+def _difference(values: Array, is_closed: bool, is_angle: bool = False) -> Array:
+    """Central differences (K, n) over two steps, halved; angles stay within a turn."""
+    if is_closed:
+        change = 0.5 * (np.roll(values, -1, axis=0) - np.roll(values, 1, axis=0))
+        if is_angle:
+            change = np.mod(change + 0.5 * np.pi, np.pi) - 0.5 * np.pi
+        return np.asarray(change)
+    return np.asarray(np.gradient(values, axis=0))
+
+
+def is_near(curve: Curve, distance: float, apart: float) -> BoolArray:
+    """Mask (P,) of the line's points within `apart` m of `distance` along the line, around the end too."""
+    along = np.abs(curve.line.distance - distance)
+    return np.asarray(np.minimum(along, curve.length - along) < apart if curve.line.is_closed else along < apart)
+
+
+def nearest_points(curve: Curve, position_n: Array) -> IntArray:
+    """Index (K,) of the line's point nearest to each position (K, 2)."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(curve.line.position_n).query(position_n)[1], dtype=np.int64)

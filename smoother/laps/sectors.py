@@ -1,0 +1,84 @@
+"""Sectors: lines where none were given, and every lap's times between the lines."""
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.laps.circuit import Circuit
+from smoother.laps.line import line_across
+from smoother.laps.passages import Passage
+from smoother.laps.path import PlanPath
+from smoother.laps.reference import Curve
+from smoother.laps.results import Corner, Line
+from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.laps.timing import crossings, forward_normal, gate_crossings
+from smoother.trajectory import JointPosition
+
+SECTORS = 3
+SHORTEST = 0.12  # of the lap
+
+
+def found_sectors(curve: Curve, corners: tuple[Corner, ...], counting: BoolArray) -> tuple[Line, ...]:
+    """Return the lines between :data:`SECTORS` sectors, at the braking points nearest to equal parts of the lap.
+
+    There the kart is fastest, which times best, and a sector holds whole corners. counting (L,) bool: usual laps.
+    """
+    places = np.array([_braking_place(corner, counting) for corner in corners if corner.segment[0] > 0.0])
+    lines: list[Line] = []
+    last = 0.0
+    for number in range(1, SECTORS):
+        wanted = curve.length * number / SECTORS
+        ends = places[(places > last + SHORTEST * curve.length) & (places < (1.0 - SHORTEST) * curve.length)]
+        if ends.size == 0:
+            break
+        last = float(ends[np.argmin(np.abs(ends - wanted))])
+        lines.append(line_across(curve, last, f"sector {number}"))
+    return tuple(lines)
+
+
+def _braking_place(corner: Corner, counting: BoolArray) -> float:
+    points = corner.braking_point[counting]
+    points = points[np.isfinite(points)]
+    return float(np.median(points)) if points.size else corner.segment[0]
+
+
+def line_times(path: PlanPath, circuit: Circuit, passages: tuple[Passage, ...], lines: tuple[Line, ...]) -> Array:
+    """Times (L, S + 1) s at which each lap passed the start, each sector line and the finish; NaN where it did not."""
+    out = np.full((len(passages), len(lines) + 2), np.nan)
+    for i, lap in enumerate(passages):
+        out[i, 0] = lap.start if lap.starts_at_line else np.nan
+        out[i, -1] = lap.end if lap.ends_at_line else np.nan
+    for column, line in enumerate(lines, start=1):
+        if circuit.finish_line is None:
+            passed = crossings(path, circuit.followed, circuit.curve.length, line).t
+        else:
+            passed = gate_crossings(path, line, 0.0)
+        for i, lap in enumerate(passages):
+            within = passed[(passed > lap.start) & (passed < lap.end)]
+            out[i, column] = within[0] if within.size else np.nan
+    return out
+
+
+def lap_sigmas(
+    path: PlanPath, circuit: Circuit, lines: tuple[Line, ...], times: Array, errors: JointPosition | None
+) -> tuple[Array, Array]:
+    """Sigma (L,) s of each lap time and (L, S) s of its sectors, from the joint covariance of all its crossings."""
+    last = circuit.finish_line or circuit.start_line
+    normal = np.array([forward_normal(line) for line in (circuit.start_line, *lines, last)])
+    lap_sigma, sector_sigma = np.full(len(times), np.nan), np.full((len(times), len(lines) + 1), np.nan)
+    if errors is None:
+        return lap_sigma, sector_sigma
+    for i, crossed in enumerate(times):
+        known = np.isfinite(crossed)
+        if np.count_nonzero(known) < 2:
+            continue
+        at = crossed[known]
+        weights = np.zeros((len(lines) + 2, len(crossed)))
+        weights[0, [0, -1]] = -1.0, 1.0
+        for s in range(len(lines) + 1):
+            weights[s + 1, [s, s + 1]] = -1.0, 1.0
+        covariance = time_covariance(errors, at, normal[known], path.at(at)[1])
+        sigma = sigma_of(covariance, weights[:, known])
+        whole = np.all(known[None, :] | (weights == 0.0), axis=1)
+        sigma = np.where(whole, sigma, np.nan)
+        lap_sigma[i], sector_sigma[i] = sigma[0], sigma[1:]
+    return lap_sigma, sector_sigma

@@ -1,0 +1,122 @@
+"""How sure times are: the covariance of crossing times from that of the positions, whoever knows it.
+
+At a crossing the error of the position along the direction of travel becomes one of time, dt = -(n . dp) / (n . v). Two
+crossings share most of a GPS' slow offset, so that their difference is surer than either; how much is in the joint
+covariance. The estimator's own is best ("joint"); results read from files carry how the position error drifts with
+time ("stored"); failing both, a model of the receiver's offset does ("model").
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, frozen, require_increasing
+from smoother.laps.results import SigmaSource
+from smoother.trajectory import JointPosition, Trajectory
+
+OFFSET_SIGMA, OFFSET_TAU = 2.0, 60.0  # m, s: of receivers in general, where a session says nothing of its own
+TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten: some fixes
+SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
+LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
+SAMPLES = 40  # pairs of positions per lag
+
+
+@dataclass(frozen=True, eq=False)
+class OffsetModel:
+    """Position error as a first-order Gauss-Markov offset (sigma m, tau s) plus a fast part of `track` (N,) m at t (N,)
+    s. Source: autocorrelation of receivers carried beside RTK; see docs/laps.md."""
+
+    t: Array
+    track: Array
+    sigma: float
+    tau: float
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        apart = np.abs(t[:, None] - t[None, :])
+        fast = np.interp(t, self.t, self.track)
+        together = direction_n @ direction_n.T
+        return np.asarray(
+            together
+            * (self.sigma**2 * np.exp(-apart / self.tau) + fast[:, None] * fast[None, :] * np.exp(-apart / TRACK_TAU))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """How a position error changes: lag (K,) s from 0 on, change (K,) m, sigma of the change along one direction over
+    that time; absolute m, sigma of the error itself. The same at all times and in all directions."""
+
+    lag: Array
+    change: Array
+    absolute: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lag", frozen(self.lag, (None,), "Drift.lag"))
+        object.__setattr__(self, "change", frozen(self.change, (len(self.lag),), "Drift.change"))
+        require_increasing(self.lag, "Drift.lag")
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        changed = np.interp(np.abs(t[:, None] - t[None, :]), self.lag, self.change**2)
+        return np.asarray((direction_n @ direction_n.T) * (self.absolute**2 - 0.5 * changed))
+
+
+def position_errors(trajectory: Trajectory, stored: Drift | None = None) -> tuple[JointPosition | None, SigmaSource]:
+    """Return who knows the covariance of positions at several times, and which kind it is; None without any sigma."""
+    if trajectory.joint is not None:
+        return trajectory.joint, "joint"
+    if stored is not None:
+        return stored, "stored"
+    if trajectory.sigmas is None or not np.isfinite(trajectory.sigmas.track).any():
+        return None, "none"
+    sigma, tau = (_identified(trajectory, name) for name in ("gps_offset_sigma", "gps_offset_tau"))
+    known = np.isfinite(trajectory.sigmas.track)
+    return (
+        OffsetModel(
+            trajectory.t[known],
+            trajectory.sigmas.track[known],
+            OFFSET_SIGMA if sigma is None else sigma,
+            OFFSET_TAU if tau is None else tau,
+        ),
+        "model",
+    )
+
+
+def _identified(trajectory: Trajectory, name: str) -> float | None:
+    """An identified figure, the horizontal one of three."""
+    identified = trajectory.report.identified.get(name)
+    if identified is None:
+        return None
+    value = float(np.ravel(np.asarray(identified.value, dtype=np.float64))[0])
+    return value if np.isfinite(value) and value >= 0.0 else None
+
+
+def time_covariance(errors: JointPosition, t: Array, normal_n: Array, velocity_n: Array) -> Array:
+    """Covariance (m, m) s^2 of crossing times t (m,) s of lines with forward normals (m, 2), at velocities (m, 2)."""
+    closing = np.maximum(np.sum(normal_n * velocity_n, axis=1), SLOWEST)
+    direction = np.concatenate([normal_n, np.zeros((len(t), 1))], axis=1)
+    return np.asarray(errors.covariance(t, direction) / (closing[:, None] * closing[None, :]))
+
+
+def sigma_of(covariance: Array, weights: Array) -> Array:
+    """Sigma (K,) of `weights` (K, m) times a vector with this covariance (m, m)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", weights, covariance, weights, optimize=True), 0.0)))
+
+
+def drift_of(errors: JointPosition, start: float, end: float) -> Drift:
+    """Return how the position error changes with time, averaged over the session and over directions."""
+    lags = np.array([lag for lag in LAGS if lag < 0.8 * (end - start)])
+    squared, absolute = [0.0], []
+    for lag in lags:
+        at = np.linspace(start, end - lag, SAMPLES)
+        angle = np.pi * np.arange(SAMPLES) * 0.618  # golden: all directions, in no step with the laps
+        direction = np.stack([np.cos(angle), np.sin(angle), np.zeros(SAMPLES)], axis=1)
+        covariance = errors.covariance(np.concatenate([at, at + lag]), np.concatenate([direction, direction]))
+        own = np.diag(covariance)
+        between = np.diagonal(covariance, SAMPLES)
+        squared.append(float(np.mean(own[:SAMPLES] + own[SAMPLES:] - 2.0 * between)))
+        absolute.append(float(np.mean(own)))
+    change = np.sqrt(np.maximum.accumulate(np.maximum(squared, 0.0)))
+    total = float(np.mean(absolute)) if absolute else 0.0
+    return Drift(np.concatenate([[0.0], lags]), change, float(np.sqrt(max(total, 0.5 * change[-1] ** 2))))

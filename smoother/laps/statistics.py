@@ -1,0 +1,143 @@
+"""Figures of all laps together: best, theoretical and rolling best, consistency; official times beside ours."""
+
+import numpy as np
+from scipy.stats import norm
+
+from smoother.arrays import Array
+from smoother.laps.path import PlanPath
+from smoother.laps.reference import Curve
+from smoother.laps.results import Lap, OfficialTime, Statistics, Traces
+from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.trajectory import JointPosition
+
+TENTH = 0.1  # s
+SAME_LAP = 1.5  # s of difference at most between an official time and ours
+BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
+
+
+def expected_minimum(count: int) -> float:
+    """Mean of the least of `count` standard normal values, 0 for one. Source: Blom 1958, alpha = 0.375."""
+    return float(norm.ppf((1.0 - 0.375) / (count + 0.25)))
+
+
+def least_without_luck(values: Array, sigmas: Array) -> tuple[float, float]:
+    """Return the least of the true values behind noisy `values` (K,) with `sigmas` (K,), and its sigma.
+
+    The least of K noisy values lies below the least of the true ones, the more so the more alike these are. With true
+    values spread normally (sigma s) and noise e, it does by c(K) (sqrt(s^2 + e^2) - s), c the mean of the least of K
+    standard normal values. No sigma: the least as it is.
+    """
+    least = float(values.min())
+    noise = float(np.sqrt(np.mean(sigmas**2)))
+    if not np.isfinite(noise) or len(values) < 2:
+        return least, noise
+    total = float(np.var(values, ddof=1))
+    spread = float(np.sqrt(max(total - noise**2, 0.0)))
+    luck = -expected_minimum(len(values)) * (np.hypot(spread, noise) - spread)
+    if spread == 0.0:
+        return min(least + luck, float(values.mean())), noise / np.sqrt(len(values))
+    return least + luck, noise * spread / np.hypot(spread, noise)
+
+
+def statistics_of(
+    laps: tuple[Lap, ...],
+    traces: Traces | None,
+    curve: Curve,
+    path: PlanPath,
+    errors: JointPosition | None,
+) -> Statistics:
+    """Return the figures of the laps that count."""
+    counting = [i for i, lap in enumerate(laps) if lap.is_valid]
+    times = np.array([laps[i].time for i in counting])
+    sigmas = np.array([laps[i].sigma for i in counting])
+    best = counting[int(np.argmin(times))] if counting else None
+    theoretical, theoretical_sigma, raw = _theoretical([laps[i] for i in counting])
+    rolling = _rolling(laps, traces, curve, path, errors)
+    noise = float(np.mean(sigmas**2)) if len(times) and np.isfinite(sigmas).all() else 0.0
+    spread = float(np.sqrt(max(np.var(times, ddof=1) - noise, 0.0))) if len(times) > 1 else np.nan
+    return Statistics(
+        best_lap=best,
+        best=float(times.min()) if len(times) else np.nan,
+        best_sigma=laps[best].sigma if best is not None else np.nan,
+        theoretical=theoretical,
+        theoretical_sigma=theoretical_sigma,
+        theoretical_raw=raw,
+        rolling=rolling[0],
+        rolling_sigma=rolling[1],
+        rolling_from=rolling[2],
+        rolling_t=rolling[3],
+        mean=float(times.mean()) if len(times) else np.nan,
+        median=float(np.median(times)) if len(times) else np.nan,
+        spread=spread,
+        within_tenth=int(np.count_nonzero(times <= times.min() + TENTH)) if len(times) else 0,
+        counted=len(counting),
+    )
+
+
+def _theoretical(laps: list[Lap]) -> tuple[float, float, float]:
+    """Sum of the best sectors without luck, its sigma, and as it is."""
+    if not laps or len(laps[0].sector_time) == 0:
+        return np.nan, np.nan, np.nan
+    times = np.stack([lap.sector_time for lap in laps])
+    sigmas = np.stack([lap.sector_sigma for lap in laps])
+    known = np.isfinite(times)
+    if not known.any(axis=0).all():
+        return np.nan, np.nan, np.nan
+    best = [least_without_luck(t[k], s[k]) for t, s, k in zip(times.T, sigmas.T, known.T, strict=True)]
+    raw = float(np.sum(np.min(np.where(known, times, np.inf), axis=0)))
+    whole = min(lap.time for lap in laps)  # the sum of its sectors was driven, so the best sectors take no longer
+    return min(float(sum(b[0] for b in best)), whole), float(np.sqrt(sum(b[1] ** 2 for b in best))), raw
+
+
+def _rolling(
+    laps: tuple[Lap, ...], traces: Traces | None, curve: Curve, path: PlanPath, errors: JointPosition | None
+) -> tuple[float, float, float, float]:
+    """Fastest lap from any place to the same place one lap later: time, sigma, from where m, and when s."""
+    nothing = (np.nan, np.nan, np.nan, np.nan)
+    if traces is None or not curve.line.is_closed or len(laps) < 2:
+        return nothing
+    best = nothing
+    for i in range(len(laps) - 1):
+        if BROKEN & set(laps[i].reasons) or BROKEN & set(laps[i + 1].reasons):
+            continue
+        around = traces.t[i + 1] - traces.t[i]
+        if np.isfinite(around).any():
+            k = int(np.nanargmin(around))
+            if not around[k] >= best[0]:
+                best = (float(around[k]), np.nan, float(traces.distance[k]), float(traces.t[i, k]))
+    for lap in laps:  # a lap from line to line is one of them
+        if lap.is_valid and not lap.time >= best[0]:
+            best = (lap.time, lap.sigma, 0.0, lap.start)
+    if errors is None or not np.isfinite(best[0]):
+        return best
+    ends = np.array([best[3], best[3] + best[0]])
+    normal = np.tile(curve.tangent(np.array([best[2]])), (2, 1))
+    covariance = time_covariance(errors, ends, normal, path.at(ends)[1])
+    return best[0], float(sigma_of(covariance, np.array([[-1.0, 1.0]]))[0]), best[2], best[3]
+
+
+def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[OfficialTime, ...]:
+    """Return official times, in driving order, each beside the lap it belongs to.
+
+    The lists may begin and end at different laps: the shift with most agreement counts, and of these the closest.
+    """
+    timed = [i for i, lap in enumerate(laps) if lap.is_timed]
+    ours = np.array([laps[i].time for i in timed])
+    theirs = np.array(times)
+    best_shift, best_key = 0, (-1, np.inf)
+    for shift in range(-len(theirs) + 1, len(ours)):
+        k = np.arange(len(theirs)) + shift
+        inside = (k >= 0) & (k < len(ours))
+        away = np.abs(theirs[inside] - ours[k[inside]])
+        near = away[away < SAME_LAP]
+        key = (len(near), -float(np.median(near)) if near.size else -np.inf)
+        if key > (best_key[0], -best_key[1]):
+            best_shift, best_key = shift, (key[0], -key[1])
+    out = []
+    for number, time in enumerate(times):
+        place = number + best_shift
+        is_there = 0 <= place < len(timed) and abs(laps[timed[place]].time - time) < SAME_LAP
+        lap = timed[place] if is_there else None
+        difference = np.nan if lap is None else laps[lap].time - time
+        out.append(OfficialTime(number + 1, time, lap, difference, np.nan if lap is None else laps[lap].sigma))
+    return tuple(out)
