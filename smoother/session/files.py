@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
+from smoother.session.log_format import MAGIC
 from smoother.session.tables import read_header
 
 Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
-Role = Literal["out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
+Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
-OUT_NAME = "out.txt"
+OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 HEAD_BYTES = 4096
 
 
@@ -32,6 +33,14 @@ class SessionFiles:
 
     def _chosen_as(self, role: Role) -> Path | None:
         return self.chosen[0] if self.chosen is not None and self.chosen[1] == role else None
+
+    def logs(self) -> list[Path]:
+        """The logger's files, the one that was named first; none if a person pointed at another recording there."""
+        if self.chosen is not None and self.chosen[1] != "log":
+            return []
+        named = self._chosen_as("log")
+        others = [self.directory / name for name in self.names if name.lower().endswith(LOG_SUFFIX)]
+        return others if named is None else [named, *(path for path in others if path.name != named.name)]
 
     def out_file(self) -> Path | None:
         """The thesis' out.txt, unless a person pointed at another recording in the same place."""
@@ -111,15 +120,19 @@ def _role(path: Path) -> Role | None:
         return _table_role(path)
     if name.endswith(".nmea"):
         return "sentences"
+    if name.endswith(LOG_SUFFIX):
+        return "log"
     if name.endswith(".toml") or name in ("magcalib.txt", "mag_calib.txt"):
         return None
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
+    if head.startswith(MAGIC):
+        return "log"
     if name == OUT_NAME or head.startswith(b"YY"):
         return "out"
     if b"$G" in head:
         return "sentences"
-    raise SessionError(f"{path}: no known kind of recording; wanted a directory, out.txt, a .csv table or a .nmea log")
+    raise SessionError(f"{path}: no known kind of recording; wanted a directory, .klg, out.txt, .csv or .nmea")
 
 
 def _table_role(path: Path) -> Role | None:

@@ -19,6 +19,7 @@ from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.files import Foreign, SessionFiles, list_files
 from smoother.session.foreign import ForeignReading
 from smoother.session.gpx import read_gpx
+from smoother.session.log import LogFiles, list_recordings, read_log, read_mag_calibration
 from smoother.session.nmea import read_nmea
 from smoother.session.racechrono import read_racechrono
 from smoother.session.rows import counted
@@ -70,7 +71,7 @@ def load_raw(path: Path) -> RawSession:
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     raise SessionError(
-        f"{path}: no recording found; wanted out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
+        f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
         "or a .vbo, .gpx, RaceChrono or AiM file"
     )
 
@@ -178,6 +179,45 @@ def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems:
         problems.append(Problem("gps_outside_imu", text, outside))
 
 
+def recordings(path: Path) -> list[LogFiles]:
+    """Return the drives on a card, in order of their files' names; what calibrates the magnetometer is none.
+
+    Empty where `path` is anything but a directory with the logger's files. Raises SessionError if none of them holds a
+    recording.
+    """
+    files = list_files(path)
+    if files.chosen is not None or not files.logs():
+        return []
+    return [recording for recording in list_recordings(files.logs()) if not recording.is_calibration]
+
+
+def _read_log(files: SessionFiles) -> Recording:
+    present = list_recordings(files.logs())
+    chosen = _choose(files, present)
+    log = read_log(chosen)
+    field, calibration = read_mag_calibration(chosen, present)
+    inputs = tuple(path.name for path in (*chosen.paths, *(() if calibration is None else (calibration,))))
+    file = chosen.paths[0].name
+    return Recording(log.gnss, file, inputs, tuple(log.problems), log.imu, file, log.mag, field)
+
+
+def _choose(files: SessionFiles, present: list[LogFiles]) -> LogFiles:
+    """The recording that the named file belongs to, else the only drive."""
+    if files.chosen is not None:
+        for recording in present:
+            if files.chosen[0] in recording.paths:
+                return recording
+        raise SessionError(f"{files.chosen[0].name}: no whole block of a recording; is it the logger's file?")
+    drives = [recording for recording in present if not recording.is_calibration]
+    if len(drives) == 1:
+        return drives[0]
+    if not drives:
+        names = ", ".join(recording.paths[0].name for recording in present)
+        raise SessionError(f"{files.directory}: only calibrations of the magnetometer ({names}); record a drive")
+    names = ", ".join(recording.paths[0].name for recording in drives)
+    raise SessionError(f"{files.directory}: holds {len(drives)} recordings ({names}); name the file of one")
+
+
 def _read_thesis(files: SessionFiles) -> Recording:
     out_file = files.out_file()
     assert out_file is not None
@@ -254,6 +294,7 @@ def _read_foreign(files: SessionFiles) -> Recording:
 
 
 FORMATS: tuple[Format, ...] = (
+    Format("log", lambda files: bool(files.logs()), _read_log),
     Format("thesis", lambda files: files.out_file() is not None, _read_thesis),
     Format("columns", lambda files: files.fix_table() is not None or bool(files.sentence_logs()), _read_columns),
     Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign),

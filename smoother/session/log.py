@@ -1,0 +1,199 @@
+"""The logger's recordings: from `*.klg` files (firmware/FORMAT.md) to samples and fixes in physical units.
+
+A recording is every block with one session id, in whichever files of a directory they lie.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from smoother.arrays import Array, IntArray
+from smoother.errors import SessionError
+from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.session.log_decode import Blocks, Losses, decode, find_blocks
+from smoother.session.log_format import (
+    MAG_OVERFLOW,
+    PURPOSE_MAG_CALIBRATION,
+    LogRecords,
+    Setup,
+)
+from smoother.session.log_problems import describe
+from smoother.session.nmea import fixes_from_sentences
+from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.units import DEG, STANDARD_GRAVITY
+
+HEAD_BYTES = 262_144  # of a file, to know whose it is: more than the 5 s between SETUP records
+MAG_SCALE = 0.15  # uT per count of the AK8963 in 16-bit mode
+TEMPERATURE_OFFSET, TEMPERATURE_SCALE = 21.0, 333.87  # deg C, counts per deg C (MPU-9250 register map, TEMP_OUT)
+COUNTS = 32768.0
+TICKS_PER_SECOND = 1e6
+
+
+@dataclass(frozen=True)
+class LogFiles:
+    """The files of one recording, in the order of their blocks. `name` is that of the first, without extension."""
+
+    session: int
+    paths: tuple[Path, ...]
+    setup: Setup | None = None
+
+    @property
+    def name(self) -> str:
+        """Name for people and for the folder of the results."""
+        return self.paths[0].stem
+
+    @property
+    def is_calibration(self) -> bool:
+        """Whether the box was turned in all directions, to calibrate the magnetometer."""
+        return self.setup is not None and self.setup.purpose == PURPOSE_MAG_CALIBRATION
+
+
+@dataclass(frozen=True, eq=False)
+class LogRecording:
+    """What a recording holds, on the logger's clock in seconds since power-on."""
+
+    imu: RawImu | None
+    mag: RawMag | None
+    gnss: GnssFixes
+    problems: list[Problem]
+
+
+def list_recordings(paths: Iterable[Path]) -> list[LogFiles]:
+    """Return the recordings in these files, in order of their names; only the heads of the files are read.
+
+    Raises SessionError if a file cannot be read, or if none of them holds a whole block.
+    """
+    paths = sorted(paths, key=lambda path: (path.name.lower(), path.name))
+    heads = [(path, _head(path)) for path in paths]
+    found: dict[int, list[tuple[int, Path, Setup | None]]] = {}
+    for path, blocks in heads:
+        if len(blocks):
+            setup = decode(blocks)[0].setup
+            found.setdefault(int(blocks.head["session"][0]), []).append((int(blocks.head["sequence"][0]), path, setup))
+    if not found:
+        names = ", ".join(path.name for path in paths)
+        raise SessionError(f"{names}: no whole block of a recording; is it the logger's file?")
+    return [_files(session, parts) for session, parts in found.items()]
+
+
+def _files(session: int, parts: list[tuple[int, Path, Setup | None]]) -> LogFiles:
+    parts = sorted(parts, key=lambda part: part[0])
+    setups = [setup for _, _, setup in parts if setup is not None]
+    return LogFiles(session, tuple(path for _, path, _ in parts), setups[0] if setups else None)
+
+
+def _head(path: Path) -> Blocks:
+    """The blocks of its recording at the head of a file; where the head is damaged, all of them."""
+    blocks, _ = find_blocks(_read_bytes(path, HEAD_BYTES))
+    if len(blocks) == 0:
+        blocks, _ = find_blocks(_read_bytes(path))
+    return _own(blocks)
+
+
+def _own(blocks: Blocks) -> Blocks:
+    """The blocks of the recording that a file belongs to: that of its first block. What follows its end is older."""
+    return blocks if len(blocks) == 0 else blocks.select(blocks.head["session"] == blocks.head["session"][0])
+
+
+def _read_bytes(path: Path, size: int = -1) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(size)
+    except OSError as error:
+        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+
+
+def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:
+    """Return the records of a recording and what it lacks. Raises SessionError if a file cannot be read."""
+    parts = [_own(find_blocks(_read_bytes(path))[0]) for path in files.paths]
+    if len(parts) == 1:
+        return decode(parts[0])
+    return decode(Blocks.of(np.concatenate([part.content for part in parts if len(part)])))
+
+
+def read_log(files: LogFiles) -> LogRecording:
+    """Read a recording. Raises SessionError if a file cannot be read or holds no usable sentence of the GPS."""
+    records, losses = read_records(files)
+    name = files.paths[0].name
+    imu, problems = imu_samples(records, name)
+    reading = fixes_from_sentences(((t / TICKS_PER_SECOND, text) for t, text in records.sentences), name)
+    mag, mag_problems = mag_samples(records, name)
+    problems = [*describe(records, losses, name), *problems, *mag_problems, *reading.problems]
+    return LogRecording(imu, mag, reading.gnss, problems)
+
+
+def seconds(t_us: IntArray) -> Array:
+    """Return times (N,) s, each the float64 nearest to its decimal."""
+    return np.asarray(t_us.astype(np.float64) / TICKS_PER_SECOND)
+
+
+def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Problem]]:
+    """Return the inertial samples, None without any, and what was flawed about their times.
+
+    The low-pass makes a sample late by its delay (that of the gyro is taken, to which a kart's attitude is more
+    sensitive); a RawImu's sample is as late as half its period. The times are shifted by the difference.
+    """
+    if records.imu_t.size == 0:
+        return None, []
+    setup = records.setup or Setup()
+    rows = RowFilter(file, "imu", np.ones(records.imu_t.size, dtype=np.bool_))
+    shift_us = setup.gyro_delay_us - setup.imu_period_us // 2
+    t, index = put_in_time_order(rows, seconds(records.imu_t - shift_us))
+    counts = records.imu if index.size == len(records.imu) else records.imu[index]
+    accel_full_scale, gyro_full_scale = setup.accel_range_g * STANDARD_GRAVITY, setup.gyro_range_dps * DEG
+    imu = RawImu(
+        t,
+        counts[:, :3].astype(np.float64),
+        counts[:, 3:].astype(np.float64),
+        accel_full_scale / COUNTS,
+        gyro_full_scale / COUNTS,
+        accel_full_scale,
+        gyro_full_scale,
+        _temperature(records, t),
+    )
+    return imu, rows.problems
+
+
+def _temperature(records: LogRecords, t: Array) -> Array | None:
+    """Temperature (N,) deg C at t (N,) s; None if it was never recorded."""
+    if records.temperature_t.size == 0:
+        return None
+    celsius = TEMPERATURE_OFFSET + records.temperature / TEMPERATURE_SCALE
+    order = np.argsort(records.temperature_t, kind="stable")
+    return np.interp(t, seconds(records.temperature_t[order]), celsius[order])
+
+
+def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Problem]]:
+    """Return the magnetic field in uT and axes s, without readings that overflowed; None without any."""
+    rows = RowFilter(file, "mag", np.ones(records.mag_t.size, dtype=np.bool_))
+    rows.drop((records.mag_flags & MAG_OVERFLOW) != 0, "overflow", "of the magnetometer beyond its range")
+    t, index = put_in_time_order(rows, seconds(records.mag_t))
+    if index.size == 0:
+        return None, rows.problems
+    return RawMag(t, magnetic_field(records.mag[index], records.setup or Setup())), rows.problems
+
+
+def magnetic_field(counts: np.ndarray, setup: Setup) -> Array:
+    """Field (K, 3) uT in axes s from counts (K, 3) in the magnetometer's axes: adjusted, and turned to the IMU's."""
+    adjusted = counts * (np.frombuffer(setup.mag_adjustment, dtype=np.uint8) + 128.0) / 256.0
+    return np.asarray(MAG_SCALE * adjusted[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+
+
+def read_mag_calibration(recording: LogFiles, others: Sequence[LogFiles]) -> tuple[Array | None, Path | None]:
+    """Return the field (K, 3) uT, axes s, of the calibration that holds for a recording, and its file.
+
+    It is the last one before the recording by the number of the boot, else the first after it.
+    """
+
+    def boot(files: LogFiles) -> int:
+        return 0 if files.setup is None else files.setup.boot_number
+
+    calibrations = sorted((files for files in others if files.is_calibration), key=boot)
+    before = [files for files in calibrations if boot(files) <= boot(recording)]
+    for files in [*before[::-1], *(files for files in calibrations if files not in before)]:
+        mag, _ = mag_samples(read_records(files)[0], files.paths[0].name)
+        if mag is not None:
+            return mag.field, files.paths[0]
+    return None, None

@@ -1,0 +1,293 @@
+"""From bytes to records: finds the blocks that are whole, walks all of them at once, and counts what is missing.
+
+Nothing here raises on any bytes: a block that fails its CRC is lost, the others need nothing from it.
+"""
+
+import mmap
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from smoother.arrays import IntArray
+from smoother.session.log_format import (
+    BLOCK_BYTES,
+    CAPACITY,
+    CONFIG,
+    CONFIG_STRUCT,
+    CRC_AT,
+    EVENT,
+    EVENT_STRUCT,
+    FIRST_LONG,
+    GAP,
+    GAP_STRUCT,
+    GPS,
+    HEAD_LAYOUT,
+    IMU,
+    LONG_LAYOUT,
+    MAG,
+    MAGIC,
+    PPS,
+    PPS_STRUCT,
+    RECORDS_AT,
+    SELF_TEST,
+    SELF_TEST_STRUCT,
+    SETUP,
+    SHORT_LAYOUTS,
+    STOP,
+    STOP_STRUCT,
+    TEMPERATURE,
+    Event,
+    Gap,
+    LogRecords,
+    SelfTest,
+    Setup,
+    Stop,
+)
+
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Whole blocks: content (K, 512) bytes and their heads (K,) in HEAD_LAYOUT; base_us (K,) us."""
+
+    content: Bytes
+    head: npt.NDArray[np.void]
+    base_us: IntArray
+
+    @staticmethod
+    def of(content: Bytes) -> "Blocks":
+        """Wrap blocks (K, 512) whose CRC is right."""
+        head = np.ascontiguousarray(content[:, :RECORDS_AT]).view(HEAD_LAYOUT)[:, 0]
+        base = head["base_low"].astype(np.int64) + (head["base_high"].astype(np.int64) << 32)
+        return Blocks(content, head, base)
+
+    def select(self, keep: npt.NDArray[np.generic]) -> "Blocks":
+        """Return the blocks chosen by a mask (K,) or by indices."""
+        return Blocks(self.content[keep], self.head[keep], self.base_us[keep])
+
+    def __len__(self) -> int:
+        return len(self.content)
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What a recording lacks. blocks: missing by their numbers; samples: of the IMU in them; unreadable: rest of a
+    block, of a newer version; duplicates: blocks that came twice."""
+
+    blocks: int = 0
+    samples: int = 0
+    unreadable: int = 0
+    duplicates: int = 0
+
+
+def find_blocks(data: bytes | mmap.mmap) -> tuple[Blocks, int]:
+    """Return the blocks in `data` that are whole, wherever they begin, and how many damaged ones show their magic."""
+    positions, damaged = [], 0
+    view = memoryview(data)
+    try:
+        at = data.find(MAGIC)
+        while at >= 0:
+            if _is_whole(view, at):
+                positions.append(at)
+                at += BLOCK_BYTES
+            else:
+                damaged += 1
+                at += 1
+            at = data.find(MAGIC, at)
+        return Blocks.of(_gather(view, np.array(positions, dtype=np.int64))), damaged
+    finally:
+        view.release()
+
+
+def _is_whole(view: memoryview, at: int) -> bool:
+    block = view[at : at + BLOCK_BYTES]
+    if len(block) < BLOCK_BYTES or int.from_bytes(block[18:20], "little") > CAPACITY:
+        return False
+    return zlib.crc32(block[:CRC_AT]) == int.from_bytes(block[CRC_AT:], "little")
+
+
+def _gather(view: memoryview, positions: IntArray) -> Bytes:
+    """Blocks (K, 512), copied out of the file."""
+    if positions.size == 0:
+        return np.zeros((0, BLOCK_BYTES), dtype=np.uint8)
+    octets = np.frombuffer(view, dtype=np.uint8)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(octets, BLOCK_BYTES)[positions])
+
+
+def in_sequence(blocks: Blocks) -> tuple[Blocks, int]:
+    """Return the blocks of one recording in order of their numbers, each once, and how many came again."""
+    _, first = np.unique(blocks.head["sequence"], return_index=True)
+    if len(first) == len(blocks) and np.array_equal(first, np.arange(len(blocks))):
+        return blocks, 0
+    return blocks.select(first), len(blocks) - len(first)
+
+
+def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
+    """Return the records of one recording, and what it lacks. The blocks may come in any order."""
+    blocks, duplicates = in_sequence(blocks)
+    octets = blocks.content.reshape(-1)
+    position, unreadable = walk(blocks)
+    kind = octets[position]
+    long = position[kind >= FIRST_LONG]
+    parts: dict[str, object] = {}
+    for name, short in (("imu", IMU), ("mag", MAG), ("temperature", TEMPERATURE)):
+        rows, times = _short_records(octets, blocks.base_us, position[kind == short], short)
+        parts[name], parts[f"{name}_t"] = np.ascontiguousarray(rows["counts"]), times
+        if short == MAG:
+            parts["mag_flags"] = np.ascontiguousarray(rows["flags"])
+    records = LogRecords(**parts, **_long_records(octets, blocks.base_us, long))  # type: ignore[arg-type]
+    imu_in_block = np.bincount(position[kind == IMU] // BLOCK_BYTES, minlength=len(blocks))
+    lost_in_block = _imu_gaps(octets, long, len(blocks))
+    missing_blocks, missing_samples = _missing(blocks, imu_in_block + lost_in_block)
+    return records, Losses(missing_blocks, missing_samples, unreadable, duplicates)
+
+
+_SHORT_LENGTH = np.array([SHORT_LAYOUTS[kind].itemsize if kind in SHORT_LAYOUTS else 0 for kind in range(256)])
+
+
+def walk(blocks: Blocks) -> tuple[IntArray, int]:
+    """Find all records of all blocks: one step takes the next record of every block.
+
+    Returns the positions (R,) of the records in the joined blocks, ascending, and how many blocks have an unreadable
+    rest.
+    """
+    octets = blocks.content.reshape(-1)
+    start = np.arange(len(blocks), dtype=np.int64) * BLOCK_BYTES + RECORDS_AT
+    end = start + blocks.head["used"]
+    at, end = start[end > start], end[end > start]
+    found, unreadable = [], 0
+    while at.size:
+        kind = octets[at]
+        length = _SHORT_LENGTH[kind]
+        long = np.flatnonzero(kind >= FIRST_LONG)
+        length[long] = LONG_LAYOUT.itemsize + octets[at[long] + 1].astype(np.int64)
+        good = (length > 0) & (at + length <= end)
+        unreadable += int(np.count_nonzero(~good))
+        found.append(at[good])
+        at, end = (at + length)[good], end[good]
+        more = at < end
+        at, end = at[more], end[more]
+    return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int64), unreadable
+
+
+def _layout_at(octets: Bytes, position: IntArray, layout: np.dtype[np.void]) -> npt.NDArray[np.void]:
+    """Structures (R,) that begin at any byte."""
+    if position.size == 0:
+        return np.zeros(0, dtype=layout)
+    count = octets.size - layout.itemsize + 1
+    everywhere: npt.NDArray[np.void] = np.ndarray((count,), layout, octets.data, strides=(1,))
+    return everywhere[position]
+
+
+def _short_records(
+    octets: Bytes, base_us: IntArray, position: IntArray, kind: int
+) -> tuple[npt.NDArray[np.void], IntArray]:
+    rows = _layout_at(octets, position, SHORT_LAYOUTS[kind])
+    return rows, base_us[position // BLOCK_BYTES] + rows["since"]
+
+
+def _long_records(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[str, object]:
+    """The long records as fields of LogRecords."""
+    head = _layout_at(octets, position, LONG_LAYOUT)
+    times = (base_us[position // BLOCK_BYTES] + head["since"]).tolist()
+    of_kind: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(GPS, STOP + 1)}
+    for kind, length, t_us, at in zip(
+        head["type"].tolist(), head["length"].tolist(), times, position.tolist(), strict=True
+    ):
+        if kind in of_kind:
+            start = at + LONG_LAYOUT.itemsize
+            of_kind[kind].append((t_us, octets[start : start + length].tobytes()))
+    setups, stops = _whole(of_kind[SETUP], _setup), _whole(of_kind[STOP], _stop)
+    return {
+        "sentences": tuple(of_kind[GPS]),
+        "pps": tuple(_whole(of_kind[PPS], _pps)),
+        "gaps": tuple(_whole(of_kind[GAP], _gap)),
+        "setup": setups[-1] if setups else None,
+        "config": _config([data for _, data in of_kind[CONFIG]]),
+        "events": tuple(_whole(of_kind[EVENT], _event)),
+        "self_tests": tuple(_whole(of_kind[SELF_TEST], _self_test)),
+        "stop": stops[-1] if stops else None,
+    }
+
+
+T = TypeVar("T")
+
+
+def _whole(records: Sequence[tuple[int, bytes]], read: Callable[[int, bytes], T]) -> list[T]:
+    """Read those records that are as long as their type must be."""
+    values = []
+    for t_us, data in records:
+        try:
+            values.append(read(t_us, data))
+        except struct.error:
+            continue
+    return values
+
+
+def _pps(t_us: int, data: bytes) -> tuple[int, int]:
+    return t_us, PPS_STRUCT.unpack_from(data)[0]
+
+
+def _gap(_: int, data: bytes) -> Gap:
+    source, reason, count, first, first_high, last, last_high = GAP_STRUCT.unpack_from(data)
+    return Gap(source, reason, count, first | first_high << 32, last | last_high << 32)
+
+
+def _setup(_: int, data: bytes) -> Setup:
+    return Setup.unpack(data)
+
+
+def _event(t_us: int, data: bytes) -> Event:
+    return Event(t_us, *EVENT_STRUCT.unpack_from(data))
+
+
+def _self_test(t_us: int, data: bytes) -> SelfTest:
+    *response, code, passed = SELF_TEST_STRUCT.unpack_from(data)
+    return SelfTest(t_us, tuple(response), code, passed)
+
+
+def _stop(t_us: int, data: bytes) -> Stop:
+    return Stop(t_us, *STOP_STRUCT.unpack_from(data))
+
+
+def _config(pieces: Sequence[bytes]) -> str:
+    """The settings from the last set of pieces that is complete; they repeat."""
+    text, so_far = "", b""
+    for piece in pieces:
+        if len(piece) < CONFIG_STRUCT.size:
+            continue
+        offset, total = CONFIG_STRUCT.unpack_from(piece)
+        so_far = so_far if offset else b""
+        if offset == len(so_far):
+            so_far += piece[CONFIG_STRUCT.size :]
+        if len(so_far) == total:
+            text = so_far.decode("ascii", errors="replace")
+    return text
+
+
+def _imu_gaps(octets: Bytes, position: IntArray, blocks: int) -> IntArray:
+    """Samples (K,) of the IMU that the gaps in each block tell of."""
+    lost = np.zeros(blocks, dtype=np.int64)
+    length = LONG_LAYOUT.itemsize + GAP_STRUCT.size
+    for at in position[octets[position] == GAP].tolist():
+        if octets[at + 1] >= GAP_STRUCT.size:
+            gap = _gap(0, octets[at + LONG_LAYOUT.itemsize : at + length].tobytes())
+            lost[at // BLOCK_BYTES] += gap.count if gap.source == IMU else 0
+    return lost
+
+
+def _missing(blocks: Blocks, samples_in_block: IntArray) -> tuple[int, int]:
+    """Blocks missing by their numbers, and samples of the IMU missing by theirs; what came last cannot be known."""
+    if len(blocks) == 0:
+        return 0, 0
+    number = blocks.head["imu_number"].astype(np.int64)
+    expected = np.concatenate([[0], number[:-1] + samples_in_block[:-1]])
+    step = (number - expected) & 0xFFFFFFFF
+    samples = int(step[step < 0x80000000].sum())
+    return int(blocks.head["sequence"][-1]) + 1 - len(blocks), samples
