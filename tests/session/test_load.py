@@ -192,7 +192,7 @@ def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) 
 @pytest.mark.parametrize(
     ("prepare", "message"),
     [
-        (lambda f: f, r"no recording found; wanted out.txt, or gps.csv or \*.nmea"),
+        (lambda f: f, r"no recording found; wanted \*.klg, out.txt, or gps.csv or \*.nmea"),
         (lambda f: f.write(imu__csv=imu_csv()), r"an IMU table, but neither gps.csv nor \*.nmea"),
         (lambda f: f.write(gps__csv=""), r"^gps.csv: the file is empty"),
         (lambda f: f.write(gps__csv="t_s,lat_deg,lon_deg\n"), r"^gps.csv: a header line, but no rows"),
