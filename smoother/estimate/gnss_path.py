@@ -22,10 +22,10 @@ from smoother.estimate.motion_prior import MotionPrior, quintic_basis
 from smoother.samples import Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
-FIRST_ROUNDS = 2  # with noise as it starts, so that outliers cannot inflate it
+FIRST_ROUNDS = 2  # with noise as it starts where there are outliers, so that they cannot inflate it
 SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
 UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
-RELAXATION = 0.6  # of the constants' steps: lag and acceleration form a product, and full steps can go in a circle
+RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
 LAG_RANGE, END_MARGIN = (-0.5, 0.5), 0.1  # s: a lag beyond belief, and what nodes reach farther
 
 
@@ -179,7 +179,10 @@ class _Known:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the rounds stand: unknowns with the rows at them, weight (M, 4) per group, noise; sigma of constants."""
+    """Where the rounds stand: unknowns with the rows at them, weight (M, 4) per group, noise; sigma of constants.
+
+    is_clean: no measurement has lost any weight, so there is nothing to approach with care.
+    """
 
     at: system.Unknowns
     design: system.Design
@@ -187,6 +190,7 @@ class _State:
     noise: noise.FixNoise
     constants_sigma: Array
     covariance: Array  # (A, K, 4, 4)
+    is_clean: bool = False
 
 
 def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> GnssPath:
@@ -216,7 +220,7 @@ def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
     for rounds in range(1, options.max_iterations + 1):
         before = state
         state = _improve(known, before, rounds)
-        if rounds > len(GRADUATION) and _is_settled(before, state):
+        if (rounds > len(GRADUATION) or state.is_clean) and _is_settled(before, state):
             break
     return _result(known, state, scales, latency, rounds)
 
@@ -293,13 +297,13 @@ def _improve(known: _Known, now: _State, number: int) -> _State:
     leverage = system.leverage(now.design, prior, solution)
     done = noise.Round(rows, design.residual, weight, variance, leverage)
     size = noise.normalised_sizes(done, known.true_t.size)
-    graduation = GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0
+    new_weight = noise.robust_weights(size, now.weight, GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0)
+    is_clean = bool(np.all(now.weight == 1.0) and np.all(new_weight == 1.0))
     found = now.noise
-    if number > FIRST_ROUNDS:
+    if is_clean or number > FIRST_ROUNDS:
         found = _as_configured(noise.identify(done, between, at.x, solution, found), known.options)
     covariance = solution.covariance.reshape(*at.x.shape, system.N_STATE)
-    new_weight = noise.robust_weights(size, now.weight, graduation)
-    return _State(at, design, new_weight, found, constants_sigma, covariance)
+    return _State(at, design, new_weight, found, constants_sigma, covariance, is_clean)
 
 
 def _corrected(at: system.Unknowns, prior: system.PathPrior, solution: ChainSolution) -> tuple[system.Unknowns, Array]:

@@ -19,6 +19,7 @@ AXES = 3
 HORIZONTAL_POSITION, UP_POSITION, HORIZONTAL_VELOCITY, UP_VELOCITY = range(4)
 GROUPS = 4
 N_CONSTANTS = 1 + AXES  # lag of Doppler, bias of Doppler per axis
+NANOSECOND_DIGITS = 9
 PRIOR_OF_AXIS = (0, 0, 1)  # north and west move alike, up does not
 
 
@@ -116,7 +117,8 @@ def transitions(t: Array, prior: PathPrior, n_axes: int) -> Transitions:
     information, first = np.zeros_like(step), np.zeros((n_axes, N_STATE, N_STATE))
     step[..., 3, 3] = np.exp(-dt / prior.offset_tau)
     forgotten = -np.expm1(-2.0 * dt / prior.offset_tau)
-    moved = [(motion.transition(dt), motion.information(dt)) for motion in prior.motion]
+    some, which = np.unique(np.round(dt, NANOSECOND_DIGITS), return_inverse=True)  # receivers are punctual: hardly any
+    moved = [(motion.transition(some)[which], motion.information(some)[which]) for motion in prior.motion]
     for axis, kind in enumerate(PRIOR_OF_AXIS[:n_axes]):
         step[axis, :, :N_MOTION, :N_MOTION], information[axis, :, :N_MOTION, :N_MOTION] = moved[kind]
         information[axis, :, 3, 3] = 1.0 / (prior.offset_sigma[axis] ** 2 * forgotten)
