@@ -1,0 +1,110 @@
+/* The logger as a whole: the drivers and core wired together over a board. No registers in here; the host tests run all
+ * of it against models. */
+#ifndef APP_APP_H
+#define APP_APP_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "config.h"
+#include "logger.h"
+#include "log_writer.h"
+#include "sampler.h"
+#include "storage.h"
+#include "stream.h"
+
+enum {
+    APP_RING_BLOCKS = 27,            /* rides out 738 ms at 1 kHz: DESIGN.md section 3 */
+    APP_SETUP_US = 5000000,          /* SETUP and CONFIG are repeated */
+    APP_FLUSH_US = 1000000,          /* a block is written though not full */
+    APP_IMU_SILENT_US = 200000,      /* no sample for so long: reset it */
+    APP_IMU_TRIES = 3,               /* in quick succession */
+    APP_IMU_RETRY_US = 5000000,
+    APP_CARD_CHECK_US = 2000000,
+    APP_CARD_RETRY_US = 20000,       /* doubles with each failure .. */
+    APP_CARD_RETRY_MOST_US = 2000000, /* .. up to this */
+    APP_CARD_RESUMES = 3,            /* before the card is taken for a new one */
+    APP_STOP_LONGEST_US = 10000000,  /* for the last blocks, should the card be away */
+    APP_BLOCKED_LONGEST_US = 60000000, /* one call into the card: then the watchdog may bite */
+    APP_FIX_US = 3000000             /* how long a fix counts */
+};
+
+/* Where the main loop was, for the watchdog's event. */
+typedef enum { AT_LOOP = 1, AT_CARD_OPEN, AT_CARD_STEP, AT_CARD_RESUME, AT_CARD_END, AT_IMU } app_mark_t;
+
+typedef struct {
+    const board_t *board;
+    config_t config;
+    config_result_t config_result;
+    bool is_config_known; /* a card was looked at */
+    bool has_config_file;
+
+    logger_t logger;
+    gesture_t gesture; /* not yet seen by the logger */
+    panel_t panel;
+
+    ring_t ring;
+    log_writer_t writer;
+    sampler_t sampler;
+    stream_t stream;
+    storage_t storage;
+
+    /* recording */
+    bool is_recording;   /* a session is open, up to its last block */
+    bool is_stopping;    /* it is being ended */
+    bool is_stop_written;
+    bool is_calibration;
+    uint8_t stop_reason;
+    uint32_t session;
+    uint64_t setup_us, stop_us;
+
+    /* card */
+    uint64_t card_retry_us, card_lost_us, card_checked_us;
+    uint8_t card_failures; /* in a row */
+    bool has_card_been_tried;
+    uint16_t card_retries; /* of this recording */
+
+    /* sensors */
+    board_events_t board_events;
+    mpu9250_info_t imu;
+    record_self_test_t self_test;
+    bool has_self_test;
+    bool is_imu_known, is_imu_working;
+    uint8_t imu_failures;
+    uint64_t imu_retry_us, imu_lost_us, imu_started_us;
+    neo6m_t gps;
+    neo6m_events_t gps_events;
+    uint32_t gps_baud, gps_refused;
+    bool has_fix;
+    uint64_t fix_us;
+
+    uint64_t step_us, report_us;
+    uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
+} app_t;
+
+/* `app` may be any memory; it must stay where it is. */
+void app_init(app_t *app, const board_t *board);
+
+/* One turn of the main loop. */
+void app_step(app_t *app);
+
+/* ---- between the files of the app ---- */
+
+/* imu.c of the app: keep the sensor working. */
+void app_step_imu(app_t *app, uint64_t now_us);
+void app_restart_imu(app_t *app);
+void app_run_self_test(app_t *app);
+
+/* recording.c: sessions, and what is written besides samples. */
+void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration);
+void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
+void app_step_recording(app_t *app, uint64_t now_us);
+void app_event(app_t *app, uint16_t code, uint32_t value);
+record_setup_t app_setup(const app_t *app);
+
+/* card.c of the app: keep the card working, move blocks. */
+void app_step_card(app_t *app, uint64_t now_us);
+void app_card_failed(app_t *app, uint64_t now_us);
+
+#endif

@@ -1,0 +1,271 @@
+#include "neo6m.h"
+
+/* NMEA messages have class F0 in CFG-MSG */
+enum { NMEA_CLASS = 0xF0, NMEA_GGA = 0, NMEA_GLL = 1, NMEA_GSA = 2, NMEA_GSV = 3, NMEA_RMC = 4, NMEA_VTG = 5, NMEA_GST = 7 };
+enum { SETTING_PORT, SETTING_RATE, SETTING_MODEL, SETTING_POWER, SETTING_MESSAGES };
+enum { ALL_REFUSED = (1 << NEO6M_SETTINGS) - 1, CHUNK = 32 };
+
+static const struct {
+    uint8_t id, each;
+} messages[] = {{NMEA_RMC, 1}, {NMEA_GGA, 1}, {NMEA_GST, 1}, {NMEA_GLL, 0}, {NMEA_GSA, 0}, {NMEA_GSV, 0}, {NMEA_VTG, 0}};
+
+/* Rates to try, after power-on's 9600 and the one it had if only we were reset. */
+static const uint32_t candidates[] = {9600, 0 /* the wanted one */, 38400, 115200, 57600, 19200, 4800};
+enum { CANDIDATES = sizeof candidates / sizeof *candidates };
+
+static uint32_t candidate_baud(const neo6m_t *gps)
+{
+    const uint32_t baud = candidates[gps->candidate];
+    return baud ? baud : gps->settings.baud;
+}
+
+static void set_baud(neo6m_t *gps, uint32_t baud)
+{
+    gps->baud = baud;
+    gps->port->set_baud(gps->port->context, baud);
+    nmea_init(&gps->framer);
+    gps->dropped = 0;
+    ubx_init(&gps->parser);
+}
+
+static void enter(neo6m_t *gps, neo6m_state_t state, uint64_t now_us)
+{
+    gps->state = state;
+    gps->since_us = now_us;
+    gps->tries = 0;
+    gps->is_waiting = false;
+}
+
+/* ---- commands ---- */
+
+static size_t setting_frame(const neo6m_t *gps, uint8_t setting, uint8_t *frame)
+{
+    switch (setting) {
+    case SETTING_PORT:
+        return ubx_set_port(frame, gps->settings.baud);
+    case SETTING_RATE:
+        return ubx_set_rate(frame, gps->settings.period_ms);
+    case SETTING_MODEL:
+        return ubx_set_automotive(frame);
+    case SETTING_POWER:
+        return ubx_set_continuous(frame);
+    default:
+        return ubx_set_message(frame, NMEA_CLASS, messages[setting - SETTING_MESSAGES].id,
+                               messages[setting - SETTING_MESSAGES].each);
+    }
+}
+
+static uint8_t setting_id(uint8_t setting)
+{
+    static const uint8_t ids[] = {UBX_CFG_PRT, UBX_CFG_RATE, UBX_CFG_NAV5, UBX_CFG_RXM};
+    return setting < SETTING_MESSAGES ? ids[setting] : UBX_CFG_MSG;
+}
+
+static int send_setting(neo6m_t *gps, uint8_t setting)
+{
+    uint8_t frame[UBX_FRAME_LONGEST];
+    return gps->port->write(gps->port->context, frame, setting_frame(gps, setting, frame));
+}
+
+/* Send gps->setting, unless the line is taken; then the next step tries again. */
+static void ask(neo6m_t *gps, uint64_t now_us)
+{
+    if (send_setting(gps, gps->setting) < 0)
+        return;
+    gps->is_waiting = true;
+    gps->since_us = now_us;
+    gps->tries++;
+}
+
+/* ---- looking for the receiver ---- */
+
+/* Tell it, at a rate it may have, to take the wanted one. */
+static void try_candidate(neo6m_t *gps, uint64_t now_us)
+{
+    enter(gps, NEO6M_SWITCHING, now_us);
+    set_baud(gps, candidate_baud(gps));
+    gps->is_waiting = send_setting(gps, SETTING_PORT) == 0;
+}
+
+static void try_next(neo6m_t *gps, uint64_t now_us)
+{
+    gps->candidate = (uint8_t)((gps->candidate + 1) % CANDIDATES);
+    try_candidate(gps, now_us);
+}
+
+static void begin_asking(neo6m_t *gps, uint64_t now_us)
+{
+    set_baud(gps, gps->settings.baud);
+    enter(gps, NEO6M_ASKING, now_us);
+    gps->setting = SETTING_RATE;
+    ask(gps, now_us);
+}
+
+static void begin_configuring(neo6m_t *gps, uint64_t now_us)
+{
+    enter(gps, NEO6M_CONFIGURING, now_us);
+    gps->refused = 0;
+    gps->setting = SETTING_PORT;
+    ask(gps, now_us);
+}
+
+static void begin_running(neo6m_t *gps, uint64_t now_us)
+{
+    enter(gps, NEO6M_RUNNING, now_us);
+    gps->heard_us = now_us;
+    gps->events->on_configured(gps->events->context, gps->baud, gps->refused);
+}
+
+static void next_setting(neo6m_t *gps, bool was_acknowledged, uint64_t now_us)
+{
+    if (!was_acknowledged)
+        gps->refused |= 1u << gps->setting;
+    gps->tries = 0;
+    gps->is_waiting = false;
+    if (++gps->setting == NEO6M_SETTINGS)
+        begin_running(gps, now_us);
+    else
+        ask(gps, now_us);
+}
+
+/* ---- what comes in ---- */
+
+static void take_answer(neo6m_t *gps, uint64_t now_us)
+{
+    if (!gps->is_waiting || (gps->state != NEO6M_ASKING && gps->state != NEO6M_CONFIGURING))
+        return;
+    const ubx_answer_t answer = ubx_answer(&gps->parser, UBX_CLASS_CFG, setting_id(gps->setting));
+    if (answer == UBX_OTHER)
+        return;
+    if (gps->state == NEO6M_ASKING)
+        begin_configuring(gps, now_us); /* refused or not: it hears and is heard */
+    else
+        next_setting(gps, answer == UBX_ACKNOWLEDGED, now_us);
+}
+
+static void take_sentence(neo6m_t *gps, size_t length, uint64_t now_us)
+{
+    if (nmea_is_intact(gps->framer.sentence, length)) {
+        gps->heard_us = now_us;
+        if (gps->state == NEO6M_LISTENING) { /* it talks, but does not obey: log what it says */
+            gps->refused = ALL_REFUSED;
+            begin_running(gps, now_us);
+        }
+    }
+    gps->events->on_sentence(gps->events->context, gps->framer.time_us, gps->framer.sentence, length);
+}
+
+static void tell_dropped(neo6m_t *gps, uint64_t time_us)
+{
+    const uint32_t dropped = gps->framer.dropped - gps->dropped;
+    gps->dropped = gps->framer.dropped;
+    if (dropped && gps->state == NEO6M_RUNNING) /* at a wrong rate everything looks cut off */
+        gps->events->on_lost(gps->events->context, time_us, dropped);
+}
+
+static void take_bytes(neo6m_t *gps, const uint8_t *bytes, size_t count, uint64_t first_us, uint64_t now_us)
+{
+    for (size_t i = 0; i < count; i++) {
+        const uint64_t byte_us = first_us + i * 10000000u / gps->baud;
+        const size_t length = nmea_push(&gps->framer, bytes[i], byte_us);
+        if (length)
+            take_sentence(gps, length, now_us);
+        if (ubx_push(&gps->parser, bytes[i]))
+            take_answer(gps, now_us);
+    }
+    tell_dropped(gps, first_us);
+}
+
+static void receive(neo6m_t *gps, uint64_t now_us)
+{
+    uint8_t bytes[CHUNK];
+    uint64_t first_us = 0;
+    uint32_t lost = 0;
+    for (int i = 0; i < 2048 / CHUNK; i++) { /* a bound, should bytes come faster than they are taken */
+        const uint32_t baud = gps->baud;
+        const size_t count = gps->port->read(gps->port->context, bytes, sizeof bytes, &first_us, &lost);
+        if (lost)
+            nmea_break(&gps->framer);
+        if (count == 0)
+            return;
+        take_bytes(gps, bytes, count, first_us, now_us);
+        if (gps->baud != baud)
+            return;
+    }
+}
+
+/* ---- time ---- */
+
+static void step_asking(neo6m_t *gps, uint64_t now_us)
+{
+    if (gps->is_waiting && now_us - gps->since_us < NEO6M_ANSWER_US)
+        return;
+    if (gps->tries < NEO6M_TRIES - 1) {
+        ask(gps, now_us);
+        return;
+    }
+    set_baud(gps, candidate_baud(gps));
+    enter(gps, NEO6M_LISTENING, now_us);
+}
+
+static void step_configuring(neo6m_t *gps, uint64_t now_us)
+{
+    if (gps->is_waiting && now_us - gps->since_us < NEO6M_ANSWER_US)
+        return;
+    if (gps->is_waiting && gps->tries >= NEO6M_TRIES)
+        next_setting(gps, false, now_us);
+    else
+        ask(gps, now_us);
+}
+
+static void step_running(neo6m_t *gps, uint64_t now_us)
+{
+    const uint64_t silent_us = now_us - gps->heard_us;
+    if (silent_us < NEO6M_SILENT_US)
+        return;
+    gps->events->on_silent(gps->events->context, (uint32_t)(silent_us / 1000));
+    gps->candidate = 0;
+    try_candidate(gps, now_us);
+}
+
+static void step_time(neo6m_t *gps, uint64_t now_us)
+{
+    const uint64_t elapsed_us = now_us - gps->since_us;
+    switch (gps->state) {
+    case NEO6M_SWITCHING:
+        if (elapsed_us >= NEO6M_SWITCH_US)
+            begin_asking(gps, now_us);
+        break;
+    case NEO6M_ASKING:
+        step_asking(gps, now_us);
+        break;
+    case NEO6M_LISTENING:
+        if (elapsed_us >= NEO6M_LISTEN_US)
+            try_next(gps, now_us);
+        break;
+    case NEO6M_CONFIGURING:
+        step_configuring(gps, now_us);
+        break;
+    case NEO6M_RUNNING:
+        step_running(gps, now_us);
+        break;
+    }
+}
+
+void neo6m_init(neo6m_t *gps, const neo6m_port_t *port, const neo6m_events_t *events,
+                const neo6m_settings_t *settings, uint64_t now_us)
+{
+    *gps = (neo6m_t){.port = port, .events = events, .settings = *settings};
+    try_candidate(gps, now_us);
+}
+
+void neo6m_step(neo6m_t *gps, uint64_t now_us)
+{
+    receive(gps, now_us);
+    step_time(gps, now_us);
+}
+
+bool neo6m_is_working(const neo6m_t *gps, uint64_t now_us)
+{
+    return gps->heard_us != 0 && now_us - gps->heard_us < NEO6M_SILENT_US;
+}
