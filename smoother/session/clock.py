@@ -175,8 +175,9 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
     if lag.size < 2 * window:
         return []
     total = np.concatenate([[0.0], np.cumsum(lag)])
-    first = np.arange(window, lag.size - window + 1)  # the sample a step may come before
-    height = (total[first + window] - 2.0 * total[first] + total[first - window]) / window
+    height = (total[2 * window :] - 2.0 * total[window:-window] + total[: -2 * window]) / window
+    if height.max() <= SMALLEST_STEP * period:
+        return []
     noise = 1.4826 * float(np.median(np.abs(height - np.median(height))))
     high = height > max(SMALLEST_STEP * period, STEP_SIGMAS * noise)
     if window == 1:
@@ -187,7 +188,7 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
         starts, ends = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
     steps = []
     for i, j in zip(starts, ends, strict=True):
-        top = int(first[i + np.argmax(height[i:j])])
+        top = int(window + i + np.argmax(height[i:j]))  # the sample the step comes before
         near = np.arange(max(1, top - window // 2), min(lag.size, top + window // 2 + 1))
         step = int(near[np.argmax(lag[near] - lag[near - 1])])
         if _stays(lag, step, height[i:j].max(), period):

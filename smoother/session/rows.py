@@ -106,6 +106,8 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
 def unwrap(t: Array) -> tuple[Array, int]:
     """Undo wraps of a 32-bit microsecond or millisecond counter in t (N,) s; return the times and how many."""
     total, wraps = t.copy(), 0
+    if np.all(t[1:] >= t[:-1]):
+        return total, wraps
     for period in (MICROSECOND_WRAP, MILLISECOND_WRAP):
         step = np.diff(total, prepend=total[:1])
         wrapped = (step < 0.0) & (step + period >= 0.0) & (step + period < WRAP_TOLERANCE)
