@@ -152,6 +152,26 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.t)
 
+    def every(self, step: int) -> "Trajectory":
+        """Return each `step`-th row, the first one included; the report and the joint covariance stay as they are."""
+        if step == 1:
+            return self
+        rows = slice(None, None, step)
+        sigmas = self.sigmas
+        if sigmas is not None:
+            sigmas = Sigmas(*(values[rows] for values in vars(sigmas).values()))
+        return Trajectory(
+            self.t[rows],
+            self.position_n[rows],
+            self.velocity_n[rows],
+            self.R_nb[rows],
+            self.acceleration_b[rows],
+            self.angular_rate_b[rows],
+            sigmas,
+            self.report,
+            self.joint,
+        )
+
     @property
     def speed(self) -> Array:
         """Horizontal speed of the antenna, (N,) m/s."""

@@ -8,16 +8,26 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from smoother.cli.lap_stage import (
+    LAPS,
+    Stated,
+    analyse_session,
+    lap_columns,
+    lap_documents,
+    stated,
+    steps,
+)
 from smoother.cli.output import Progress, duration, no_progress, plain, warn
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
+    from smoother.laps.results import LapAnalysis
     from smoother.samples import RawSession, Session
     from smoother.trajectory import Trajectory
 
@@ -52,12 +62,19 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What was made of a session, still in memory."""
+    """What was made of a session, still in memory. smoothed has the rows laps are timed on, `every` n-th is written."""
 
     session: Session
     smoothed: Trajectory
     baseline: Trajectory | None
     quality: Quality
+    laps: LapAnalysis | None = None
+    every: int = 1
+
+    @property
+    def written(self) -> Trajectory:
+        """The rows of trajectory.csv."""
+        return self.smoothed.every(self.every)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +85,7 @@ class Result:
     quality: Quality
     directory: Path
     main_file: Path
+    unix_at_zero: float | None = None
 
 
 def read(path: Path) -> RawSession:
@@ -98,14 +116,15 @@ def estimate(session: Session, options: Options, watch: Stopwatch, progress: Pro
     from smoother.estimate.quality import assess
 
     with watch.stage("smoothing"):
-        smoother = GraphSmoother(GraphOptions(rate=options.rate, solver=options.solver), progress=progress)
+        every = steps(options.rate)
+        smoother = GraphSmoother(GraphOptions(rate=options.rate * every, solver=options.solver), progress=progress)
         smoothed = smoother.estimate(session)
     baseline = None
     if options.baseline:
         progress("baseline", 0.0)
         with watch.stage("baseline"):
             baseline = estimate_baseline(session, options.rate)
-    return Estimates(session, smoothed, baseline, assess(session, smoothed))
+    return Estimates(session, smoothed, baseline, assess(session, smoothed), every=every)
 
 
 def estimate_baseline(session: Session, rate: float) -> Trajectory:
@@ -123,12 +142,20 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
         raw = read(path)
     with watch.stage("preparing"):
         session = calibrated(raw, session_directory(path))
+        said = stated(session.config, session_directory(path))
     directory = output_directory(path, out, session.name)
-    estimates = estimate(session, options, watch, progress)
+    estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
     try:
         return write(estimates, directory, options, watch, progress)
     except OSError as error:
         raise unwritable(directory, error) from error
+
+
+def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
+    """Add the laps."""
+    progress("laps", 0.0)
+    with watch.stage("laps"):
+        return replace(estimates, laps=analyse_session(estimates.session, estimates.smoothed, said))
 
 
 def output_directory(path: Path, out: Path | None, name: str) -> Path:
@@ -155,12 +182,16 @@ def write(
     estimates: Estimates, directory: Path, options: Options, watch: Stopwatch, progress: Progress = no_progress
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
-    from smoother.report.files import write_fixes, write_json, write_trajectory
+    from smoother.laps.document import lap_table
+    from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
 
-    session, smoothed, baseline = estimates.session, estimates.smoothed, estimates.baseline
+    session, smoothed, baseline = estimates.session, estimates.written, estimates.baseline
     progress("writing", 0.0)
     with watch.stage("writing"):
-        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, session.unix_at_zero)
+        laps = lap_columns(estimates.laps, estimates.smoothed, smoothed.t)
+        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, session.unix_at_zero, laps)
+        if estimates.laps is not None:
+            write_csv(directory / LAPS, lap_table(estimates.laps))
         write_fixes(directory / FIXES, session, smoothed.report.fixes)
         if baseline is not None:
             write_trajectory(directory / BASELINE, baseline, session.origin, session.unix_at_zero)
@@ -170,7 +201,7 @@ def write(
         main_file = _write_figures(estimates, directory, options, progress)
     document = _summary(estimates, options, watch)
     write_json(directory / SUMMARY, document)
-    return Result(document, estimates.quality, directory, main_file)
+    return Result(document, estimates.quality, directory, main_file, session.unix_at_zero)
 
 
 def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> Path:
@@ -198,7 +229,10 @@ def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[s
     from smoother.report.summary import summary
 
     asked = {"rate_hz": options.rate, "solver": options.solver, "baseline": options.baseline}
-    return summary(estimates.session, estimates.smoothed, estimates.quality, watch.seconds, asked)
+    document = summary(estimates.session, estimates.written, estimates.quality, watch.seconds, asked)
+    if estimates.laps is not None:
+        document |= lap_documents(estimates.laps, estimates.smoothed, estimates.session)
+    return document
 
 
 def unwritable(directory: Path, error: OSError) -> SmootherError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from smoother.cli.lap_tables import show_laps
 from smoother.cli.output import duration, number, say, say_pairs
 from smoother.units import DEG, KMH
 
@@ -38,6 +39,8 @@ def show_result(result: Result) -> None:
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
     say_pairs(about.get("title") or about["name"], pairs)
+    if "lap_analysis" in document:
+        show_laps(document["laps"], document["lap_analysis"], result.unix_at_zero)
     say(str(result.main_file))
 
 

@@ -39,14 +39,20 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_trajectory(path: Path, trajectory: Trajectory, origin: Origin, unix_at_zero: float | None) -> None:
+LapColumns = tuple[pl.Series, Array]
+"""Number of the lap, empty where none, and track distance m, NaN away from the track, of each row."""
+
+
+def write_trajectory(
+    path: Path, trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
+) -> None:
     """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`."""
-    _write_csv(path, trajectory_table(trajectory, origin, unix_at_zero))
+    write_csv(path, trajectory_table(trajectory, origin, unix_at_zero, laps))
 
 
 def write_fixes(path: Path, session: Session, residuals: FixResiduals | None) -> None:
     """Write the fixes of the session, with the residual and weight that the smoother gave to each."""
-    _write_csv(path, fixes_table(session, residuals))
+    write_csv(path, fixes_table(session, residuals))
 
 
 def write_json(path: Path, document: object) -> None:
@@ -60,7 +66,9 @@ def to_json(document: object) -> str:
     return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def trajectory_table(trajectory: Trajectory, origin: Origin, unix_at_zero: float | None) -> pl.DataFrame:
+def trajectory_table(
+    trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
+) -> pl.DataFrame:
     """Return one row per time of the trajectory; units are in the column names, NaN where there is no estimate."""
     lat_deg, lon_deg, alt_m = nwu_to_geodetic(trajectory.position_n, origin)
     roll_pitch_yaw_deg = _rounded(trajectory.euler / DEG, DIGITS)
@@ -79,7 +87,11 @@ def trajectory_table(trajectory: Trajectory, origin: Origin, unix_at_zero: float
         **motion,
         **_sigma_columns(sigmas),
     }
-    return _table(trajectory.t, unix_at_zero, lat_deg, lon_deg, columns)
+    table = _table(trajectory.t, unix_at_zero, lat_deg, lon_deg, columns)
+    if laps is None:
+        n = len(trajectory)
+        laps = pl.Series("lap", [None] * n, dtype=pl.Int64), np.full(n, np.nan)
+    return table.with_columns(laps[0].alias("lap"), pl.Series("lap_distance_m", _rounded(laps[1], DIGITS)))
 
 
 def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:
@@ -155,7 +167,8 @@ def _no_sigmas(n: int) -> Sigmas:
     return Sigmas(vector, vector, scalar, vector, scalar)
 
 
-def _write_csv(path: Path, table: pl.DataFrame) -> None:
+def write_csv(path: Path, table: pl.DataFrame) -> None:
+    """Write a table."""
     with replacing(path) as temporary:
         table.write_csv(temporary)
 

@@ -40,6 +40,7 @@ def test_a_session_ends_as_tables_figures_and_a_summary_and_keeps_its_files(mond
         "trajectory.csv",
         "baseline.csv",
         "gps.csv",
+        "laps.csv",
         "summary.json",
         "figures",
     }

@@ -19,7 +19,7 @@ CONTRACT = (
     "t_s,utc,lat_deg,lon_deg,alt_m,north_m,west_m,up_m,vel_north_mps,vel_west_mps,vel_up_mps,speed_mps,"
     "roll_deg,pitch_deg,yaw_deg,accel_forward_mps2,accel_left_mps2,accel_up_mps2,yaw_rate_dps,sigma_north_m,"
     "sigma_west_m,sigma_up_m,sigma_vel_north_mps,sigma_vel_west_mps,sigma_vel_up_mps,sigma_speed_mps,"
-    "sigma_roll_deg,sigma_pitch_deg,sigma_yaw_deg,sigma_track_m"
+    "sigma_roll_deg,sigma_pitch_deg,sigma_yaw_deg,sigma_track_m,lap,lap_distance_m"
 )
 ORIGIN = Origin(45.0, 12.0, 30.0)
 

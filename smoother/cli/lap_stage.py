@@ -1,0 +1,133 @@
+"""The lap analysis as a stage of the pipeline: what was stated about the track, the analysis, and its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from smoother.errors import UsageError
+
+if TYPE_CHECKING:
+    from smoother.arrays import Array
+    from smoother.config import SessionConfig
+    from smoother.laps.analysis import LapOptions
+    from smoother.laps.results import FixPath, LapAnalysis
+    from smoother.laps.sigma import Drift
+    from smoother.laps.tracks import TrackFile
+    from smoother.report.files import LapColumns
+    from smoother.samples import Session
+    from smoother.trajectory import Trajectory
+
+LAPS, OFFICIAL = "laps.csv", "official.csv"
+LEAST_RATE = 25.0  # Hz; between rows that are farther apart the path is not known to the centimetre
+USUAL_RATE = 50.0  # Hz; more rows tell no more about laps
+Document = dict[str, object]
+
+
+def steps(rate: float) -> int:
+    """How many times `rate` the session has to be estimated at, so that laps can be timed on it."""
+    return 1 if rate >= LEAST_RATE else int(-(-LEAST_RATE // rate))
+
+
+class Stated:
+    """What a session says about its laps: the tracks it may be on, official times. Checked before anything is done."""
+
+    def __init__(self, tracks: tuple[TrackFile, ...] = (), official: tuple[float, ...] = ()) -> None:
+        self.tracks, self.official = tracks, official
+
+
+def stated(config: SessionConfig, directory: Path) -> Stated:
+    """Return what session.toml and official.csv say. Raises SmootherError when a file that is meant is unusable."""
+    from smoother.laps.official import load_official
+    from smoother.laps.tracks import named_tracks
+
+    tracks = () if config.track is None else named_tracks(config.track, directory)
+    official = directory / OFFICIAL
+    return Stated(tracks, load_official(official) if official.is_file() else ())
+
+
+def tracks_from(text: str) -> tuple[TrackFile, ...]:
+    """Return what --line means: "lat,lon;lat,lon", a track file (`#name` picks one of several), or a known track."""
+    from smoother.laps.tracks import ENDINGS, library, line_from_text, load_tracks, named_tracks
+
+    path, _, chosen = text.partition("#")
+    if Path(path).is_file() or path.lower().endswith(ENDINGS):
+        return load_tracks(Path(path), chosen)
+    if tracks := named_tracks(text, Path()):
+        return tracks
+    if ";" in text:
+        return (line_from_text(text),)
+    raise UsageError(
+        f'--line {text}: neither a track file, nor "lat,lon;lat,lon", nor one of the tracks known here '
+        f"({', '.join(library())})"
+    )
+
+
+def fix_path(session: Session) -> FixPath:
+    """Return the fixes of a session as the analysis needs them."""
+    import numpy as np
+
+    from smoother.laps.results import FixPath
+
+    position = session.fix_position_n[:, :2]
+    known = np.isfinite(position).all(axis=1)
+    return FixPath(session.gnss.t[known], position[known])
+
+
+def analyse_session(session: Session, smoothed: Trajectory, say: Stated) -> LapAnalysis:
+    """Return the laps of a smoothed session."""
+    return analyse_rows(smoothed, fix_path(session), options_for(smoothed, session, say))
+
+
+def analyse_rows(smoothed: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:
+    """Return the laps of a trajectory of any rate; its row values are those of :func:`analysed_rows`."""
+    from smoother.laps.analysis import analyse
+
+    return analyse(analysed_rows(smoothed), fixes, options)
+
+
+def analysed_rows(smoothed: Trajectory) -> Trajectory:
+    """Return the rows that the analysis is made of: no more than it needs."""
+    import numpy as np
+
+    rate = 1.0 / float(np.median(np.diff(smoothed.t))) if len(smoothed) > 1 else USUAL_RATE
+    return smoothed.every(max(1, int(rate / USUAL_RATE + 0.01)))
+
+
+def options_for(smoothed: Trajectory, session: Session, say: Stated) -> LapOptions:
+    """Return the options that follow from what was stated; of several layouts the one that was driven."""
+    from smoother.laps.analysis import LapOptions
+    from smoother.laps.circuit import find_circuit
+    from smoother.laps.path import plan_path
+    from smoother.laps.tracks import layout_on
+    from smoother.samples import Problem
+
+    curve = None
+    if len(say.tracks) > 1:
+        circuit = find_circuit(plan_path(analysed_rows(smoothed)), None, None, LapOptions().shortest)
+        curve = None if isinstance(circuit, Problem) else circuit.curve
+    return LapOptions(lines=layout_on(say.tracks, session.origin, curve), official=say.official)
+
+
+def drift_of_session(smoothed: Trajectory) -> Drift | None:
+    """Return how the position error changes with time, to be stored, where the estimator knows; else None."""
+    from smoother.laps.sigma import drift_of
+
+    if smoothed.joint is None:
+        return None
+    return drift_of(smoothed.joint, float(smoothed.t[0]), float(smoothed.t[-1]))
+
+
+def lap_columns(analysis: LapAnalysis | None, smoothed: Trajectory, t: Array) -> LapColumns | None:
+    """Return the lap columns of trajectory.csv at times t (N,)."""
+    from smoother.laps.document import row_columns
+
+    return None if analysis is None else row_columns(analysis, analysed_rows(smoothed).t, t)
+
+
+def lap_documents(analysis: LapAnalysis, smoothed: Trajectory, session: Session) -> Document:
+    """Return what summary.json says about laps: `laps`, the rows of laps.csv, and `lap_analysis`, the rest."""
+    from smoother.laps.document import analysis_document, lap_rows
+
+    drift = drift_of_session(smoothed)
+    return {"laps": lap_rows(analysis), "lap_analysis": analysis_document(analysis, session.origin, drift)}

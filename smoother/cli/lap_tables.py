@@ -1,0 +1,133 @@
+"""Laps on stdout: the table of laps and the figures below it, from the documents that summary.json holds."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from smoother.cli.output import number, say, say_pairs
+from smoother.units import KMH, MPH
+
+SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
+SIGMA_SOURCES = {
+    "joint": "",
+    "stored": "± from how the position error grew with time",
+    "model": "± assumes a usual wander of the GPS, as this session cannot show its own",
+    "none": "",
+}
+
+
+def lap_clock(seconds: float | None, digits: int = 3) -> str:
+    """Return 1:02.345, or 58.648 below a minute, a dash where unknown."""
+    if seconds is None or not math.isfinite(seconds):
+        return "-"
+    minutes, rest = divmod(round(seconds, digits), 60.0)
+    return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
+
+
+def local_time(unix: float) -> str:
+    """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
+    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone().strftime("%H:%M:%S")
+
+
+def show_laps(
+    laps: list[dict[str, Any]],
+    analysis: dict[str, Any],
+    unix_at_zero: float | None,
+    units: str = "km/h",
+    title: str = "laps",
+) -> None:
+    """Print a row for every lap, and best, theoretical and rolling best, consistency, official times."""
+    if laps:
+        say_columns(title, *lap_table(laps, analysis, unix_at_zero, units))
+    odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
+    if pairs := [*figures(analysis), *odd]:
+        say_pairs("", pairs)
+
+
+def say_columns(title: str, header: list[str], rows: list[list[str]]) -> None:
+    """Print a table whose numbers are never cut, however narrow the terminal: first and last column to the left."""
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    say(title)
+    for row in (header, *rows):
+        cells = [cell.rjust(width) for cell, width in zip(row[:-1], widths[:-1], strict=True)]
+        say("  ".join([*cells, row[-1]]).rstrip())
+
+
+def lap_table(
+    laps: list[dict[str, Any]], analysis: dict[str, Any], unix_at_zero: float | None, units: str
+) -> tuple[list[str], list[list[str]]]:
+    """Return the header and the rows of the table of laps."""
+    sectors = sum(1 for name in laps[0] if name.startswith("sector") and name.endswith("_s") and "sigma" not in name)
+    official = {one["lap"]: one for one in analysis["official"] if one["lap"] is not None}
+    header = ["lap", "started", "time", "±", "gap", *(f"S{i + 1}" for i in range(sectors)), f"top {units}"]
+    if unix_at_zero is None:
+        header.remove("started")
+    header += ["official", "ours -"] if official else []
+    best = (analysis["statistics"] or {}).get("best_s")
+    rows = []
+    for lap in laps:
+        gap = None if best is None or not lap["valid"] else lap["lap_time_s"] - best
+        row = [
+            str(lap["lap"]),
+            *([] if unix_at_zero is None else [local_time(unix_at_zero + lap["start_s"])]),
+            lap_clock(lap["lap_time_s"]),
+            number(lap["lap_time_sigma_s"], 3),
+            "-" if gap is None else f"{round(gap, 3) + 0.0:+.3f}",
+            *(lap_clock(lap[f"sector{i + 1}_s"]) for i in range(sectors)),
+            number(None if lap["top_speed_mps"] is None else lap["top_speed_mps"] / SPEED_UNITS[units], 1),
+        ]
+        if official:
+            theirs = official.get(lap["lap"])
+            row += (
+                ["-", "-"]
+                if theirs is None
+                else [lap_clock(theirs["official_s"]), f"{round(theirs['difference_s'], 3) + 0.0:+.3f}"]
+            )
+        rows.append([*row, lap["reason"]])
+    return [*header, ""], rows
+
+
+def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return names and values of the figures below the table."""
+    line, said = analysis["start_line"], analysis["statistics"]
+    pairs = []
+    if line is not None:
+        where = {"found": "found where timing is surest", "library": f"of {analysis['track']}"}.get(
+            line["source"], "given"
+        )
+        pairs.append(("line", f"{where}, lap {analysis['length_m']:.0f} m"))
+    if said is not None and said["counted"]:
+        pairs += [
+            ("best", f"{lap_clock(said['best_s'])} ± {number(said['best_sigma_s'], 3)} (lap {said['best_lap']})"),
+            ("theoretical", _theoretical(said)),
+            ("rolling best", _rolling(said)),
+            ("consistency", _consistency(said)),
+        ]
+    if source := SIGMA_SOURCES.get(analysis["sigma_source"], ""):
+        pairs.append(("error bars", source))
+    return pairs
+
+
+def _theoretical(said: dict[str, Any]) -> str:
+    if said["theoretical_s"] is None or not math.isfinite(said["theoretical_s"]):
+        return "-"
+    luck = said["theoretical_s"] - said["theoretical_raw_s"]
+    text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
+    return text + (
+        f" (best sectors {lap_clock(said['theoretical_raw_s'])}, luck of the timing taken out)" if luck > 0.0005 else ""
+    )
+
+
+def _rolling(said: dict[str, Any]) -> str:
+    text = f"{lap_clock(said['rolling_s'])} ± {number(said['rolling_sigma_s'], 3)}"
+    start = said["rolling_from_m"]
+    return text if start is None or not math.isfinite(start) or start == 0.0 else f"{text} (from {start:.0f} m)"
+
+
+def _consistency(said: dict[str, Any]) -> str:
+    text = f"{said['counted']} laps count, {said['within_tenth']} within 0.1 s of the best"
+    spread = said["spread_s"]
+    return text if spread is None or not math.isfinite(spread) else f"{text}, spread {spread:.3f} s"
