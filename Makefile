@@ -4,6 +4,7 @@
 #   make lint    style and types
 #   make bench   the measurements behind the README's tables (minutes)
 #   make picture the README's picture, from the demo
+#   make firmware  the logger's image, with its budget of flash, RAM and stack
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +14,7 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench picture clean
+.PHONY: demo test lint bench picture firmware clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -34,6 +35,9 @@ bench: $(VENV)/for-benchmarks
 picture: demo
 	mkdir -p docs/figures
 	cp $(DEMO)/smoothed/figures/overview.png docs/figures/demo.png
+
+firmware: $(BIN)/python
+	@$(BIN)/python firmware/build.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
