@@ -1,11 +1,15 @@
 """From a directory, or one file of it, to a RawSession: find the files, read them, put them on one time base.
 
-A format is one entry of `FORMATS`; the first that recognises what lies in the directory reads it.
+A format is one entry of `FORMATS`; the first that recognises what lies in the directory reads it. The module that
+reads a format is imported when one is met, because a session has one of them.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,19 +17,14 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
-from smoother.session.aim import read_aim
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.files import Foreign, SessionFiles, list_files
-from smoother.session.foreign import ForeignReading
-from smoother.session.gpx import read_gpx
-from smoother.session.log import LogFiles, list_recordings, read_log, read_mag_calibration
-from smoother.session.nmea import read_nmea
-from smoother.session.racechrono import read_racechrono
 from smoother.session.rows import counted
 from smoother.session.settings import load_settings
-from smoother.session.thesis import read_magcalib, read_out
-from smoother.session.vbo import read_vbo
+
+if TYPE_CHECKING:
+    from smoother.session.foreign import ForeignReading
+    from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
@@ -188,10 +187,14 @@ def recordings(path: Path) -> list[LogFiles]:
     files = list_files(path)
     if files.chosen is not None or not files.logs():
         return []
+    from smoother.session.log import list_recordings
+
     return [recording for recording in list_recordings(files.logs()) if not recording.is_calibration]
 
 
 def _read_log(files: SessionFiles) -> Recording:
+    from smoother.session.log import list_recordings, read_log, read_mag_calibration
+
     present = list_recordings(files.logs())
     chosen = _choose(files, present)
     log = read_log(chosen)
@@ -219,6 +222,8 @@ def _choose(files: SessionFiles, present: list[LogFiles]) -> LogFiles:
 
 
 def _read_thesis(files: SessionFiles) -> Recording:
+    from smoother.session.thesis import read_magcalib, read_out
+
     out_file = files.out_file()
     assert out_file is not None
     out = read_out(out_file)
@@ -232,6 +237,8 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
+    from smoother.session.csv_form import read_imu, read_mag
+
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
     gnss, gnss_file, problems = _read_any_fixes(files, imu_table is not None)
     imu, mag = None, None
@@ -253,11 +260,15 @@ def _read_columns(files: SessionFiles) -> Recording:
 def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path, list[Problem]]:
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
+        from smoother.session.csv_form import read_fixes
+
         gnss, problems = read_fixes(table)
         if logs and files.chosen is None:
             names = ", ".join(log.name for log in logs)
             problems.append(Problem("gps_csv_preferred", f"{table.name} is used, not {names}"))
         return gnss, table, problems
+    from smoother.session.nmea import read_nmea
+
     log = logs[0]
     reading = read_nmea(log)
     problems = list(reading.problems)
@@ -271,18 +282,30 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
     return reading.gnss, log, problems
 
 
-FOREIGN_READERS: dict[Foreign, Callable[[Path], ForeignReading]] = {
-    "vbo": read_vbo,
-    "racechrono": read_racechrono,
-    "aim": read_aim,
-    "gpx": read_gpx,
-}
+def _foreign_reader(kind: Foreign) -> Callable[[Path], ForeignReading]:
+    match kind:
+        case "vbo":
+            from smoother.session.vbo import read_vbo
+
+            return read_vbo
+        case "racechrono":
+            from smoother.session.racechrono import read_racechrono
+
+            return read_racechrono
+        case "aim":
+            from smoother.session.aim import read_aim
+
+            return read_aim
+        case "gpx":
+            from smoother.session.gpx import read_gpx
+
+            return read_gpx
 
 
 def _read_foreign(files: SessionFiles) -> Recording:
     """A recording of another program, which stands in place of gps.csv and imu.csv."""
     (kind, path), *others = files.foreign_files()
-    reading = FOREIGN_READERS[kind](path)
+    reading = _foreign_reader(kind)(path)
     problems = list(reading.problems)
     if others:
         names = ", ".join(other.name for _, other in others)
