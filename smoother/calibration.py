@@ -199,6 +199,34 @@ def save_calibration(path: Path, calibration: Calibration, notes: Mapping[str, M
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def load_notes(path: Path, calibration: Calibration, newer: Calibration) -> dict[str, dict[str, object]]:
+    """Return what calibration.toml holds for people, by table, except of sensors that `newer` has values for.
+
+    `calibration` is what will be saved: its own keys are left out.
+    """
+    notes: dict[str, dict[str, object]] = {}
+    changed = {value.quantity for value in newer.applied()}
+    for table, section in _flattened(_document(path)).items():
+        if any(name in changed for name in _TABLES.get(table, {}).values()):
+            continue
+        own = {key for name in _TABLES.get(table, {}) for key in (name, f"{name}_sigma")}
+        own |= {"temperature", "temperature_span"} if table == "gyroscope" else set()
+        kept = {key: value for key, value in section.items() if key not in own}
+        if kept:
+            notes[table] = kept
+    return notes
+
+
+def _flattened(document: Mapping[str, object], prefix: str = "") -> dict[str, dict[str, object]]:
+    """Tables of tables as tables with dotted names."""
+    found: dict[str, dict[str, object]] = {}
+    for name, section in document.items():
+        if isinstance(section, dict):
+            found[prefix + name] = {key: value for key, value in section.items() if not isinstance(value, dict)}
+            found |= _flattened({key: value for key, value in section.items() if isinstance(value, dict)}, f"{name}.")
+    return found
+
+
 def toml_value(value: object) -> str:
     """Return a number, text, truth value, or nested sequences of them as TOML, numbers to nine digits."""
     if isinstance(value, bool):

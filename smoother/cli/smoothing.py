@@ -15,6 +15,7 @@ from smoother.cli.arguments import (
     sessions_argument,
     solver_option,
 )
+from smoother.cli.calibrating import calibrate
 from smoother.cli.checking import check
 from smoother.cli.demo import demo
 from smoother.cli.evaluating import evaluate
@@ -37,6 +38,7 @@ summary.json with everything that was found out. Nothing you recorded is changed
     smooth demo              no recording yet? simulate one and smooth it
 """
 NAMED_COMMANDS: dict[str, click.Command] = {
+    "calibrate": calibrate,
     "check": check,
     "demo": demo,
     "simulate": simulate,

@@ -15,6 +15,7 @@ Sources: IEEE Std 952-1997, annex C; Riedel and Sidorenko 1995 (sine tapers); Wh
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
@@ -164,17 +165,20 @@ def _multitaper(values: Array, rate: float) -> tuple[Array, Array, float]:
 def _fit_column(density: Array, bands: _Bands) -> tuple[Array, Array]:
     """Squares (3,) of the parts and their covariance (3, 3), of one column; spectral lines are left out."""
     scale = 1.0 / np.maximum(np.median(bands.basis, axis=0), 1e-300) * np.median(density)
-    basis, used = bands.basis * scale, np.ones(len(density), dtype=np.bool_)
-    for _ in range(4):
-        square = _whittle(density[used], basis[used], bands.freedom[used])
-        chance = chi2.sf(bands.freedom * density / (basis @ square), bands.freedom)
-        now = chance > LINE_CHANCE / len(density)
-        if np.array_equal(now, used) or np.sum(now) < 10:
-            break
-        used = now
+    basis, used = bands.basis * scale, ~_is_line(density, bands.freedom)
+    square = _whittle(density[used], basis[used], bands.freedom[used])
     weighted = basis[used] / (basis[used] @ square)[:, None] * np.sqrt(0.5 * bands.freedom[used])[:, None]
     covariance = np.linalg.pinv(weighted.T @ weighted)
     return square * scale, covariance * scale[:, None] * scale
+
+
+def _is_line(density: Array, freedom: Array) -> BoolArray:
+    """Mask (M,) of bands that stand out of their neighbours on both sides, which slow drift at the low end does not."""
+    padded = np.concatenate([np.full(3, np.inf), density, np.full(3, np.inf)])
+    before = np.median(sliding_window_view(padded[:-4], 3)[: len(density)], axis=1)
+    after = np.median(sliding_window_view(padded[4:], 3)[: len(density)], axis=1)
+    around = np.maximum(before, after)
+    return np.asarray(chi2.sf(freedom * density / around, freedom) < LINE_CHANCE / len(density))
 
 
 def _whittle(density: Array, basis: Array, freedom: Array) -> Array:

@@ -31,13 +31,16 @@ LARGEST_SIGMA = 0.01
 class GyroMatrixFit:
     """matrix (3, 3) from (rate - bias) to the axes of the calibrated accelerometer; covariance (9, 9), entries by rows.
 
-    count of turns; scatter: factor by which residuals exceed their sigmas, already in the covariance.
+    count of turns; scatter: factor by which residuals exceed their sigmas, already in the covariance; rms_before,
+    rms_after: angle (rad) by which the turned gravity misses, with the bias alone and with the matrix.
     """
 
     matrix: Array
     covariance: Array
     count: int
     scatter: float
+    rms_before: float
+    rms_after: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matrix", frozen(self.matrix, (3, 3), "GyroMatrixFit.matrix"))
@@ -92,7 +95,13 @@ def fit_gyro_matrix(
     covariance = covariance * scatter**2
     if np.sqrt(np.max(np.diagonal(covariance))) > LARGEST_SIGMA:
         raise FitError("the turns between resting positions do not tell the gyroscope's scale on every axis")
-    return GyroMatrixFit(matrix, covariance, len(turns), scatter)
+    before, after = (_rms_miss(turns, up, accel, M, len(positions)) for M in (np.eye(3), matrix))
+    return GyroMatrixFit(matrix, covariance, len(turns), scatter, before, after)
+
+
+def _rms_miss(turns: list[_Turn], up: Array, accel: AccelFit, matrix: Array, count: int) -> float:
+    misses = [_rows(turn, up, accel, matrix, count).residual for turn in turns]
+    return float(np.sqrt(np.mean(np.sum(np.square(misses), axis=1))))
 
 
 def _directions(positions: Sequence[RestingPosition], accel: AccelFit) -> Array:

@@ -72,9 +72,9 @@ def resting_positions(
     return tuple(found)
 
 
-def batch_means(t: Array, values: Array) -> tuple[Array, Array]:
-    """Middle times (B,) and means (B, D) of values (N, D) over whole batches of BATCH seconds."""
-    batch = np.floor((t - t[0]) / BATCH).astype(np.int64)
+def batch_means(t: Array, values: Array, length: float = BATCH) -> tuple[Array, Array]:
+    """Middle times (B,) and means (B, D) of values (N, D) over whole batches of `length` seconds."""
+    batch = np.floor((t - t[0]) / length).astype(np.int64)
     batch = np.cumsum(np.concatenate([[0], np.diff(batch) > 0]))
     count = np.bincount(batch).astype(np.float64)
     whole = count >= 0.7 * np.max(count)

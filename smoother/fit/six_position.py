@@ -76,8 +76,8 @@ def fit_accelerometer(positions: Sequence[RestingPosition], gravity: float = STA
     directions = distinct_directions(force - _middle(force)) if len(force) else force
     if len(directions) < FEWEST_DIRECTIONS:
         raise FitError(
-            f"{len(directions)} resting positions are too few for the accelerometer; lay the box on each of its six "
-            "faces, and better also on edges, ten seconds each"
+            f"{len(directions)} different resting positions were found, too few for the accelerometer; lay the box on "
+            "each of its six faces, and better also on edges, ten seconds each"
         )
     used = np.ones(len(force), dtype=np.bool_)
     parameters, covariance, z = _least_squares(force, noise, used, gravity)

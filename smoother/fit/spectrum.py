@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import get_window, welch
 from scipy.stats import chi2
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.fit.ellipsoid import FitError
 
 FEWEST_SAMPLES = 256
@@ -18,6 +18,7 @@ RESOLUTION = 1.0  # Hz; finer than an engine holds its speed
 LOWEST_LINE = 10.0  # Hz; below, a kart's own motion and its chassis
 LINE_WINDOW = 0.5  # s over which the engine's speed hardly changes
 LINE_CHANCE = 1e-3  # that noise alone makes such a peak in a window
+BACKGROUND = 12.0  # Hz on either side of a line; the line itself is 4 Hz wide
 LEAST_SHARE = 0.2  # of the windows; a line that is seen more rarely is called none
 ENGINE_SPEEDS = (1500.0, 20000.0)  # rpm, of kart engines
 
@@ -86,13 +87,20 @@ def engine_line(t: Array, values: Array, rate: float) -> EngineLine:
     power, frequency = power[:, inside], frequency[inside]
     peak = np.argmax(power, axis=1)
     freedom = 2 * blocks.shape[2]  # two quadratures on each axis
-    background = np.median(power, axis=1) / chi2.median(freedom)
+    background = np.median(_around(power, peak, round(BACKGROUND * padded / rate)), axis=1) / chi2.median(freedom)
     height = power[np.arange(windows), peak]
     threshold = chi2.isf(LINE_CHANCE / size, freedom)  # noise exceeds it in LINE_CHANCE of the windows
     amplitude = 2.0 * np.sqrt(height) / np.sum(taper)
     is_seen = height > threshold * np.maximum(background, 1e-300)
     middle = t[0] + (np.arange(windows) + 0.5) * size / rate
-    return EngineLine(middle, frequency[peak], amplitude, is_seen)
+    at_the_edge = (peak == 0) | (peak == len(frequency) - 1)  # the slope of something slower, or folded over
+    return EngineLine(middle, frequency[peak], amplitude, is_seen & ~at_the_edge)
+
+
+def _around(power: Array, peak: IntArray, width: int) -> Array:
+    """Power (W, 2 width + 1) in the bins around each peak (W,), so that a sloping spectrum makes no line."""
+    bins = np.clip(peak[:, None] + np.arange(-width, width + 1), 0, power.shape[1] - 1)
+    return np.take_along_axis(power, bins, axis=1)
 
 
 def revolutions(frequency: float, rate: float) -> list[float]:

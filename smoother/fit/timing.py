@@ -18,6 +18,8 @@ RUN = 3  # equal readings at an axis' extreme that noise does not make, for a se
 LARGEST_DELAY = 0.25  # s, that is looked for between gyroscope and magnetometer
 FEWEST_TURNING = 200  # readings while turning, for a delay
 TURNING = 0.5  # rad/s
+LARGEST_TURN = 0.3  # rad; beyond, the axes are not those of the gyroscope at all
+OUTLIER = 6.0  # times the median size
 
 
 @dataclass(frozen=True)
@@ -33,12 +35,16 @@ class Timing:
     is_steady: bool
 
 
-@dataclass(frozen=True)
-class Delay:
-    """By how many seconds one sensor's stamps are late against another's, one sigma, and over how many readings."""
+@dataclass(frozen=True, eq=False)
+class Against:
+    """A magnetometer against a gyroscope: delay s of its stamps; turn (3,) rad, such that `exp(turn) @ field` is in the
+    gyroscope's axes; one sigma of each, and over how many readings.
+    """
 
-    value: float
-    sigma: float
+    delay: float
+    delay_sigma: float
+    turn: Array
+    turn_sigma: Array
     count: int
 
 
@@ -73,57 +79,92 @@ def clipped_share(values: Array, full_scale: float | None = None) -> Array:
     return np.asarray(np.where(moves, np.mean(runs, axis=0), 0.0))
 
 
-def magnetometer_delay(t: Array, angular_rate: Array, field_t: Array, field: Array) -> Delay:
-    """Delay of calibrated field (M, 3) at field_t (M,) s against angular_rate (N, 3) rad/s at t (N,), axes s of both.
+def magnetometer_against_gyro(t: Array, angular_rate: Array, field_t: Array, field: Array) -> Against:
+    """Delay and turned axes of calibrated field (M, 3) at field_t (M,) s, against angular_rate (N, 3) rad/s at t (N,).
 
-    The field stands still in space, so between two readings it turns back by what the gyroscope turned. Its change is
-    compared with that turn for shifted stamps, and the least sum of squares is the delay.
+    The field stands still in space, so between two readings it turns back by what the gyroscope turned; the shift of
+    the stamps and the turn of the axes with the least sum of squares are sought. Readings whose length is odd, and
+    changes that fit nothing, are left out.
     Raises FitError when the sensor was hardly turned, or the two disagree whatever the delay.
     """
-    near = np.diff(field_t) < 3.0 * np.median(np.diff(field_t))
-    start, end, change, mean = _field_changes(field_t, field, near)
-    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(angular_rate[1:] * np.diff(t)[:, None], axis=0)])
-
-    def turns(delay: float) -> Array:
-        """Angle turned (K, 3) while the field changed; a sample is the mean over the interval that ends at its time."""
-        both = [np.stack([np.interp(x - delay, t, turned[:, i]) for i in range(3)], axis=1) for x in (start, end)]
-        return np.asarray(both[1] - both[0])
-
-    inside = (start > t[0] + LARGEST_DELAY) & (end < t[-1] - LARGEST_DELAY)
-    chosen = inside & (np.linalg.norm(turns(0.0), axis=1) > TURNING * (end - start))
-    if np.count_nonzero(chosen) < FEWEST_TURNING:
-        raise FitError("the box was hardly turned, so no delay between gyroscope and magnetometer can be seen")
-    start, end, change, mean = start[chosen], end[chosen], change[chosen], mean[chosen]
-
-    def residual(delay: float) -> Array:
-        return np.asarray(change + np.cross(turns(delay), mean))
-
+    good = _of_usual_length(field)
+    changes = _Changes.of(t, angular_rate, field_t[good], field[good])
     shifts = np.linspace(-LARGEST_DELAY, LARGEST_DELAY, 101)
-    best = float(shifts[np.argmin([np.sum(residual(shift) ** 2) for shift in shifts])])
+    cost = [float(np.median(np.sum(changes.residual(np.array([s, 0.0, 0.0, 0.0])) ** 2, axis=1))) for s in shifts]
+    x = np.array([shifts[int(np.argmin(cost))], 0.0, 0.0, 0.0])
     for _ in range(10):
-        slope = so3.numerical_jacobian(lambda x: residual(float(x[0])).ravel(), np.array([best]), 1e-3)[:, 0]
-        best -= float(slope @ residual(best).ravel()) / float(slope @ slope)
-    rest = residual(best)
-    if abs(best) > LARGEST_DELAY or np.sum(rest**2) > 0.5 * np.sum(change**2):
+        residual = changes.residual(x)
+        size = np.linalg.norm(residual, axis=1)
+        used = size < OUTLIER * np.median(size)
+        J = so3.numerical_jacobian(lambda y: changes.residual(y).ravel(), x, 1e-4).reshape(*residual.shape, 4)
+        normal = np.einsum("kia,kib->ab", J[used], J[used])
+        step = np.linalg.solve(normal, -np.einsum("kia,ki->a", J[used], residual[used]))
+        x = x + step
+        if np.max(np.abs(step)) < 1e-9:
+            break
+    still = float(np.sum(changes.change[used] ** 2))
+    if abs(x[0]) > LARGEST_DELAY or np.linalg.norm(x[1:]) > LARGEST_TURN or np.sum(residual[used] ** 2) > 0.5 * still:
         raise FitError("the field does not turn as the gyroscope says; are both in the same axes?")
-    sigma = _delay_sigma(slope.reshape(rest.shape), rest, turns(best), np.flatnonzero(near)[chosen])
-    return Delay(best, sigma, len(rest))
+    sigma = changes.sigma(J[used], residual[used], used, x, normal)
+    return Against(float(x[0]), float(sigma[0]), x[1:], sigma[1:], int(used.sum()))
 
 
-def _delay_sigma(slope: Array, residual: Array, turn: Array, first: IntArray) -> float:
-    """Sigma of the delay when readings have white noise; slope, residual, turn (K, 3), `first` (K,) of two readings.
+def _of_usual_length(field: Array) -> BoolArray:
+    length = np.linalg.norm(field, axis=1)
+    off = np.abs(length - np.median(length))
+    return np.asarray(off <= OUTLIER * max(float(np.median(off)), 1e-9))
 
-    Neighbouring changes share a reading, whose noise enters the one with plus and the other with minus.
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """Neighbouring readings of a field while it turned: start, end (K,) s, change and mean (K, 3), the first's index.
+
+    turned (N, 3): the integral of the angular rate until t (N,), exact there, because a sample is the mean over the
+    interval that ends at its time.
     """
-    across = 0.5 * np.cross(slope, turn)
-    weight = np.zeros((int(first[-1]) + 2, 3))
-    np.add.at(weight, first, across - slope)
-    np.add.at(weight, first + 1, across + slope)
-    noise = float(np.mean(residual**2)) / 2.0
-    return float(np.sqrt(noise * np.sum(weight**2)) / np.sum(slope**2))
+
+    start: Array
+    end: Array
+    change: Array
+    mean: Array
+    first: IntArray
+    t: Array
+    turned: Array
+
+    @staticmethod
+    def of(t: Array, rate: Array, field_t: Array, field: Array) -> "_Changes":
+        turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rate[1:] * np.diff(t)[:, None], axis=0)])
+        start, end, step = field_t[:-1], field_t[1:], np.diff(field_t)
+        inside = (start > t[0] + LARGEST_DELAY) & (end < t[-1] - LARGEST_DELAY) & (step < 3.0 * np.median(step))
+        speed = np.linalg.norm(_between(start, end, t, turned), axis=1) / step
+        chosen = np.flatnonzero(inside & (speed > TURNING))
+        if len(chosen) < FEWEST_TURNING:
+            raise FitError("the box was hardly turned, so no delay between gyroscope and magnetometer can be seen")
+        change, mean = np.diff(field, axis=0), 0.5 * (field[1:] + field[:-1])
+        return _Changes(start[chosen], end[chosen], change[chosen], mean[chosen], chosen, t, turned)
+
+    def turns(self, x: Array) -> Array:
+        """Angle turned (K, 3) in the magnetometer's axes, by delay x[0] and turn x[1:]."""
+        return np.asarray(_between(self.start - x[0], self.end - x[0], self.t, self.turned) @ so3.exp(x[1:]))
+
+    def residual(self, x: Array) -> Array:
+        """What the field changed more than it was turned, (K, 3)."""
+        return np.asarray(self.change + np.cross(self.turns(x), self.mean))
+
+    def sigma(self, J: Array, residual: Array, used: BoolArray, x: Array, normal: Array) -> Array:
+        """Sigmas (4,) when readings have white noise, which enters one change with plus and the next with minus."""
+        turn, first = self.turns(x)[used], self.first[used]
+        weight = np.zeros((int(self.first[-1]) + 2, 3, 4))
+        for a in range(4):
+            across = 0.5 * np.cross(J[:, :, a], turn)
+            np.add.at(weight[:, :, a], first, across - J[:, :, a])
+            np.add.at(weight[:, :, a], first + 1, across + J[:, :, a])
+        noise = float(np.mean(residual**2)) / 2.0
+        inverse = np.linalg.inv(normal)
+        covariance = noise * inverse @ np.einsum("kia,kib->ab", weight, weight) @ inverse
+        return np.asarray(np.sqrt(np.diagonal(covariance)))
 
 
-def _field_changes(t: Array, field: Array, near: BoolArray) -> tuple[Array, Array, Array, Array]:
-    """Start and end (K,) s of near neighbours among the readings, change (K, 3) and mean (K, 3) between them."""
-    mean = 0.5 * (field[1:] + field[:-1])
-    return t[:-1][near], t[1:][near], np.diff(field, axis=0)[near], mean[near]
+def _between(start: Array, end: Array, t: Array, turned: Array) -> Array:
+    both = [np.stack([np.interp(at, t, turned[:, i]) for i in range(3)], axis=1) for at in (start, end)]
+    return np.asarray(both[1] - both[0])

@@ -1,0 +1,131 @@
+"""Check of timing and signal: rate, jitter, gaps, clipping, vibration with the engine's line, delay of the compass."""
+
+import numpy as np
+
+from calib.outcome import Outcome, Value
+from calib.recording import Recording
+from smoother import so3
+from smoother.arrays import Array
+from smoother.calibration import Calibration
+from smoother.fit.ellipsoid import FitError
+from smoother.fit.spectrum import EngineLine, engine_line, revolutions, vibration_spectrum
+from smoother.fit.timing import Timing, clipped_share, magnetometer_against_gyro, sample_timing
+from smoother.samples import RawImu
+from smoother.units import DEG, MILLISECOND
+
+PROCEDURE = "timing and vibration"
+AGAINST_PROCEDURE = "magnetometer against gyroscope"
+
+
+def calibrate(recording: Recording) -> Outcome:
+    """Return rate, jitter, gaps, clipping, vibration and the engine's line. Raises FitError without a motion sensor."""
+    if recording.imu is None or recording.imu_stamps is None:
+        raise FitError("no motion sensor was recorded")
+    timing = sample_timing(recording.imu_stamps)
+    values = [*_timing_values("motion sensor", timing), *_clipping(recording.imu)]
+    if recording.mag_stamps is not None and len(recording.mag_stamps) > 32:
+        values += _timing_values("magnetometer", sample_timing(recording.mag_stamps))
+    t, force, rate = _longest_piece(recording)
+    drawing: dict[str, object] = {}
+    remarks: list[str] = []
+    hz = recording.imu_rate
+    spectra = {"accelerometer": vibration_spectrum(force, hz), "gyroscope": vibration_spectrum(rate, hz)}
+    fast = spectra["accelerometer"].rms(2.0), spectra["gyroscope"].rms(2.0) / DEG
+    values.append(Value("vibration above 2 Hz, acceleration", fast[0], None, "m/s²"))
+    values.append(Value("vibration above 2 Hz, turning", fast[1], None, "deg/s"))
+    line = engine_line(t, force, hz)
+    drawing = {"spectra": spectra, "line": line, "rate": hz, "is_driven": recording.is_driven}
+    values += _line_values(line, hz, recording.is_driven, remarks)
+    if recording.is_thesis:
+        remarks.append("the thesis' format stamps whole milliseconds")
+    return Outcome(PROCEDURE, recording.name, tuple(values), remarks=tuple(remarks), drawing=drawing)
+
+
+def _timing_values(sensor: str, timing: Timing) -> list[Value]:
+    steady = "" if timing.is_steady else "samples do not follow a clock"
+    values = [
+        Value(f"{sensor}, rate", timing.rate, timing.rate_sigma, "Hz", steady),
+        Value(f"{sensor}, jitter of the stamps", timing.jitter / MILLISECOND, None, "ms"),
+        Value(f"{sensor}, gaps", float(timing.gaps), None, ""),
+    ]
+    if timing.gaps:
+        values.append(Value(f"{sensor}, longest gap", timing.longest_gap, None, "s"))
+    return values
+
+
+def _clipping(imu: RawImu) -> list[Value]:
+    """Share of clipped readings of each axis, in percent; judged in counts or SI, as the file has them."""
+    full = [
+        None if scale is None else scale / unit
+        for scale, unit in ((imu.accel_full_scale, imu.accel_scale), (imu.gyro_full_scale, imu.gyro_scale))
+    ]
+    return [
+        Value("accelerometer, clipped", 100.0 * clipped_share(imu.accel, full[0]), None, "%"),
+        Value("gyroscope, clipped", 100.0 * clipped_share(imu.gyro, full[1]), None, "%"),
+    ]
+
+
+def _longest_piece(recording: Recording) -> tuple[Array, Array, Array]:
+    """Times, force and rate of the longest stretch without a gap."""
+    assert recording.imu is not None
+    t = recording.imu.t
+    cuts = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
+    bounds = np.concatenate([[0], cuts, [len(t)]])
+    k = int(np.argmax(np.diff(bounds)))
+    piece = slice(int(bounds[k]), int(bounds[k + 1]))
+    return t[piece], recording.force[piece], recording.rate[piece]
+
+
+def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str]) -> list[Value]:
+    name = "engine's line" if is_driven else "strongest line"
+    if not line.is_there:
+        remarks.append(f"no {name} in the vibration" if is_driven else "no line in the vibration")
+        return []
+    frequency, amplitude = line.frequency[line.is_seen], line.amplitude[line.is_seen]
+    low, high = np.percentile(frequency, [10.0, 90.0])
+    remarks.append(f"{name} seen in {100 * np.mean(line.is_seen):.0f} % of the time")
+    if is_driven:
+        speeds = ", ".join(f"{rpm:.0f}" for rpm in revolutions(float(np.median(frequency)), hz))
+        remarks.append(f"as sampling folds it, its median frequency could be {speeds or 'no engine speed'} rpm")
+    return [
+        Value(f"{name}, from 10 % to 90 % of the time", np.array([low, high]), None, "Hz"),
+        Value(f"{name}, median amplitude", float(np.median(amplitude)), None, "m/s²"),
+    ]
+
+
+def calibrate_against_gyro(recording: Recording, calibration: Calibration) -> Outcome:
+    """Return how late the magnetometer's stamps are, and how its axes are turned against the gyroscope's.
+
+    An ellipsoid cannot show that turn; the soft iron gets it. `calibration` is applied first. Raises FitError.
+    """
+    if recording.imu is None or recording.mag is None:
+        raise FitError("gyroscope and magnetometer are both needed for the delay between them")
+    if calibration.hard_iron is None or calibration.soft_iron is None:
+        raise FitError("the magnetometer has to be calibrated before it can be compared with the gyroscope")
+    if recording.is_driven:
+        raise FitError("a kart turns too slowly about too few axes; turn the box by hand")
+    _, rate = recording.calibrated(calibration)
+    field = calibration.apply_to_mag(recording.mag).field_s
+    found = magnetometer_against_gyro(recording.imu.t, rate, recording.mag.t, field)
+    values = (
+        Value("stamps later than the gyroscope's", found.delay / MILLISECOND, found.delay_sigma / MILLISECOND, "ms"),
+        Value("axes turned by, about x, y, z", found.turn / DEG, found.turn_sigma / DEG, "deg"),
+    )
+    soft_iron = so3.exp(found.turn) @ calibration.soft_iron
+    before = calibration.sigmas.get("soft_iron", np.zeros((3, 3)))
+    turned = np.abs(so3.skew(np.ones(3)) @ np.abs(calibration.soft_iron)) * np.max(found.turn_sigma)
+    kept = {"hard_iron": calibration.sigmas["hard_iron"]} if "hard_iron" in calibration.sigmas else {}
+    return Outcome(
+        AGAINST_PROCEDURE,
+        recording.name,
+        values,
+        calibration=Calibration(
+            hard_iron=calibration.hard_iron,
+            soft_iron=soft_iron,
+            sigmas={**kept, "soft_iron": np.hypot(before, turned)},
+        ),
+        notes={
+            "timing": {"magnetometer_delay": found.delay, "magnetometer_delay_sigma": found.delay_sigma},
+            "magnetometer": {"axes_turned": found.turn, "axes_turned_sigma": found.turn_sigma},
+        },
+    )

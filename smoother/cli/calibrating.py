@@ -1,0 +1,239 @@
+"""`smooth calibrate DIR...`: find out the errors of the sensors, and write them where `smooth` finds them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, json_option, require_sessions, sessions_argument
+from smoother.cli.output import plain, progress_on_terminal, say, say_json, say_pairs, warn
+from smoother.cli.pipeline import session_directory, unwritable
+from smoother.errors import SessionError, UsageError
+
+if TYPE_CHECKING:
+    from calib.outcome import Comparison, Outcome, Value
+    from calib.run import Results
+    from smoother.cli.output import Progress
+    from smoother.frames import Origin
+    from smoother.report.calibration_page import Section
+
+PAGE, FIGURES = "calibration.html", "calibration"
+
+
+@click.command(short_help="Calibrate the sensors; writes calibration.toml and a page of figures.")
+@sessions_argument
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [the first DIR].")
+@click.option("--first-samples", is_flag=True, help="Gyro bias from the first 1000 samples, as in the thesis.")
+@click.option("--place", metavar="LAT,LON", help="For the magnetic model, in degrees [from the fixes].")
+@click.option("--date", metavar="YYYY-MM-DD", help="For the magnetic model [from the fixes or session.toml].")
+@click.option("--no-figures", is_flag=True, help="Write calibration.toml only.")
+@json_option
+@click.option("--open", "open_it", is_flag=True, help="Show the page when done.")
+def calibrate(
+    sessions: tuple[Path, ...],
+    out: Path | None,
+    first_samples: bool,
+    place: str | None,
+    date: str | None,
+    no_figures: bool,
+    as_json: bool,
+    open_it: bool,
+) -> int:
+    """Find out the errors of the sensors from recordings of the box: lying still, laid on its faces, turned by hand.
+
+    Looks at what each recording offers and runs what applies; recordings of one box may be named together. What was
+    found is written to calibration.toml in the first folder (values of sensors that these recordings do not show are
+    kept), with a page of figures. `smooth SESSION` uses calibration.toml from the folder of the session or the folder
+    above it. The README says what to do with the box in the hands.
+    """
+    require_sessions(sessions, "smooth calibrate")
+    directory = session_directory(sessions[0]) if out is None else out
+    with progress_on_terminal() as progress:
+        results = _run(sessions, first_samples, _place(place), _date(date), progress)
+        progress("writing", 0.95)
+        try:
+            page = _write(results, directory, not no_figures)
+        except OSError as error:
+            raise unwritable(directory, error) from error
+    if as_json:
+        from smoother.report.files import to_json
+
+        say_json(to_json(_document(results)))
+    else:
+        _show(results)
+        say(str(page))
+    if open_it:
+        click.launch(str(page))
+    return EXIT_DONE
+
+
+def _run(
+    paths: tuple[Path, ...], first_samples: bool, place: Origin | None, date: dt.date | None, progress: Progress
+) -> Results:
+    from calib.recording import load_recording
+    from calib.run import RunOptions, run
+
+    progress("reading", 0.0)
+    recordings = [load_recording(path) for path in paths]
+    for recording in recordings:
+        for problem in recording.problems:
+            warn(problem.text)
+    results = run(recordings, RunOptions(first_samples, place, date), progress)
+    if not results.calibration.applied() and len(results.outcomes) <= len(recordings):
+        reasons = "; ".join(f"{refusal.procedure}: {refusal.reason}" for refusal in results.refusals)
+        raise SessionError(f"{', '.join(map(str, paths))}: nothing could be calibrated ({reasons})")
+    return results
+
+
+def _place(text: str | None) -> Origin | None:
+    from smoother.frames import Origin
+
+    if text is None:
+        return None
+    try:
+        lat, lon = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise UsageError(f"--place {text}: wanted two numbers, as 45.05,12.21") from error
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
+        raise UsageError(f"--place {text}: no such place; latitude first, in degrees")
+    return Origin(lat, lon, 0.0)
+
+
+def _date(text: str | None) -> dt.date | None:
+    try:
+        return None if text is None else dt.date.fromisoformat(text)
+    except ValueError as error:
+        raise UsageError(f"--date {text}: wanted a date as 2026-05-16") from error
+
+
+# ---- writing --------------------------------------------------------------------------------------------------------
+
+
+def _write(results: Results, directory: Path, with_figures: bool) -> Path:
+    """Write calibration.toml and the page; return what a person opens first."""
+    from smoother.calibration import FILE_NAME, load_calibration, load_notes, merged, save_calibration
+
+    directory.mkdir(parents=True, exist_ok=True)
+    target = directory / FILE_NAME
+    calibration, notes = results.calibration, dict(results.notes)
+    if target.is_file():
+        calibration = merged(load_calibration(target), calibration)
+        notes = {**load_notes(target, calibration, results.calibration), **notes}
+    # Written beside it first, so that a full disk does not leave half a calibration.
+    temporary = target.with_suffix(".tmp")
+    save_calibration(temporary, calibration, notes)
+    temporary.replace(target)
+    if not with_figures:
+        return target
+    return _write_page(results, directory)
+
+
+def _write_page(results: Results, directory: Path) -> Path:
+    from smoother.report.calibration_page import write_page
+
+    folder = directory / FIGURES
+    folder.mkdir(exist_ok=True)
+    sections = [_section(outcome, i, folder) for i, outcome in enumerate(results.outcomes)]
+    drawn = {section.figure for section in sections}
+    for stale in folder.glob("*.png"):
+        if stale not in drawn:
+            stale.unlink()
+    title = f"Calibration from {', '.join(dict.fromkeys(outcome.recording for outcome in results.outcomes))}"
+    refusals = [(refusal.procedure, refusal.reason) for refusal in results.refusals]
+    write_page(directory / PAGE, title, sections, refusals)
+    return directory / PAGE
+
+
+def _section(outcome: Outcome, number: int, folder: Path) -> Section:
+    from smoother.report.calibration_figures import FIGURES as DRAWN
+    from smoother.report.calibration_figures import draw
+    from smoother.report.calibration_page import Section
+
+    figure = None
+    if outcome.drawing and outcome.procedure in DRAWN:
+        function, name = DRAWN[outcome.procedure]
+        figure = folder / f"{name}.png"
+        if figure.exists() and number and outcome.procedure.startswith("timing"):
+            figure = folder / f"{name}_{number + 1}.png"
+        draw(function, **outcome.drawing).savefig(figure, format="png")
+    rows = [(value.name, _with_sigma(value), value.unit, value.note) for value in outcome.values]
+    comparisons = [(c.name, f"{c.before:.4g} {c.unit}", f"{c.after:.4g} {c.unit}") for c in outcome.comparisons]
+    return Section(f"{outcome.procedure} ({outcome.recording})", rows, comparisons, outcome.remarks, figure)
+
+
+# ---- saying ---------------------------------------------------------------------------------------------------------
+
+
+def _show(results: Results) -> None:
+    for outcome in results.outcomes:
+        pairs = [(value.name, _value_text(value)) for value in outcome.values]
+        pairs += [(comparison.name, _comparison_text(comparison)) for comparison in outcome.comparisons]
+        pairs += [("", remark) for remark in outcome.remarks]
+        say_pairs(f"{outcome.procedure} ({outcome.recording})", pairs)
+        say("")
+    if results.refusals:
+        say_pairs("not calibrated", [(refusal.procedure, refusal.reason) for refusal in results.refusals])
+        say("")
+
+
+def _value_text(value: Value) -> str:
+    numbers = _with_sigma(value)
+    if not numbers:
+        return value.note
+    text = f"{numbers} {value.unit}".rstrip()
+    return f"{text} ({value.note})" if value.note else text
+
+
+def _comparison_text(comparison: Comparison) -> str:
+    return f"{comparison.before:.4g} {comparison.unit} before, {comparison.after:.4g} {comparison.unit} after"
+
+
+def _with_sigma(value: Value) -> str:
+    """Numbers with their sigmas, as many digits as these allow, rows of a matrix apart; nothing for an unknown one."""
+    import numpy as np
+
+    values = np.atleast_1d(np.asarray(value.value, dtype=float))
+    if not np.any(np.isfinite(values)):
+        return ""
+    if values.ndim == 2:
+        sigmas = [None] * len(values) if value.sigma is None else list(np.asarray(value.sigma))
+        rows = [replace(value, value=row, sigma=sigma) for row, sigma in zip(values, sigmas, strict=True)]
+        return " | ".join(_with_sigma(row) for row in rows)
+    if value.sigma is None:
+        return ", ".join(f"{item + 0.0:.4g}" for item in values)
+    pairs = zip(values, np.atleast_1d(np.asarray(value.sigma, dtype=float)), strict=True)
+    return ", ".join(_pair(float(item), float(sigma)) for item, sigma in pairs)
+
+
+def _pair(value: float, sigma: float) -> str:
+    """A number and its sigma, this with two digits that count."""
+    if not (sigma > 0.0 and math.isfinite(sigma)):
+        return f"{value:.6g} ± {sigma:.2g}"
+    digits = max(0, 1 - math.floor(math.log10(sigma)))
+    if digits > 7:
+        return f"{value:.4g} ± {sigma:.2g}"
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {sigma:.{digits}f}"
+
+
+def _document(results: Results) -> Mapping[str, object]:
+    """The results as plain values, for --json."""
+    return {
+        "procedures": [
+            {
+                "procedure": outcome.procedure,
+                "recording": plain(outcome.recording),
+                "values": outcome.values,
+                "comparisons": outcome.comparisons,
+                "remarks": outcome.remarks,
+            }
+            for outcome in results.outcomes
+        ],
+        "refused": results.refusals,
+        "calibration": results.calibration.applied(),
+    }
