@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 
 from smoother.arrays import Array
@@ -23,20 +22,16 @@ from smoother.estimate.graph.imu import (
     corrected,
     dense_path,
     interval_noise,
-    preintegrate,
     reading_path,
 )
 from smoother.estimate.graph.inertial import (
+    InertialGraph,
     LinearInertial,
-    ValuesFactory,
     VarianceComponent,
     add_inertial,
     empty_system,
-    inertial_after_errors,
     inertial_after_step,
     inertial_components,
-    inertial_graph,
-    linearize_inertial,
 )
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -51,7 +46,6 @@ from smoother.estimate.graph.state import (
     VELOCITY,
     VELOCITY_LATENCY,
     ChainState,
-    Constants,
 )
 
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
@@ -62,6 +56,7 @@ SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
+ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
 USUAL_COUNT = 20.0
 USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
@@ -104,7 +99,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (27,)."""
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,)."""
 
     accel_bias: float
     gyro_bias: float
@@ -117,8 +112,7 @@ class Priors:
 class Data:
     """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
 
-    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest; up_s (3,) roughly
-    the kart's up in s.
+    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest.
     """
 
     t: Array
@@ -127,7 +121,6 @@ class Data:
     position_scale: Array
     velocity_scale: Array
     still: np.ndarray
-    up_s: Array
     extra: tuple[Callable[[ChainState, Noise], rw.Rows], ...] = ()
 
 
@@ -141,14 +134,6 @@ class Solved:
     rows: dict[str, rw.Rows]
 
 
-@dataclass(frozen=True, eq=False)
-class Preintegrated:
-    """Inertial factors, and the constants whose sensor errors were taken out of the samples before."""
-
-    factors: gtsam.NonlinearFactorGraph
-    constants: Constants
-
-
 class Batch:
     """One session's graph. Data and inertial bins are fixed; states and noise go in and come out."""
 
@@ -156,18 +141,17 @@ class Batch:
         self._data = data
         self._binned = binned
         self._priors = priors
-        self._factory = ValuesFactory(len(binned.t))
 
-    def graph(self, state: ChainState, noise: Noise) -> "Preintegrated":
-        """Preintegrate the inertial samples about the biases and sensor errors of `state`."""
-        biases = state.accel_bias_s[:-1], state.gyro_bias_s[:-1]
-        return Preintegrated(inertial_graph(preintegrate(self.bins(state), noise.inertial, *biases)), state.constants)
+    def graph(self, state: ChainState, noise: Noise) -> InertialGraph:
+        """Preintegrate the inertial samples about the mean biases and the sensor errors of `state`."""
+        biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
+        return InertialGraph(self.bins(state), noise.inertial, *biases, state.constants)
 
     def bins(self, state: ChainState) -> BinnedImu:
         """Inertial bins with the state's errors of scale and misalignment taken out."""
-        return corrected(self._binned, state.constants.accel_error, state.constants.gyro_error)
+        return corrected(self._binned, state.constants.accel_matrix, state.constants.gyro_matrix)
 
-    def converge(self, graph: Preintegrated, state: ChainState, noise: Noise, iterations: int) -> ChainState:
+    def converge(self, graph: InertialGraph, state: ChainState, noise: Noise, iterations: int) -> ChainState:
         """Gauss-Newton from `state`, at most `iterations` steps, each shortened where the constants swing back."""
         before = np.zeros(CONSTANTS_SIZE)
         for _ in range(iterations):
@@ -180,10 +164,26 @@ class Batch:
                 break
         return state
 
-    def step(self, graph: Preintegrated, state: ChainState, noise: Noise, before: Array | None = None) -> Solved:
+    def approach(
+        self, graph: InertialGraph, state: ChainState, noise: Noise, near: float, iterations: int
+    ) -> ChainState:
+        """Gauss-Newton of the keyframes alone, the constants held, until no attitude moves by `near` rad.
+
+        At most `iterations`. While attitudes are off by degrees, steps of the constants lead astray, and coming back
+        takes more steps.
+        """
+        for _ in range(iterations):
+            system, _, _ = self._linearize(graph, state, noise)
+            step = solve_chain(_of_keyframes(system), with_covariance=False)
+            state = state.retract(step.x, np.zeros(CONSTANTS_SIZE))
+            if float(np.max(np.abs(step.x[:, ROTATION]))) < near:
+                break
+        return state
+
+    def step(self, graph: InertialGraph, state: ChainState, noise: Noise, before: Array | None = None) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
-        before (27,) is the previous step of the constants: where they swing back the state goes only half the way.
+        before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system)
@@ -202,21 +202,13 @@ class Batch:
         )
 
     def _linearize(
-        self, graph: Preintegrated, state: ChainState, noise: Noise
+        self, graph: InertialGraph, state: ChainState, noise: Noise
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
-        # A scale multiplies what is felt across gravity and turned about it. Along gravity it is a bias; a kart's rates
-        # of roll and pitch are mostly noise, and a scale fitted to noise would be fitted to hide it.
-        up = self._data.up_s
-        force = self._binned.specific_force_s.mean(axis=1) - state.accel_bias_s[:-1]
-        rate = self._binned.angular_rate_s.mean(axis=1) - state.gyro_bias_s[:-1]
-        force, rate = force - np.outer(force @ up, up), np.outer(rate @ up, up)
-        inertial = linearize_inertial(graph.factors, self._factory.values(state), force, rate)
+        inertial = graph.linearize(state, noise.inertial)
         rows = {r.name: r for r in self._rows(state, noise)}
-        inertial = inertial_after_errors(inertial, state.constants.as_vector() - graph.constants.as_vector())
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
-        for r in rows.values():
-            rw.add_rows(system, r)
+        rw.add_rows(system, list(rows.values()))
         prior = self._priors
         difference = state.constants.as_vector() - prior.constants
         rw.add_constants_prior(system, difference, constants_sigma(prior, noise))
@@ -252,6 +244,19 @@ def converged(step: Array) -> bool:
     return all(float(np.max(np.abs(step[:, part]))) < limit for part, limit in CONVERGED)
 
 
+def moved(solution: ChainSolution) -> float:
+    """Root mean square of a step of attitude and velocity, each over its sigma."""
+    sigma2 = np.einsum("kii->ki", solution.covariance)
+    return max(math.sqrt(float(np.mean(solution.x[:, part] ** 2 / sigma2[:, part]))) for part in (ROTATION, VELOCITY))
+
+
+def _of_keyframes(system: ChainSystem) -> ChainSystem:
+    """Return the system without the constants: they stay where they are."""
+    n_keyframes, n = system.rhs.shape
+    none = np.empty((n_keyframes, n, 0))
+    return replace(system, border=none, corner=np.empty((0, 0)), rhs_constants=np.empty(0))
+
+
 def swing_share(step: Array, before: Array) -> float:
     """Share of a step to be gone: half, when the latencies turn back by nearly as much as they went before.
 
@@ -264,7 +269,7 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (27,) of all constants."""
+    """Prior sigma (18,) of all constants."""
     sigma = priors.constants_sigma.copy()
     sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
     return sigma
@@ -308,7 +313,9 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatt
     good = (binned.missing == 0.0) & (binned.clipped == 0.0)
     if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
         good[solved.rows["standstill"].interval] = False
-    force, rate = inertial_components(state, solved.inertial, solution, accel, gyro, good)
+    some = np.zeros_like(good)
+    some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
+    force, rate = inertial_components(state, solved.inertial, solution, accel, gyro, some)
     new = replace(
         noise.inertial,
         accel=_density(force, noise.inertial.accel, scatter.accel),
@@ -381,10 +388,12 @@ def _offset_ratio(solved: Solved) -> Array:
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:
-    """Ratio (2,) for the spread of scale and misalignment: nine values each, of which a session shows six and three."""
+    """Ratio (2,) for the spread of scale and misalignment, six values of force and three of rate."""
     out = []
     for part, sigma in zip((ACCEL_ERROR, GYRO_ERROR), noise.sensor_error, strict=True):
         chi2 = float(np.sum((solved.state.constants.as_vector()[part] / sigma) ** 2))
-        redundancy = 9.0 - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
+        redundancy = (
+            part.stop - part.start - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
+        )
         out.append(np.clip(np.sqrt((chi2 + 1.0) / (max(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0))
     return np.array(out)

@@ -60,7 +60,7 @@ class _Level:
     inverse: Array  # (M, n, n)
     to_left: Array  # (M, n, n): D^-1 A(odd, left)
     to_right: Array  # (M, n, n), zero where there is no right neighbour
-    offset: Array  # (M, n, 1 + m): D^-1 rhs
+    offset: Array  # (M, n, m + 1): D^-1 rhs
     n_nodes: int
 
 
@@ -69,40 +69,39 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSo
 
     Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
-    if not all(np.all(np.isfinite(part)) for part in vars(system).values()):
+    if not all(np.isfinite(np.sum(part)) for part in vars(system).values()):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
     information = np.einsum("kii->ki", system.diagonal)
     if not np.all(information > 0.0):
         raise NotPositiveDefiniteError("an unknown has no information at all")
     scale = 1.0 / np.sqrt(information)
-    diagonal = system.diagonal * scale[:, :, None] * scale[:, None, :]
-    upper = system.upper * scale[:-1, :, None] * scale[1:, None, :]
-    rhs = np.concatenate([system.rhs[:, :, None], system.border], axis=2) * scale[:, :, None]
+    square, beside = scale[:, :, None] * scale[:, None, :], scale[:-1, :, None] * scale[1:, None, :]
+    rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2) * scale[:, :, None]
 
-    levels, root, log_determinant = _reduce(diagonal, upper, rhs)
+    levels, root, log_determinant = _reduce(system.diagonal * square, system.upper * beside, rhs)
     x = _substitute(levels, root[1])
-    solution, influence = x[:, :, 0], x[:, :, 1:]
+    K, n, m = system.border.shape
+    influence, solution = np.ascontiguousarray(x[:, :, :m]), x[:, :, m]
 
-    border = system.border * scale[:, :, None]
-    m = border.shape[2]
-    schur = system.corner - np.einsum("kni,knj->ij", border, influence)
+    inner = rhs.reshape(K * n, m + 1)[:, :m].T @ x.reshape(K * n, m + 1)
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
     if m:
-        factor = _cholesky(schur[None])[0]
+        factor = _cholesky((system.corner - inner[:, :m])[None])[0]
         constants_covariance = _inverse_from_cholesky(factor[None])[0]
-        constants = constants_covariance @ (system.rhs_constants - np.einsum("kni,kn->i", border, solution))
+        constants = constants_covariance @ (system.rhs_constants - inner[:, m])
         log_determinant += 2.0 * float(np.sum(np.log(np.diag(factor))))
         solution = solution - influence @ constants
     log_determinant -= 2.0 * float(np.sum(np.log(scale)))
 
     if with_covariance:
         covariance, cross = _selected_inverse(levels, root[0])
-        weighted = influence @ constants_covariance
-        covariance = covariance + weighted @ influence.transpose(0, 2, 1)
-        cross = cross + weighted[:-1] @ influence[1:].transpose(0, 2, 1)
+        weighted = (influence.reshape(K * n, m) @ constants_covariance).reshape(K, n, m)
+        influence_t = influence.transpose(0, 2, 1)
+        covariance += weighted @ influence_t
+        cross += weighted[:-1] @ influence_t[1:]
         constants_cross = -weighted * scale[:, :, None]
-        covariance *= scale[:, :, None] * scale[:, None, :]
-        cross *= scale[:-1, :, None] * scale[1:, None, :]
+        covariance *= square
+        cross *= beside
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
     return ChainSolution(

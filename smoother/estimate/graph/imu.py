@@ -49,6 +49,25 @@ class BinnedImu:
         return np.asarray(self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1))
 
 
+def halved(binned: BinnedImu, gyro_bias: Array) -> BinnedImu:
+    """Return half as many bins, each of two neighbours: the later force turned to the axes of the first one's start.
+
+    gyro_bias (3,) rad/s is taken off for that turn. The bins must be an even number in each interval. Source: as
+    :func:`bin_imu`, for two steps.
+    """
+    dt = binned.dt
+    force, later = binned.specific_force_s[:, 0::2], binned.specific_force_s[:, 1::2]
+    rate, later_rate = binned.angular_rate_s[:, 0::2], binned.angular_rate_s[:, 1::2]
+    turn = (rate - gyro_bias) * dt
+    turned = np.cross(turn, later)
+    return replace(
+        binned,
+        dt=2.0 * dt,
+        specific_force_s=0.5 * (force + later + turned + 0.5 * np.cross(turn, turned)),
+        angular_rate_s=0.5 * (rate + later_rate + 0.5 * np.cross(turn, later_rate - gyro_bias)),
+    )
+
+
 def corrected(binned: BinnedImu, accel_error: Array, gyro_error: Array) -> BinnedImu:
     """Return the bins with errors (3, 3) of scale and misalignment taken out, to first order."""
     return replace(
@@ -160,26 +179,42 @@ def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Arra
     return accel, gyro
 
 
+def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
+    """Densities (K-1,) as :func:`interval_noise`, in steps of 2 % from the session's: intervals share a handful."""
+    accel, gyro = interval_noise(binned, noise)
+    steps = 50.0  # to a natural logarithm; 2 % of a sigma is nothing
+    return (
+        noise.accel * np.exp(np.round(steps * np.log(accel / noise.accel)) / steps),
+        noise.gyro * np.exp(np.round(steps * np.log(gyro / noise.gyro)) / steps),
+    )
+
+
 def preintegrate(
     binned: BinnedImu, noise: InertialNoise, accel_bias: Array, gyro_bias: Array
 ) -> list[gtsam.PreintegratedCombinedMeasurements]:
-    """Preintegrate each interval about its own bias. Biases (K-1, 3). Returns K-1 GTSAM measurements."""
-    accel, gyro = interval_noise(binned, noise)
-    # a handful of noise classes: the parameter objects are shared, and 2 % of a sigma is nothing
-    keys = list(zip(np.round(np.log(accel) * 50).tolist(), np.round(np.log(gyro) * 50).tolist(), strict=True))
+    """Preintegrate each interval about its own bias, or all about one. Biases (K-1, 3) or (3,); returns K-1."""
+    n, n_bins, dt = len(binned.t) - 1, binned.n_bins, binned.dt
+    densities = zip(*(values.tolist() for values in shared_densities(binned, noise)), strict=True)
+    biases = _biases(accel_bias, gyro_bias, n)
+    forces, rates = list(binned.specific_force_s.reshape(-1, 3)), list(binned.angular_rate_s.reshape(-1, 3))
     params: dict[tuple[float, float], gtsam.PreintegrationCombinedParams] = {}
-    out = []
-    forces, rates = binned.specific_force_s, binned.angular_rate_s
-    for k, key in enumerate(keys):
-        if key not in params:
-            params[key] = _parameters(float(accel[k]), float(gyro[k]), noise)
-        bias = gtsam.imuBias.ConstantBias(accel_bias[k], gyro_bias[k])
-        measured = gtsam.PreintegratedCombinedMeasurements(params[key], bias)
+    out, first = [], 0
+    for density, bias in zip(densities, biases, strict=True):
+        if density not in params:
+            params[density] = _parameters(density[0], density[1], noise)
+        measured = gtsam.PreintegratedCombinedMeasurements(params[density], bias)
         integrate = measured.integrateMeasurement
-        for force, rate in zip(forces[k], rates[k], strict=True):
-            integrate(force, rate, binned.dt)
+        for i in range(first, first + n_bins):
+            integrate(forces[i], rates[i], dt)
+        first += n_bins
         out.append(measured)
     return out
+
+
+def _biases(accel_bias: Array, gyro_bias: Array, n: int) -> list[gtsam.imuBias.ConstantBias]:
+    if accel_bias.ndim == 1:
+        return [gtsam.imuBias.ConstantBias(accel_bias, gyro_bias)] * n
+    return [gtsam.imuBias.ConstantBias(a, g) for a, g in zip(accel_bias, gyro_bias, strict=True)]
 
 
 def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:

@@ -62,7 +62,7 @@ def build_trajectory(
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
     state = solved.state
-    binned = corrected(binned, state.constants.accel_error, state.constants.gyro_error)
+    binned = corrected(binned, state.constants.accel_matrix, state.constants.gyro_matrix)
     path = dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
     arm_s = state.constants.lever_arm_s
     t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)

@@ -8,6 +8,7 @@ only a shift of the time at which the path is read.
 Residuals are prediction minus measurement, in the unit of the measurement; `sigma` whitens them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,12 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.frames import wrap_angle
+
+DENSE = 0.25  # share of intervals from which on rows are added to all of them
+PIECE = 128  # intervals whose products stay in the processor's cache
+_LEFT, _RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
+_RESIDUAL = 2 * KEYFRAME_SIZE + ROW_CONSTANTS_SIZE
+_CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,33 +216,61 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (27,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (18,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
 
-def add_rows(system: ChainSystem, rows: Rows) -> None:
-    """Add the normal equations of `rows` to the system, in place: the one function here that changes its argument."""
-    if len(rows.interval) == 0:
+def add_rows(system: ChainSystem, rows: Sequence[Rows]) -> None:
+    """Add the normal equations of `rows` to the system, in place: the one function here that changes its argument.
+
+    Rows that most intervals have are stacked, so that one product serves all of them and whole blocks are added.
+    """
+    n_intervals = len(system.upper)
+    layers = []
+    for r in rows:
+        for once in _without_repeats(r.interval):
+            if len(once) > DENSE * n_intervals:
+                layers.append((r, once))
+            else:
+                _add_few(system, r, once)
+    if not layers:
         return
-    # most rows know only some of a keyframe's unknowns; the products are taken over those
-    i, j, c = (np.flatnonzero(np.any(J, axis=(0, 1))) for J in (rows.left, rows.right, rows.constants))
-    jacobian = np.concatenate([rows.left[:, :, i], rows.right[:, :, j], rows.constants[:, :, c]], axis=2)
-    normal = (jacobian * rows.information[:, :, None]).transpose(0, 2, 1)
-    total = normal @ jacobian
-    gradient = (normal @ rows.residual[:, :, None])[:, :, 0]
-    m, n = len(i), len(i) + len(j)
-    for once in _without_repeats(rows.interval):
-        k, part, slope = rows.interval[once, None, None], total[once], gradient[once]
-        system.diagonal[k, i[:, None], i] += part[:, :m, :m]
-        system.diagonal[k + 1, j[:, None], j] += part[:, m:n, m:n]
-        system.upper[k, i[:, None], j] += part[:, :m, m:n]
-        system.border[k, i[:, None], c] += part[:, :m, n:]
-        system.border[k + 1, j[:, None], c] += part[:, m:n, n:]
-        system.rhs[k[:, 0], i] -= slope[:, :m]
-        system.rhs[k[:, 0] + 1, j] -= slope[:, m:n]
-    system.corner[c[:, None], c] += total[:, n:, n:].sum(axis=0)
-    system.rhs_constants[c] -= gradient[:, n:].sum(axis=0)
+    stack = np.zeros((n_intervals, sum(r.residual.shape[1] for r, _ in layers), _RESIDUAL + 1))
+    first = 0
+    for r, once in layers:
+        part = slice(first, first + r.residual.shape[1])
+        stack[r.interval[once], part] = _whitened(r, once)
+        first = part.stop
+    for first in range(0, n_intervals, PIECE):
+        last = min(first + PIECE, n_intervals)
+        _add(system, stack[first:last], slice(first, last), slice(first + 1, last + 1))
+
+
+def _whitened(rows: Rows, use: np.ndarray) -> Array:
+    """Jacobians by left, right and constants, and residual, (N, r, 46), of the rows `use` (N,), each over its sigma."""
+    parts = [rows.left[use], rows.right[use], rows.constants[use], rows.residual[use, :, None]]
+    return np.asarray(np.concatenate(parts, axis=2) * np.sqrt(rows.information[use])[:, :, None])
+
+
+def _add_few(system: ChainSystem, rows: Rows, use: np.ndarray) -> None:
+    """Add the rows `use` (N,), no two of which are of one interval."""
+    interval = rows.interval[use]
+    _add(system, _whitened(rows, use), interval, interval + 1)
+
+
+def _add(system: ChainSystem, whitened: Array, left: np.ndarray | slice, right: np.ndarray | slice) -> None:
+    """Add whitened rows (N, r, 46), each between one of the keyframes `left` and the next one, `right`."""
+    normal = whitened.transpose(0, 2, 1) @ whitened
+    system.diagonal[left] += normal[:, _LEFT, _LEFT]
+    system.diagonal[right] += normal[:, _RIGHT, _RIGHT]
+    system.upper[left] += normal[:, _LEFT, _RIGHT]
+    system.border[left, :, _OWN] += normal[:, _LEFT, _CONSTANTS]
+    system.border[right, :, _OWN] += normal[:, _RIGHT, _CONSTANTS]
+    system.rhs[left] -= normal[:, _LEFT, _RESIDUAL]
+    system.rhs[right] -= normal[:, _RIGHT, _RESIDUAL]
+    system.corner[_OWN, _OWN] += normal[:, _CONSTANTS, _CONSTANTS].sum(axis=0)
+    system.rhs_constants[_OWN] -= normal[:, _CONSTANTS, _RESIDUAL].sum(axis=0)
 
 
 def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
@@ -248,7 +283,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (27,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (18,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])

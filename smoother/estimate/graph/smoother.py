@@ -26,13 +26,14 @@ from smoother.estimate.graph.batch import (
     Priors,
     Scatter,
     Solved,
-    converged,
+    moved,
     update_noise,
 )
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, keyframe_times
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
 from smoother.estimate.graph.incremental import solve_as_stream
+from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.rows import Rows, heading_rows
@@ -51,8 +52,9 @@ DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 # nothing says that they wander as well; if they do, the identification finds it.
 UNFILTERED_OFFSET = 0.2
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
-WELL_KNOWN = 0.1  # relative change of the noise below which no sigma changes by a digit that people read
-SETTLED = 0.02  # relative change of the noise densities below which another round changes no digit people read
+NEAR = 0.15  # rad; its square is what a Gauss-Newton step leaves of it, about a degree
+WELL_KNOWN = 0.2  # of a sigma: a last step that moved by less adds 2 % to the error, and what it leaves is smaller
+SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 STRANGE = (
@@ -87,19 +89,20 @@ class GraphOptions:
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
     identification_span: float = 120.0
-    rounds: int = 12
-    iterations: int = 5
-    whole_iterations: int = 2
-    final_rounds: int = 3
+    rounds: int = 8
+    iterations: int = 3
+    approaches: int = 4
+    final_rounds: int = 4
 
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """Everything known before the first solve."""
+    """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output."""
 
     path: GnssPath
     alignment: Alignment
     state: ChainState
+    fine: BinnedImu
     binned: BinnedImu
     noise: Noise
     data: Data
@@ -144,9 +147,13 @@ class GraphSmoother:
             return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
             state, noise = _identify(start, options, watch)
+            batch = Batch(start.data, start.binned, start.priors)
+            graph = batch.graph(state, noise)
+            state = batch.approach(graph, state, noise, NEAR, options.approaches)
             data, priors, problems = _with_heading(session, start, state)
             batch = Batch(data, start.binned, priors)
-            solved, noise = _finish(batch, state, noise, start, options, watch)
+            state = batch.converge(graph, state, noise, 2) if data.extra else state
+            solved, noise = _finish(batch, graph, state, noise, start, options, watch)
             if options.solver == "isam2":
                 constants = solved.state.constants
                 solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants)
@@ -157,7 +164,7 @@ class GraphSmoother:
                 solved,
                 noise,
                 mounting,
-                start.binned,
+                start.fine,
                 priors,
                 options.rate,
                 np.array(options.offset_sigma) * start.receiver,
@@ -207,7 +214,7 @@ def _start(session: Session, options: GraphOptions) -> _Start:
     alignment = align(session.imu, driven)
     t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
     priors = _priors(session, alignment, path, options)
-    constants = Constants.from_vector(priors.constants)
+    constants = Constants.from_vector(priors.constants, alignment.R_bs)
     at = path.at(t + constants.position_latency)
     zeros = np.zeros((len(t), 3))
     state = ChainState(
@@ -221,21 +228,23 @@ def _start(session: Session, options: GraphOptions) -> _Start:
         constants,
     )
     n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
-    binned = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    binned = halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
     return _Start(
         path,
         alignment,
         state,
+        fine,
         binned,
         _first_noise(session, path, alignment, binned, options),
-        _data(session, path, t, alignment.R_bs[2]),
+        _data(session, path, t),
         priors,
         _receiver(session, options),
         session.config.imu,
     )
 
 
-def _data(session: Session, path: GnssPath, t: Array, up_s: Array) -> Data:
+def _data(session: Session, path: GnssPath, t: Array) -> Data:
     gnss = session.gnss
     assert session.imu is not None
     assert gnss.sigma_velocity is not None
@@ -250,7 +259,6 @@ def _data(session: Session, path: GnssPath, t: Array, up_s: Array) -> Data:
         path.position_scale,
         _relative(gnss.sigma_velocity),
         still,
-        up_s,
     )
 
 
@@ -323,18 +331,17 @@ def _density(bins: Array, dt: float, floor: float) -> float:
 
 
 def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[ChainState, Noise]:
-    """Find noise and constants: on a part of a long session first, turn by turn; then let the whole of it settle.
+    """Find noise and constants, turn by turn, on a part of a long session. Returns the whole with these constants.
 
     Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
     """
-    scatter = _scatter(start)
     part = _part(start, options.identification_span)
-    state, noise = _settle(part, part.state, start.noise, scatter, options, watch)
+    state, noise = _settle(part, part.state, start.noise, _scatter(start), options, watch)
     if part is start:
         return state, noise
-    whole = replace(start.state, constants=state.constants)
-    batch = Batch(start.data, start.binned, start.priors)
-    return batch.converge(batch.graph(whole, noise), whole, noise, options.whole_iterations), noise
+    n = len(start.state.t)
+    accel_bias, gyro_bias = (np.tile(b.mean(axis=0), (n, 1)) for b in (state.accel_bias_s, state.gyro_bias_s))
+    return replace(start.state, accel_bias_s=accel_bias, gyro_bias_s=gyro_bias, constants=state.constants), noise
 
 
 def _settle(
@@ -342,10 +349,12 @@ def _settle(
 ) -> tuple[ChainState, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
     batch = Batch(start.data, start.binned, start.priors)
-    state = batch.converge(batch.graph(state, noise), state, noise, options.iterations)
+    graph = batch.graph(state, noise)
+    state = batch.converge(graph, state, noise, options.iterations)
     before = np.zeros(CONSTANTS_SIZE)
     for turn in range(options.rounds):
-        solved = batch.step(batch.graph(state, noise), state, noise, before)
+        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
         better = _reestimated(solved, noise, start, scatter)
@@ -358,19 +367,25 @@ def _settle(
 
 
 def _finish(
-    batch: Batch, state: ChainState, noise: Noise, start: _Start, options: GraphOptions, watch: _Stopwatch
+    batch: Batch,
+    graph: InertialGraph,
+    state: ChainState,
+    noise: Noise,
+    start: _Start,
+    options: GraphOptions,
+    watch: _Stopwatch,
 ) -> tuple[Solved, Noise]:
-    """Steps over the whole session, each with a better noise, until neither moves; the last one counts."""
+    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
     scatter, before = _scatter(start), np.zeros(CONSTANTS_SIZE)
     for turn in range(options.final_rounds):
-        solved = batch.step(batch.graph(state, noise), state, noise, before)
+        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = _reestimated(solved, noise, start, scatter)
         watch.say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
-        if noise.change(better) < WELL_KNOWN and converged(solved.solution.x):
+        if turn + 1 == options.final_rounds or (turn > 0 and moved(solved.solution) < WELL_KNOWN):
             break
-        noise = better
+        noise = _reestimated(solved, noise, start, scatter)
     return solved, noise
 
 

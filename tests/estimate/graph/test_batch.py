@@ -25,8 +25,8 @@ from smoother.estimate.graph.batch import (
     update_noise,
 )
 from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.imu import YAW_JERK_RATE, BinnedImu, InertialNoise, averaged, bin_imu
-from smoother.estimate.graph.inertial import ValuesFactory
+from smoother.estimate.graph.imu import YAW_JERK_RATE, BinnedImu, InertialNoise, averaged, bin_imu, preintegrate
+from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
@@ -97,7 +97,6 @@ def problem(seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int 
         position_scale=np.ones(len(fixes)),
         velocity_scale=np.ones(len(fixes)),
         still=STILL,
-        up_s=R_bs.T[:, 2],
     )
     sigma = np.full(CONSTANTS_SIZE, TINY)
     sigma[:2], sigma[LEVER_ARM], sigma[HEADING_OFFSET] = 1e-9, 0.5, 1.0
@@ -115,15 +114,17 @@ def problem(seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int 
 
 
 def solve(p: Problem, steps: int = 12) -> tuple[Batch, Solved, gtsam.NonlinearFactorGraph]:
-    """Solve far below any sigma; the preintegration stays about the biases of the fourth step."""
+    """Solve far below any sigma; the preintegration stays about the biases of the fourth step. Also returns that."""
     batch = Batch(p.data, p.binned, p.priors)
     state = batch.converge(batch.graph(p.state, p.noise), p.state, p.noise, 4)
     graph = batch.graph(state, p.noise)
+    biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
+    factors = inertial_factors(preintegrate(batch.bins(state), p.noise.inertial, *biases))
     for _ in range(steps):
         solved = batch.step(graph, state, p.noise)
         state = solved.state
     assert np.max(np.abs(solved.solution.x)) < 1e-6
-    return batch, solved, graph.factors
+    return batch, solved, factors
 
 
 def sigmas(values: object) -> gtsam.noiseModel.Diagonal:
@@ -185,7 +186,11 @@ def compared() -> tuple[Problem, Solved, gtsam.NonlinearFactorGraph, gtsam.Value
     assert np.all(solved.rows["gps_position"].weight == 1.0)  # no outlier: both minimise squares
     assert np.all(solved.rows["gps_velocity"].weight == 1.0)
     graph = reference_graph(p, batch, solved, inertial)
-    start = ValuesFactory(K).values(p.state)
+    start = gtsam.Values()
+    for k, (R, p_n, v_n) in enumerate(zip(p.state.R_ns, p.state.position_n, p.state.velocity_n, strict=True)):
+        start.insert(X(k), gtsam.Pose3(gtsam.Rot3(R), p_n))
+        start.insert(V(k), v_n)
+        start.insert(B(k), gtsam.imuBias.ConstantBias(p.state.accel_bias_s[k], p.state.gyro_bias_s[k]))
     start.insert(L(0), np.zeros(3))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-14)

@@ -89,7 +89,6 @@ def drive(outlier: float = 0.0, duration: float = 40.0) -> Drive:
         np.ones(n_fixes),
         np.ones(n_fixes),
         np.arange(0, 13),
-        R_ns[0, 2],
         extra=(lambda state, _: heading_rows(state, looks, field_s, -CONSTANTS.heading_offset, 0.05),),
     )
     wrong = so3.exp(np.array([0.02, 0.03, 0.3]))

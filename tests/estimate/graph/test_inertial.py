@@ -8,21 +8,24 @@ import pytest
 from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
+from smoother.estimate.graph import inertial
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, corrected, preintegrate
 from smoother.estimate.graph.inertial import (
+    InertialGraph,
     LinearInertial,
-    ValuesFactory,
     _force_covariance,
+    _moved,
     _posterior_covariance,
     _root_information,
+    _tangents_from_rest,
+    _values_at_rest,
     add_inertial,
     empty_system,
     inertial_after_errors,
     inertial_after_step,
     inertial_components,
-    inertial_graph,
-    linearize_inertial,
+    inertial_factors,
 )
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
@@ -38,6 +41,7 @@ from smoother.frames import GRAVITY_N
 
 K, T, N_BINS, INERTIAL = 5, 0.2, 10, 15
 NOISE = InertialNoise(0.3, 0.02, 0.01, 0.002)
+ALL, BIASES = np.arange(K - 1), ("accel_bias_s", "gyro_bias_s")
 
 
 def drive(seed: int, crooked: float = 0.01) -> tuple[ChainState, BinnedImu]:
@@ -60,55 +64,76 @@ def drive(seed: int, crooked: float = 0.01) -> tuple[ChainState, BinnedImu]:
     return chain, binned
 
 
-def factors(state: ChainState, binned: BinnedImu) -> gtsam.NonlinearFactorGraph:
-    return inertial_graph(preintegrate(binned, NOISE, state.accel_bias_s[:-1], state.gyro_bias_s[:-1]))
+def biases_of(state: ChainState) -> tuple[np.ndarray, np.ndarray]:
+    """One pair of biases, (3,) each, that the whole chain is preintegrated about."""
+    return state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
 
 
-def linearized(graph: gtsam.NonlinearFactorGraph, state: ChainState, binned: BinnedImu) -> LinearInertial:
-    mean_force = binned.specific_force_s.mean(axis=1) - state.accel_bias_s[:-1]
-    mean_rate = binned.angular_rate_s.mean(axis=1) - state.gyro_bias_s[:-1]
-    return linearize_inertial(graph, ValuesFactory(K).values(state), mean_force, mean_rate)
+def inertial_graph(state: ChainState, binned: BinnedImu, noise: InertialNoise = NOISE) -> InertialGraph:
+    return InertialGraph(binned, noise, *biases_of(state), state.constants)
 
 
-def test_values_are_the_state_under_gtsam_s_keys() -> None:
-    state, _ = drive(0)
-    values = ValuesFactory(K).values(state)
-    assert values.size() == 3 * K
-    for k in range(K):
-        np.testing.assert_allclose(values.atPose3(X(k)).rotation().matrix(), state.R_ns[k], atol=1e-12)
-        np.testing.assert_array_equal(values.atPose3(X(k)).translation(), state.position_n[k])
-        np.testing.assert_array_equal(values.atVector(V(k)), state.velocity_n[k])
-        bias = values.atConstantBias(B(k))
-        np.testing.assert_allclose(bias.accelerometer(), state.accel_bias_s[k], atol=1e-15)
-        np.testing.assert_allclose(bias.gyroscope(), state.gyro_bias_s[k], atol=1e-15)
+def linearized(state: ChainState, binned: BinnedImu) -> LinearInertial:
+    return inertial_graph(state, binned).linearize(state, NOISE)
 
 
-def test_a_factory_makes_each_values_from_scratch() -> None:
-    factory = ValuesFactory(K)
-    first, second = drive(0)[0], drive(1)[0]
-    factory.values(first)
-    np.testing.assert_allclose(factory.values(second).atConstantBias(B(2)).gyroscope(), second.gyro_bias_s[2])
+def values_of(state: ChainState) -> gtsam.Values:
+    values = gtsam.Values()
+    for k, (R, p, v) in enumerate(zip(state.R_ns, state.position_n, state.velocity_n, strict=True)):
+        values.insert(X(k), gtsam.Pose3(gtsam.Rot3(R), p))
+        values.insert(V(k), v)
+        values.insert(B(k), gtsam.imuBias.ConstantBias(state.accel_bias_s[k], state.gyro_bias_s[k]))
+    return values
 
 
+@pytest.mark.parametrize("piece", [2, 3, 128])
 @pytest.mark.parametrize("seed", range(3))
-def test_residuals_weigh_what_gtsam_says_they_weigh(seed: int) -> None:
+def test_residuals_weigh_what_gtsam_says_they_weigh(seed: int, piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inertial, "PIECE", piece)
     state, binned = drive(seed)
-    graph = factors(state, binned)
-    linear, values = linearized(graph, state, binned), ValuesFactory(K).values(state)
+    measured = preintegrate(binned, NOISE, *biases_of(state))
+    factors, linear, values = inertial_factors(measured), linearized(state, binned), values_of(state)
     for k in range(K - 1):
-        assert 0.5 * np.sum(linear.residual[k] ** 2) == pytest.approx(graph.at(k).error(values), rel=1e-9)
+        assert 0.5 * np.sum(linear.residual[k] ** 2) == pytest.approx(factors.at(k).error(values), rel=1e-9)
+
+
+def test_values_moved_from_rest_are_the_state_whatever_its_attitude() -> None:
+    state, _ = drive(0)
+    turns = np.array([[0.0, 0, 0], [1e-7, 0, 0], [0, 3.1, 0], [0.3, -0.2, 2.0], [np.pi - 1e-9, 0, 0]])
+    state = replace(state, R_ns=so3.exp(turns))
+    values = _moved(_values_at_rest(K), _tangents_from_rest(state))
+    for k in range(K):
+        np.testing.assert_allclose(values.atPose3(X(k)).rotation().matrix(), state.R_ns[k], atol=1e-9)
+        np.testing.assert_allclose(values.atPose3(X(k)).translation(), state.position_n[k], atol=1e-7)
+
+
+@pytest.mark.parametrize("ratio", [1.0 / 1.25, 1.25])
+def test_another_noise_is_a_scaled_covariance(ratio: float) -> None:
+    """Up to the ratio that counts as near, scaling is as good as preintegrating again."""
+    state, binned = drive(0)
+    binned = replace(binned, missing=np.array([0.0, 0.3, 0.0, 0.0]), clipped=np.array([0.0, 0.0, 0.2, 0.0]))
+    noise = replace(NOISE, accel=NOISE.accel * ratio, gyro=NOISE.gyro / ratio)
+    graph = inertial_graph(state, binned)
+    assert graph.serves(noise)
+    assert not graph.serves(replace(noise, accel=NOISE.accel * 2.0))
+    have, want = graph.linearize(state, noise), inertial_graph(state, binned, noise).linearize(state, noise)
+    for k in range(K - 1):
+        H, exact = have.left[k].T @ have.left[k], want.left[k].T @ want.left[k]
+        scale = np.sqrt(np.outer(np.diag(exact), np.diag(exact)))
+        np.testing.assert_allclose(H / scale, exact / scale, atol=0.01)
+        assert np.sum(have.residual[k] ** 2) == pytest.approx(np.sum(want.residual[k] ** 2), rel=0.01)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_jacobians_are_the_numerical_ones_of_the_chain_s_own_retraction(seed: int) -> None:
     state, binned = drive(seed)
-    graph = factors(state, binned)
-    linear = linearized(graph, state, binned)
+    graph = inertial_graph(state, binned)
+    linear = graph.linearize(state, NOISE)
 
     def residual(x: np.ndarray) -> np.ndarray:
         step = np.zeros((K, KEYFRAME_SIZE))
         step[:, :INERTIAL] = x.reshape(K, INERTIAL)
-        return linearized(graph, state.retract(step, np.zeros(CONSTANTS_SIZE)), binned).residual
+        return graph.linearize(state.retract(step, np.zeros(CONSTANTS_SIZE)), NOISE).residual
 
     J = so3.numerical_jacobian(residual, np.zeros(K * INERTIAL), step=1e-6).reshape(K - 1, INERTIAL, K, INERTIAL)
     for k in range(K - 1):
@@ -117,18 +142,31 @@ def test_jacobians_are_the_numerical_ones_of_the_chain_s_own_retraction(seed: in
         np.testing.assert_allclose(linear.right[k] / scale, J[k, :, k + 1] / scale, atol=1e-5)
 
 
+def calmed(bins: np.ndarray) -> np.ndarray:
+    """Bins (K-1, n, 3) that differ less from the mean of their interval."""
+    mean = bins.mean(axis=1, keepdims=True)
+    return np.asarray(mean + 0.3 * (bins - mean))
+
+
 def test_errors_of_scale_move_the_residual_as_predicted() -> None:
     state, binned = drive(0)
-    base = linearized(factors(state, binned), state, binned)
     rng = np.random.default_rng(1)
+    axes_s = so3.exp(np.array([0.2, -0.1, 0.5]))  # the kart of `drive` turns mostly about the last of them
+    zeros = np.zeros((K, 3))  # a scale acts on what is felt; taken out of the samples it acts on their biases too
+    constants = replace(state.constants, level_axes_s=axes_s)
+    state = replace(state, accel_bias_s=zeros, gyro_bias_s=zeros, constants=constants)
+    binned = replace(
+        binned, specific_force_s=calmed(binned.specific_force_s), angular_rate_s=calmed(binned.angular_rate_s)
+    )
+    base = linearized(state, binned)
     for part in (ACCEL_ERROR, GYRO_ERROR):
         step = np.zeros(CONSTANTS_SIZE)
-        step[part] = 0.01 * rng.normal(size=9)
-        errors = Constants.from_vector(step)
-        moved = linearized(factors(state, corrected(binned, errors.accel_error, errors.gyro_error)), state, binned)
+        step[part] = 0.01 * rng.normal(size=part.stop - part.start)
+        errors = Constants.from_vector(step, state.constants.level_axes_s)
+        moved = linearized(state, corrected(binned, errors.accel_matrix, errors.gyro_matrix))
         want = moved.residual - base.residual
         have = inertial_after_errors(base, step).residual - base.residual
-        # an error acts on each bin, the model on their mean; here the bins of an interval are as unlike as in a crash
+        # an error acts on each bin, the model on their mean; here neighbouring bins differ by 0.6 m/s^2
         assert np.linalg.norm(have - want) < 0.15 * np.linalg.norm(want)
 
 
@@ -151,7 +189,7 @@ def test_taking_sensor_errors_out_undoes_them_to_second_order() -> None:
 
 def test_after_a_step_the_residual_is_that_of_the_linear_model() -> None:
     state, binned = drive(0)
-    linear = linearized(factors(state, binned), state, binned)
+    linear = linearized(state, binned)
     rng = np.random.default_rng(3)
     step, constants = rng.normal(size=(K, KEYFRAME_SIZE)), rng.normal(size=CONSTANTS_SIZE)
     moved = inertial_after_step(linear, step, constants)
@@ -173,7 +211,7 @@ def dense_jacobian(linear: LinearInertial) -> np.ndarray:
 
 def test_the_normal_equations_are_those_of_the_dense_jacobian() -> None:
     state, binned = drive(0)
-    linear = linearized(factors(state, binned), state, binned)
+    linear = linearized(state, binned)
     system = empty_system(K)
     add_inertial(system, linear)
     J = dense_jacobian(linear)
@@ -194,9 +232,10 @@ def test_the_normal_equations_are_those_of_the_dense_jacobian() -> None:
 def test_unwhitened_residuals_are_those_of_the_formula(seed: int) -> None:
     """Forster et al. 2017, eq. 45, in axes of the left keyframe: what the keyframes say minus what was integrated."""
     state, binned = drive(seed, crooked=1e-3)
-    measured = preintegrate(binned, NOISE, state.accel_bias_s[:-1], state.gyro_bias_s[:-1])
-    linear = linearized(inertial_graph(measured), state, binned)
-    found = np.linalg.solve(_root_information(state, linear), linear.residual[:, :, None])[:, :, 0]
+    state = replace(state, **{name: np.tile(b, (K, 1)) for name, b in zip(BIASES, biases_of(state), strict=True)})
+    measured = preintegrate(binned, NOISE, *biases_of(state))
+    linear = linearized(state, binned)
+    found = np.linalg.solve(_root_information(state, linear, ALL), linear.residual[:, :, None])[:, :, 0]
     R, p, v = state.R_ns, state.position_n, state.velocity_n
     for k in range(K - 1):
         Rt = R[k].T
@@ -215,8 +254,8 @@ def test_unwhitened_residuals_are_those_of_the_formula(seed: int) -> None:
 
 def test_the_root_belongs_to_gtsam_s_own_covariance() -> None:
     state, binned = drive(0, crooked=0.0)
-    measured = preintegrate(binned, NOISE, state.accel_bias_s[:-1], state.gyro_bias_s[:-1])
-    root = _root_information(state, linearized(inertial_graph(measured), state, binned))
+    measured = preintegrate(binned, NOISE, *biases_of(state))
+    root = _root_information(state, linearized(state, binned), ALL)
     for k in range(K - 1):
         covariance = np.linalg.inv(root[k].T @ root[k])
         # GTSAM keeps the covariance in axes of the right end, turned by 0.15 rad; the isotropic parts agree at once
@@ -254,23 +293,24 @@ def random_covariance() -> tuple[np.ndarray, ChainSolution]:
 
 def test_posterior_covariance_is_that_of_the_dense_one() -> None:
     state, binned = drive(0)
-    linear = linearized(factors(state, binned), state, binned)
+    linear = linearized(state, binned)
     P, solution = random_covariance()
-    found = _posterior_covariance(linear, solution)
-    for k, J in enumerate(dense_jacobian(linear).reshape(K - 1, INERTIAL, -1)):
-        want = J @ P @ J.T
-        np.testing.assert_allclose(found[k], want, atol=1e-9 * np.max(np.abs(want)))
+    some = np.array([0, 2, 3])
+    found = _posterior_covariance(linear, solution, some)
+    jacobians = dense_jacobian(linear).reshape(K - 1, INERTIAL, -1)
+    for i, k in enumerate(some):
+        want = jacobians[k] @ P @ jacobians[k].T
+        np.testing.assert_allclose(found[i], want, atol=1e-9 * np.max(np.abs(want)))
 
 
 class TestVarianceComponents:
     def ratios(self, accel: float, gyro: float) -> list[float]:
         """Root of squares over redundancy, force and rate, when the real noise is `accel`, `gyro` times the assumed."""
         state, binned = drive(0, crooked=0.0)
-        linear = linearized(factors(state, binned), state, binned)
+        linear = linearized(state, binned)
         real = replace(NOISE, accel=NOISE.accel * accel, gyro=NOISE.gyro * gyro)
-        measured = preintegrate(binned, real, state.accel_bias_s[:-1], state.gyro_bias_s[:-1])
-        true_root = _root_information(state, linearized(inertial_graph(measured), state, binned))
-        root, rng, sums = _root_information(state, linear), np.random.default_rng(0), np.zeros((2, 2))
+        true_root = _root_information(state, inertial_graph(state, binned, real).linearize(state, real), ALL)
+        root, rng, sums = _root_information(state, linear, ALL), np.random.default_rng(0), np.zeros((2, 2))
         _, solution = random_covariance()
         solution = replace(solution, **{name: 0.0 * getattr(solution, name) for name in vars(solution)})
         for _ in range(500):

@@ -63,8 +63,8 @@ def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
         0.5 * rng.normal(size=3),
         heading_offset=rng.normal(),
         doppler_bias_n=0.1 * rng.normal(size=3),
-        accel_error=0.01 * rng.normal(size=(3, 3)),
-        gyro_error=0.01 * rng.normal(size=(3, 3)),
+        accel_error=0.01 * rng.normal(size=(3, 2)),
+        gyro_error=0.01 * rng.normal(size=3),
     )
     state = ChainState(t, R_ns, position, velocity, accel_bias, gyro_bias, rng.normal(size=(K, 3)), constants)
     force = np.einsum("kji,kj->ki", R_ns[:-1], 3.0 * rng.normal(size=(K - 1, 3)) - GRAVITY_N) + accel_bias[0]
@@ -353,7 +353,7 @@ class TestNormalEquations:
         system, H, g = empty_system(K), 0.0, 0.0
         for seed, count in enumerate((1, 12, 40)):
             rows = random_rows(count, seed)
-            add_rows(system, rows)
+            add_rows(system, [rows])
             J, weight = dense_jacobian(rows), rows.weight[:, None] / rows.sigma**2
             H = H + np.einsum("nri,nr,nrj->ij", J, weight, J)
             g = g - np.einsum("nri,nr,nr->i", J, weight, rows.residual)
@@ -369,7 +369,7 @@ class TestNormalEquations:
     def test_no_rows_add_nothing(self) -> None:
         system, rows = empty_system(K), random_rows(3, 0)
         empty = replace(rows, **{name: getattr(rows, name)[:0] for name in vars(rows) if name != "name"})
-        add_rows(system, empty)
+        add_rows(system, [empty])
         assert not any(np.any(part) for part in vars(system).values())
 
     def test_a_prior_on_the_constants_is_a_row_on_each(self) -> None:

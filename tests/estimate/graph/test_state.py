@@ -18,7 +18,8 @@ def random_state() -> ChainState:
 
 
 def random_constants() -> Constants:
-    return Constants.from_vector(np.random.default_rng(1).normal(size=st.CONSTANTS_SIZE))
+    rng = np.random.default_rng(1)
+    return Constants.from_vector(rng.normal(size=st.CONSTANTS_SIZE), so3.exp(rng.normal(size=3)))
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_the_parts_of_a_tangent_fill_it_without_overlap(size: int, parts: tuple[
 
 def test_each_constant_sits_where_its_name_says() -> None:
     vector = np.arange(float(st.CONSTANTS_SIZE))
-    constants = Constants.from_vector(vector)
+    constants = Constants.from_vector(vector, np.eye(3))
     np.testing.assert_array_equal(constants.as_vector(), vector)
     assert constants.position_latency == vector[st.POSITION_LATENCY]
     assert constants.velocity_latency == vector[st.VELOCITY_LATENCY]
@@ -49,9 +50,20 @@ def test_each_constant_sits_where_its_name_says() -> None:
     np.testing.assert_array_equal(constants.gyro_error.ravel(), vector[st.GYRO_ERROR])
 
 
-def test_constants_move_by_the_step() -> None:
+def test_errors_of_scale_act_across_gravity_and_about_it_only() -> None:
+    constants = random_constants()
+    right, left, up = constants.level_axes_s
+    np.testing.assert_allclose(constants.accel_matrix @ up, 0.0, atol=1e-12)
+    np.testing.assert_allclose(constants.accel_matrix @ right, constants.accel_error[:, 0])
+    np.testing.assert_allclose(constants.accel_matrix @ left, constants.accel_error[:, 1])
+    np.testing.assert_allclose(constants.gyro_matrix @ (right + 2.0 * left), 0.0, atol=1e-12)
+    np.testing.assert_allclose(constants.gyro_matrix @ up, constants.gyro_error)
+
+
+def test_constants_move_by_the_step_and_keep_their_axes() -> None:
     constants, step = random_constants(), np.random.default_rng(2).normal(size=st.CONSTANTS_SIZE)
     np.testing.assert_allclose(constants.retract(step).as_vector(), constants.as_vector() + step)
+    np.testing.assert_array_equal(constants.retract(step).level_axes_s, constants.level_axes_s)
 
 
 def test_a_step_moves_poses_in_their_own_axes_as_gtsam_does() -> None:
