@@ -275,5 +275,18 @@ def _best_lap(path: Path, lap: LapRow) -> BestLap | None:
     if t.size < 2:
         return None
     first = int(np.argmin(distance))  # a row just behind the line may still have the length of the track
-    onward = np.flatnonzero(distance[first:] >= np.maximum.accumulate(distance[first:])) + first
-    return BestLap(lap, distance[onward], t[onward] - lap.start)
+    onward = np.flatnonzero(distance[first:] > _highest_before(distance[first:])) + first
+    return _with_ends(lap, distance[onward], t[onward] - lap.start)
+
+
+def _highest_before(distance: Array) -> Array:
+    return np.concatenate([[-np.inf], np.maximum.accumulate(distance)[:-1]])
+
+
+def _with_ends(lap: LapRow, distance: Array, elapsed: Array) -> BestLap | None:
+    """The lap from line to line: the crossings lie between rows, where the speed is that of the nearest two."""
+    if distance.size < 2:
+        return None
+    slow, fast = (np.diff(distance[ends]) / np.diff(elapsed[ends]) for ends in (slice(0, 2), slice(-2, None)))
+    start, end = distance[:1] - slow * elapsed[:1], distance[-1:] + fast * (lap.time - elapsed[-1:])
+    return BestLap(lap, np.concatenate([start, distance, end]), np.concatenate([[0.0], elapsed, [lap.time]]))
