@@ -141,6 +141,17 @@ _TABLES = {
 }
 
 
+def find_calibration(directory: Path) -> Path | None:
+    """Return the calibration.toml of a session: in its directory, else in the one above, which holds all sessions.
+
+    A session that comes with its truth (simulated, or a reference set) has sensors of its own: there only the first.
+    """
+    if (directory / FILE_NAME).is_file():
+        return directory / FILE_NAME
+    above = directory / ".." / FILE_NAME
+    return above if above.is_file() and not (directory / "truth.csv").exists() else None
+
+
 def load_calibration(path: Path) -> Calibration:
     """Read calibration.toml; tables and keys that are only for people are passed over.
 
@@ -158,7 +169,8 @@ def load_calibration(path: Path) -> Calibration:
                 sigmas[name] = _numbers(section[f"{key}_sigma"], _SHAPES[name], path, table, f"{key}_sigma")
     if ("hard_iron" in values) != ("soft_iron" in values):
         raise ConfigError(f"{path.name}: [magnetometer] needs both hard_iron and soft_iron")
-    found = Calibration(**values, sigmas=sigmas, source=path.name)  # type: ignore[arg-type]
+    source = f"../{path.name}" if path.parent.name == ".." else path.name
+    found = Calibration(**values, sigmas=sigmas, source=source)  # type: ignore[arg-type]
     gyro = _section(document, "gyroscope", path)
     if "bias_per_kelvin" not in gyro:
         return found

@@ -103,11 +103,11 @@ def session_directory(path: Path) -> Path:
 
 
 def calibrated(raw: RawSession, directory: Path) -> Session:
-    """Return the session with calibration.toml applied, if its directory holds one."""
+    """Return the session with calibration.toml applied: that of its directory, else of the directory above."""
+    from smoother.calibration import find_calibration
     from smoother.prepare import prepare
 
-    calibration = directory / "calibration.toml"
-    return prepare(raw, calibration if calibration.is_file() else None)
+    return prepare(raw, find_calibration(directory))
 
 
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:

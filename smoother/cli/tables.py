@@ -11,7 +11,7 @@ from smoother.units import DEG, KMH
 
 if TYPE_CHECKING:
     from smoother.cli.pipeline import Result
-    from smoother.samples import Problem
+    from smoother.samples import AppliedValue, Problem
     from smoother.trajectory import Identified
 
 _NAMES = {
@@ -33,6 +33,7 @@ def show_result(result: Result) -> None:
     pairs = [("driven", _driven(about)), ("recorded", _recorded(document["counts"], document["mode"]))]
     if document["sigma_median"]:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
+    pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]
@@ -42,6 +43,27 @@ def show_result(result: Result) -> None:
     if "lap_analysis" in document:
         show_laps(document["laps"], document["lap_analysis"], result.unix_at_zero)
     say(str(result.main_file))
+
+
+_CALIBRATED = {
+    "accel_offset": "accelerometer offset",
+    "accel_matrix": "accelerometer scale and axes",
+    "gyro_bias": "gyroscope bias",
+    "gyro_bias_slope": "its change with temperature",
+    "gyro_matrix": "gyroscope scale and axes",
+    "hard_iron": "hard iron",
+    "soft_iron": "soft iron",
+}
+
+
+def _calibrated(applied: list[AppliedValue]) -> list[tuple[str, str]]:
+    """A row for each file that calibrated something, saying what."""
+    sources = dict.fromkeys(value.source for value in applied)
+    texts = [
+        f"{', '.join(_CALIBRATED[value.quantity] for value in applied if value.source == source)} (by {source})"
+        for source in sources
+    ]
+    return [("calibrated" if i == 0 else "", text) for i, text in enumerate(texts)]
 
 
 def _driven(about: Any) -> str:

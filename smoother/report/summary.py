@@ -30,6 +30,7 @@ def summary(
         "mode": report.mode,
         "counts": _counts(session, estimate),
         "origin": {"lat_deg": session.origin.lat_deg, "lon_deg": session.origin.lon_deg, "alt_m": session.origin.alt_m},
+        "calibration": list(session.calibration),
         "problems": merged([*session.problems, *report.problems]),
         "identified": report.identified,
         "residuals": report.residuals,
