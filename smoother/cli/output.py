@@ -1,26 +1,34 @@
 """What the command line says: results on stdout, progress and warnings on stderr, never a stray control character.
 
-Colour, width and whether a terminal is there are rich's business; it knows NO_COLOR and pipes.
+Colour, width and whether a terminal is there are rich's business; it knows NO_COLOR and pipes. It is imported when a
+table is printed, so that `smooth --help` does not wait for it.
 """
+
+from __future__ import annotations
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share (0..1) of it that is done."""
 
 
-class _Console(Console):
+def _console() -> Console:
     """A console that lets the one error boundary decide what a closed pipe means."""
+    from rich.console import Console
 
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError
+    class OurConsole(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return OurConsole(highlight=False)
 
 
 def no_progress(stage: str, share: float) -> None:
@@ -49,24 +57,30 @@ def warn(text: str) -> None:
 
 def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
     """Print a title and, below it, names with their values in two columns."""
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table.grid(padding=(0, 2))
     table.add_column(min_width=12)
     table.add_column(overflow="fold")
     for name, value in pairs:
         table.add_row(Text(plain(name), style="dim"), Text(plain(value)))
-    console = _Console(highlight=False)
+    console = _console()
     console.print(Text(plain(title), style="bold"))
     console.print(table)
 
 
 def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     """Print a table: the first column to the left, the others to the right."""
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=Text(plain(title), style="bold"), title_justify="left", box=None, pad_edge=False)
     for i, name in enumerate(header):
         table.add_column(Text(name), justify="left" if i == 0 else "right")
     for row in rows:
         table.add_row(*(Text(plain(cell)) for cell in row))
-    _Console(highlight=False).print(table)
+    _console().print(table)
 
 
 @contextlib.contextmanager
@@ -75,6 +89,7 @@ def progress_on_terminal(wanted: bool = True) -> Iterator[Progress]:
     if not wanted or not sys.stderr.isatty():
         yield no_progress
         return
+    from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 

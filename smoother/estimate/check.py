@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
@@ -218,7 +217,10 @@ def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
 
 def _slow(values: Array, interval: float) -> Array:
     """Running mean over SMOOTHING seconds of (N, 3) samples."""
-    return np.asarray(uniform_filter1d(values, max(1, round(SMOOTHING / interval)), axis=0, mode="nearest"))
+    window = max(1, round(SMOOTHING / interval))
+    padded = np.pad(values, ((window // 2 + 1, (window - 1) // 2), (0, 0)), mode="edge")
+    total = np.cumsum(padded, axis=0)
+    return np.asarray((total[window:] - total[:-window]) / window)
 
 
 def _clipped_share(values: Array, full_scale: float | None, smallest_range: float) -> float:
