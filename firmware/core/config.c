@@ -124,11 +124,12 @@ static bool read_word(span_t span, bool *value)
     return *value || is_same(span, "no");
 }
 
-/* Of the 16-bit settings: read into 32 bits first, and kept only if allowed. */
-static bool keep_u16(bool is_allowed, uint32_t value, uint16_t *setting)
+/* Of the 16-bit settings: read into 32 bits first, and kept only if allowed. By pointer, because it is not said which
+ * argument of a call is evaluated first. */
+static bool keep_u16(bool is_allowed, const uint32_t *value, uint16_t *setting)
 {
     if (is_allowed) {
-        *setting = (uint16_t)value;
+        *setting = (uint16_t)*value;
     }
     return is_allowed;
 }
@@ -137,21 +138,21 @@ static bool set_value(config_t *config, size_t key, span_t span)
 {
     uint32_t value = 0;
     switch (key) {
-    case KEY_IMU_RATE: return keep_u16(read_imu_rate(span, &value), value, &config->imu_rate);
-    case KEY_ACCEL_RANGE: return keep_u16(read_choice(span, accel_ranges, &value), value, &config->accel_range);
-    case KEY_GYRO_RANGE: return keep_u16(read_choice(span, gyro_ranges, &value), value, &config->gyro_range);
-    case KEY_LOWPASS: return keep_u16(read_choice(span, lowpasses, &value), value, &config->lowpass);
+    case KEY_IMU_RATE: return keep_u16(read_imu_rate(span, &value), &value, &config->imu_rate);
+    case KEY_ACCEL_RANGE: return keep_u16(read_choice(span, accel_ranges, &value), &value, &config->accel_range);
+    case KEY_GYRO_RANGE: return keep_u16(read_choice(span, gyro_ranges, &value), &value, &config->gyro_range);
+    case KEY_LOWPASS: return keep_u16(read_choice(span, lowpasses, &value), &value, &config->lowpass);
     case KEY_MAGNETOMETER: return read_word(span, &config->magnetometer);
-    case KEY_GPS_RATE: return keep_u16(read_range(span, 1, FASTEST_GPS, &value), value, &config->gps_rate);
+    case KEY_GPS_RATE: return keep_u16(read_range(span, 1, FASTEST_GPS, &value), &value, &config->gps_rate);
     case KEY_GPS_BAUD: return read_choice(span, gps_bauds, &config->gps_baud);
     case KEY_AUTOSTART: return read_word(span, &config->autostart);
     case KEY_SELF_TEST: return read_word(span, &config->self_test);
-    case KEY_STREAM: return keep_u16(read_range(span, 0, FASTEST_STREAM, &value), value, &config->stream);
+    case KEY_STREAM: return keep_u16(read_range(span, 0, FASTEST_STREAM, &value), &value, &config->stream);
     default: return read_choice(span, stream_bauds, &config->stream_baud);
     }
 }
 
-static config_flaw_t read_line(config_t *config, span_t line, uint16_t *seen)
+static config_flaw_t read_line(config_t *config, span_t line, uint32_t *seen)
 {
     if (!is_text(line)) {
         return CONFIG_BAD_TEXT;
@@ -174,10 +175,10 @@ static config_flaw_t read_line(config_t *config, span_t line, uint16_t *seen)
     if (key == KEYS) {
         return CONFIG_UNKNOWN_KEY;
     }
-    if ((*seen >> key & 1U) != 0) {
+    if ((*seen & UINT32_C(1) << key) != 0) {
         return CONFIG_REPEATED_KEY;
     }
-    *seen = (uint16_t)(*seen | 1U << key);
+    *seen |= UINT32_C(1) << key;
     const span_t value = trimmed((span_t){equals + 1, line.length - before - 1});
     return set_value(config, key, value) ? CONFIG_FINE : CONFIG_BAD_VALUE;
 }
@@ -194,7 +195,7 @@ config_result_t config_parse(config_t *config, const char *text, size_t length)
     if (length > CONFIG_FILE_LONGEST) {
         return reject(config, CONFIG_TOO_LONG, 1);
     }
-    uint16_t seen = 0;
+    uint32_t seen = 0;
     uint16_t number = 1;
     for (size_t at = 0; at < length; number++) {
         const char *end = memchr(text + at, '\n', length - at);

@@ -1,7 +1,11 @@
 /* Ring of blocks between one producer (interrupts of one priority) and one consumer (the main loop).
  *
  * The producer fills a block in place and commits it; the consumer sees committed blocks only, oldest first, and may
- * look at several before it releases them (multi-block writes). No lock: each index has one writer. */
+ * look at several before it releases them (multi-block writes). No lock: each index has one writer.
+ *
+ * With IMU at 1 kHz, compass at 100 Hz, temperature and three sentences at 5 Hz, one block in the card's hands, and a
+ * stall that begins at the worst moment (the block being filled is nearly full), the shortest stall that loses a sample
+ * is 612 ms with 24 blocks, 693 with 27, 722 with 28: so 28 ride out 700 ms. tests/firmware/test_core.py measures it. */
 #ifndef CORE_RING_H
 #define CORE_RING_H
 
