@@ -132,7 +132,16 @@ def within(t: Array, start: float, end: float, left_out: Sequence[tuple[float, f
 
 def information_bound(simulation: Simulation, options: BoundOptions | None = None) -> Bound:
     """Return the bound of a simulated session. Raises ValueError without inertial samples or with under two fixes."""
-    options = options or BoundOptions()
+    system, states, is_epoch = information_system(simulation, options or BoundOptions())
+    return _bound(simulation, states, solve_chain(system), is_epoch)
+
+
+def information_system(simulation: Simulation, options: BoundOptions) -> tuple[ChainSystem, TruthStates, BoolArray]:
+    """Return the information of a session, the true states of its keyframes, and which of these are epochs of fixes.
+
+    Unknowns of a keyframe: attitude, velocity, position, biases, offset, 3 each; constants: two latencies, lever arm.
+    Raises ValueError as :func:`information_bound`.
+    """
     if simulation.scenario.imu is None or len(simulation.gnss.position_time) < 2:
         raise ValueError("the bound is of a session with inertial samples and fixes")
     t, is_epoch = _keyframe_times(simulation)
@@ -143,7 +152,7 @@ def information_bound(simulation: Simulation, options: BoundOptions | None = Non
     _add_fixes(system, simulation, states)
     if options.standstill:
         _add_standstill(system, simulation, states)
-    return _bound(simulation, states, solve_chain(system), is_epoch)
+    return system, states, is_epoch
 
 
 def _keyframe_times(simulation: Simulation) -> tuple[Array, BoolArray]:

@@ -65,7 +65,8 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
     options = options or LapOptions()
     if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
-    errors, source = position_errors(trajectory, options.drift)
+    interval = float(np.median(np.diff(fixes.t))) if len(fixes.t) > 1 else np.inf
+    errors, source = position_errors(trajectory, interval, options.drift)
     given = _Given(trajectory, plan_path(trajectory), fixes, options, errors)
     circuit = find_circuit(given.path, options.lines, options.reference, options.shortest)
     if isinstance(circuit, Problem):

@@ -24,22 +24,29 @@ SAMPLES = 40  # pairs of positions per lag
 @dataclass(frozen=True, eq=False)
 class OffsetModel:
     """Position error as a first-order Gauss-Markov offset (sigma m, tau s) plus a fast part of `track` (N,) m at t (N,)
-    s. Source: autocorrelation of receivers carried beside RTK; see docs/laps.md."""
+    s. Source: autocorrelation of receivers carried beside RTK; see docs/laps.md.
+
+    walk m^2/s: where speed was measured and used, the change of the position error is also bounded by the random walk
+    that adding up its noise makes; infinite where positions were followed alone.
+    """
 
     t: Array
     track: Array
     sigma: float
     tau: float
+    walk: float = np.inf
 
     def covariance(self, t: Array, direction_n: Array) -> Array:
         """See :class:`smoother.trajectory.JointPosition`."""
         apart = np.abs(t[:, None] - t[None, :])
         fast = np.interp(t, self.t, self.track)
-        together = direction_n @ direction_n.T
-        return np.asarray(
-            together
-            * (self.sigma**2 * np.exp(-apart / self.tau) + fast[:, None] * fast[None, :] * np.exp(-apart / TRACK_TAU))
-        )
+        wandered = 2.0 * self.sigma**2 * (1.0 - np.exp(-apart / self.tau))
+        if np.isfinite(self.walk):
+            walked = self.walk * apart
+            wandered = wandered * walked / np.maximum(wandered + walked, 1e-300)
+        offset = self.sigma**2 - 0.5 * wandered
+        forgotten = np.exp(-apart / TRACK_TAU)
+        return np.asarray((direction_n @ direction_n.T) * (offset + fast[:, None] * fast[None, :] * forgotten))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +69,13 @@ class Drift:
         return np.asarray((direction_n @ direction_n.T) * (self.absolute**2 - 0.5 * changed))
 
 
-def position_errors(trajectory: Trajectory, stored: Drift | None = None) -> tuple[JointPosition | None, SigmaSource]:
-    """Return who knows the covariance of positions at several times, and which kind it is; None without any sigma."""
+def position_errors(
+    trajectory: Trajectory, fix_interval: float, stored: Drift | None = None
+) -> tuple[JointPosition | None, SigmaSource]:
+    """Return who knows the covariance of positions at several times, and which kind it is; None without any sigma.
+
+    fix_interval s: usual time between fixes.
+    """
     if trajectory.joint is not None:
         return trajectory.joint, "joint"
     if stored is not None:
@@ -78,9 +90,18 @@ def position_errors(trajectory: Trajectory, stored: Drift | None = None) -> tupl
             trajectory.sigmas.track[known],
             OFFSET_SIGMA if sigma is None else sigma,
             OFFSET_TAU if tau is None else tau,
+            _walk(trajectory, fix_interval),
         ),
         "model",
     )
+
+
+def _walk(trajectory: Trajectory, fix_interval: float) -> float:
+    """Variance (m^2/s) that independent errors of the speed at every fix add up to."""
+    noise = _identified(trajectory, "gps_velocity_noise")
+    if trajectory.report.mode != "full" or noise is None or not np.isfinite(fix_interval):
+        return np.inf
+    return noise**2 * fix_interval
 
 
 def _identified(trajectory: Trajectory, name: str) -> float | None:
