@@ -1,0 +1,178 @@
+#include "neo_model.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static void power_on(neo_model_t *receiver)
+{
+    receiver->baud = 9600;
+    receiver->period_ms = 1000;
+    receiver->dynamic_model = 0;
+    receiver->power_mode = 0;
+    for (int i = 0; i < 16; i++)
+        receiver->messages[i] = i < 6; /* GGA GLL GSA GSV RMC VTG */
+    receiver->in_length = 0;
+    receiver->out_put = receiver->out_taken = 0;
+    receiver->next_epoch_us = *receiver->now_us + 300000;
+}
+
+void neo_model_init(neo_model_t *receiver, const uint64_t *now_us)
+{
+    *receiver = (neo_model_t){.now_us = now_us, .has_fix = true};
+    power_on(receiver);
+}
+
+void neo_model_power_cycle(neo_model_t *receiver)
+{
+    power_on(receiver);
+}
+
+static uint64_t byte_us(const neo_model_t *receiver)
+{
+    return 10000000u / receiver->baud;
+}
+
+static void say(neo_model_t *receiver, const uint8_t *bytes, size_t length)
+{
+    if (receiver->out_put == receiver->out_taken)
+        receiver->out_us = *receiver->now_us;
+    for (size_t i = 0; i < length; i++)
+        receiver->out[receiver->out_put++ % NEO_QUEUE] = bytes[i];
+}
+
+static void sentence(neo_model_t *receiver, const char *body)
+{
+    char text[120];
+    uint8_t sum = 0;
+    for (const char *c = body; *c; c++)
+        sum ^= (uint8_t)*c;
+    const int length = snprintf(text, sizeof text, "$%s*%02X\r\n", body, sum);
+    say(receiver, (const uint8_t *)text, (size_t)length);
+    receiver->sentences++;
+}
+
+static void epoch(neo_model_t *receiver)
+{
+    char body[100];
+    const unsigned tenths = receiver->epochs * receiver->period_ms / 100, seconds = tenths / 10;
+    static const char *names[] = {"GGA", "GLL", "GSA", "GSV", "RMC", "VTG", "", "GST"};
+    static const uint8_t noise[] = {0x00, 0x80, 0x24, 0x47, 0xFE};
+    for (uint32_t i = 0; i < receiver->chatter; i++)
+        say(receiver, &noise[i % sizeof noise], 1);
+    for (int i = 0; i < 8; i++) {
+        if (!receiver->messages[i])
+            continue;
+        snprintf(body, sizeof body, "GP%s,%02u%02u%02u.%u0,%c,4124.8963,N,00210.4251,E,%u.5,84.4,230394,,", names[i],
+                 seconds / 3600, seconds / 60 % 60, seconds % 60, tenths % 10, receiver->has_fix ? 'A' : 'V', receiver->epochs);
+        sentence(receiver, body);
+    }
+    receiver->epochs++;
+}
+
+static void step(neo_model_t *receiver)
+{
+    while (!receiver->is_absent && receiver->next_epoch_us <= *receiver->now_us) {
+        epoch(receiver);
+        receiver->next_epoch_us += (uint64_t)receiver->period_ms * 1000;
+    }
+}
+
+bool neo_model_next(neo_model_t *receiver, uint32_t baud, uint8_t *byte, uint64_t *began_us)
+{
+    step(receiver);
+    if (receiver->is_absent || receiver->out_taken == receiver->out_put || receiver->out_us + byte_us(receiver) > *receiver->now_us)
+        return false;
+    *byte = receiver->out[receiver->out_taken++ % NEO_QUEUE];
+    if (baud != receiver->baud)
+        *byte = (uint8_t)(*byte * 37 + 11); /* what a wrong rate makes of it */
+    *began_us = receiver->out_us;
+    receiver->out_us += byte_us(receiver);
+    return true;
+}
+
+/* ---- commands ---- */
+
+static void answer(neo_model_t *receiver, uint8_t class, uint8_t id, bool is_good)
+{
+    uint8_t frame[10] = {0xB5, 0x62, 0x05, is_good ? 1 : 0, 2, 0, class, id};
+    for (int i = 2; i < 8; i++) {
+        frame[8] = (uint8_t)(frame[8] + frame[i]);
+        frame[9] = (uint8_t)(frame[9] + frame[8]);
+    }
+    say(receiver, frame, sizeof frame);
+}
+
+static bool obey(neo_model_t *receiver, uint8_t id, const uint8_t *p, size_t length)
+{
+    switch (id) {
+    case 0x00: /* the answer goes out at the old rate, and is lost with it: as the real one has it */
+        if (length != 20 || p[0] != 1)
+            return false;
+        receiver->baud = (uint32_t)(p[8] | p[9] << 8 | p[10] << 16);
+        return true;
+    case 0x01:
+        if (length != 3 || p[0] != 0xF0 || p[1] > 15)
+            return false;
+        receiver->messages[p[1]] = p[2] != 0;
+        return true;
+    case 0x08:
+        if (length != 6 || (p[0] | p[1] << 8) < 200)
+            return false;
+        receiver->period_ms = (uint16_t)(p[0] | p[1] << 8);
+        return true;
+    case 0x11:
+        receiver->power_mode = p[1];
+        return length == 2;
+    case 0x24:
+        receiver->dynamic_model = p[2];
+        return length == 36 && (p[0] & 1);
+    default:
+        return false;
+    }
+}
+
+static void take_frame(neo_model_t *receiver, const uint8_t *frame, size_t length)
+{
+    const uint8_t class = frame[2], id = frame[3];
+    const bool is_refused = receiver->refuse_class_id == (uint32_t)(class << 8 | id);
+    const uint32_t baud = receiver->baud;
+    const bool is_good = class == 6 && !is_refused && obey(receiver, id, frame + 6, length - 8);
+    if (receiver->baud != baud)
+        receiver->out_taken = receiver->out_put;
+    answer(receiver, class, id, is_good);
+}
+
+static bool is_sum_right(const uint8_t *frame, size_t length)
+{
+    uint8_t a = 0, b = 0;
+    for (size_t i = 2; i < length - 2; i++) {
+        a = (uint8_t)(a + frame[i]);
+        b = (uint8_t)(b + a);
+    }
+    return frame[length - 2] == a && frame[length - 1] == b;
+}
+
+static void take_byte(neo_model_t *receiver, uint8_t byte)
+{
+    if (receiver->in_length == sizeof receiver->in)
+        receiver->in_length = 0;
+    receiver->in[receiver->in_length++] = byte;
+    if (receiver->in[0] != 0xB5 || (receiver->in_length > 1 && receiver->in[1] != 0x62))
+        receiver->in_length = 0;
+    if (receiver->in_length < 8)
+        return;
+    const size_t length = 8u + receiver->in[4] + ((size_t)receiver->in[5] << 8);
+    if (receiver->in_length < length)
+        return;
+    if (is_sum_right(receiver->in, length))
+        take_frame(receiver, receiver->in, length);
+    receiver->in_length = 0;
+}
+
+void neo_model_receive(neo_model_t *receiver, const uint8_t *bytes, size_t length, uint32_t baud)
+{
+    if (receiver->is_absent || receiver->is_deaf || baud != receiver->baud)
+        return;
+    for (size_t i = 0; i < length; i++)
+        take_byte(receiver, bytes[i]);
+}

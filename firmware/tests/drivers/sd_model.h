@@ -1,0 +1,71 @@
+/* An SD card in SPI mode, byte by byte, as its specification has it: an independent reading of it, not of the driver.
+ * Sectors live in pages made on first use, so that cards of gigabytes are cheap. It can be slow, lie, be pulled out, and
+ * lose its power at any write, with the sector it was writing torn. */
+#ifndef TESTS_SD_MODEL_H
+#define TESTS_SD_MODEL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+typedef enum { SD_MODEL_V1, SD_MODEL_V2, SD_MODEL_HC } sd_model_kind_t;
+
+enum { SD_MODEL_SECTOR = 512, SD_MODEL_PAGE = 65536, SD_MODEL_INFINITE = 0x7FFFFFFF };
+
+typedef struct {
+    /* the medium, which outlives the power */
+    uint8_t **pages;
+    uint32_t sectors;
+    sd_model_kind_t kind;
+
+    /* the world around it */
+    const uint64_t *now_us;
+    bool is_absent;
+
+    /* what is to go wrong; counted in sectors written since the start of the model */
+    uint32_t cut_at;        /* this write is the last: power goes with it (SD_MODEL_INFINITE: never) */
+    uint32_t torn_bytes;    /* so many bytes of it are stored */
+    uint32_t stall_every;   /* each so many writes the card is busy for stall_us */
+    uint32_t stall_us;
+    uint32_t busy_us;       /* after the others */
+    uint32_t refuse_at, refuse_times; /* this write is answered with a write error, so often */
+    uint32_t mishear_at;    /* a bit of this write is flipped on the way */
+    uint32_t hang_at;       /* after this write the card is busy for ever, until CMD0 or power */
+    uint32_t misread_at;    /* a bit of this sector read is flipped on the way */
+    bool is_crc_unknown;    /* CMD59 is not implemented */
+    bool is_mute;           /* initialisation never ends */
+
+    /* what was seen */
+    uint32_t writes, reads, commands, crc_errors, protocol_errors;
+    bool is_cut;
+
+    /* its state */
+    bool is_selected, is_idle, is_ready, has_crc, is_app;
+    uint8_t command[6];
+    size_t command_length;
+    uint8_t out[1024];
+    size_t out_length, out_at;
+    uint8_t in[SD_MODEL_SECTOR + 2];
+    size_t in_length;
+    bool is_receiving, is_waiting_for_token, is_multiple;
+    uint32_t address;
+    uint64_t busy_until_us;
+    uint32_t start_polls; /* ACMD41 until ready */
+    uint8_t status;       /* second byte of CMD13 */
+} sd_model_t;
+
+void sd_model_init(sd_model_t *card, sd_model_kind_t kind, uint32_t sectors, const uint64_t *now_us);
+void sd_model_free(sd_model_t *card);
+
+/* Take power away and give it back: the medium stays. What was to go wrong is forgotten. */
+void sd_model_power_cycle(sd_model_t *card);
+
+void sd_model_select(sd_model_t *card, bool is_selected);
+uint8_t sd_model_exchange(sd_model_t *card, uint8_t out);
+
+/* The medium, from outside. */
+void sd_model_peek(const sd_model_t *card, uint32_t sector, uint8_t *data);
+void sd_model_poke(sd_model_t *card, uint32_t sector, const uint8_t *data);
+int sd_model_save(const sd_model_t *card, const char *path);
+
+#endif
