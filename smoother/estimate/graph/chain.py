@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -51,6 +51,7 @@ class ChainSolution:
     constants_covariance: Array
     constants_cross: Array
     log_determinant: float
+    factor: "ChainFactor | None" = None  # of the system, where the covariance was asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,40 @@ class _Level:
     to_right: Array  # (M, n, n), zero where there is no right neighbour
     offset: Array  # (M, n, m + 1): D^-1 rhs
     n_nodes: int
+
+
+@dataclass(frozen=True, eq=False)
+class ChainFactor:
+    """A factored ChainSystem, which knows the covariance of any two of its keyframes."""
+
+    _levels: list[_Level]
+    _last: Array  # (n, n) inverse of the node that is left
+    _scale: Array  # (K, n) of the unknowns
+    _influence: Array  # (K, n, m) of the constants, scaled
+    _constants_covariance: Array
+
+    def covariance(self, first: IntArray, left: Array, right: Array, constants: Array) -> Array:
+        """Covariance (q, q) of q linear functions of keyframes `first` and `first + 1` (q,) and of the constants.
+
+        left, right (q, n), constants (q, m): their coefficients. The forward half of cyclic reduction is followed for
+        each function: it lives in two neighbouring nodes at every level, of which one is eliminated.
+        """
+        left, right = left * self._scale[first], right * self._scale[first + 1]
+        by_constants = constants - np.einsum("qi,qim->qm", left, self._influence[first])
+        by_constants -= np.einsum("qi,qim->qm", right, self._influence[first + 1])
+        out = by_constants @ self._constants_covariance @ by_constants.T
+        node = first
+        for level in self._levels:
+            is_odd = (node % 2 == 1)[:, None]
+            odd = np.minimum(node // 2, len(level.inverse) - 1)  # beyond the end there is nothing to eliminate
+            gone = np.where(is_odd, left, right)
+            weighted = np.einsum("qij,qj->qi", level.inverse[odd], gone)
+            out += (odd[:, None] == odd[None, :]) * (gone @ weighted.T)
+            to_left = -np.einsum("qij,qi->qj", level.to_left[odd], gone)
+            to_right = -np.einsum("qij,qi->qj", level.to_right[odd], gone)
+            left, right = np.where(is_odd, to_left, to_left + left), np.where(is_odd, to_right + right, to_right)
+            node = node // 2
+        return np.asarray(out + left @ self._last @ left.T)
 
 
 def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSolution:
@@ -105,7 +140,14 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSo
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
     return ChainSolution(
-        solution * scale, constants, covariance, cross, constants_covariance, constants_cross, log_determinant
+        solution * scale,
+        constants,
+        covariance,
+        cross,
+        constants_covariance,
+        constants_cross,
+        log_determinant,
+        ChainFactor(levels, root[0][0], scale, influence, constants_covariance) if with_covariance else None,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
+from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.imu import (
     JERK_RATE,
     YAW_JERK_RATE,
@@ -18,13 +19,15 @@ from smoother.estimate.graph.imu import (
     motion_at,
 )
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.rows import Rows, antenna_jacobian
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
+    CONSTANTS_SIZE,
     GYRO_BIAS,
     LEVER_ARM,
     OFFSET,
     ROTATION,
+    ROW_CONSTANTS_SIZE,
     TRANSLATION,
     VELOCITY,
     ChainState,
@@ -90,7 +93,28 @@ def build_trajectory(
             keyframes=keyframes,
             mode="full",
         ),
+        joint=None if solved.solution.factor is None else ChainJoint(state, solved.solution.factor, unseen),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJoint:
+    """How the errors of the antenna's position at several times hang together: a JointPosition.
+
+    unseen (3,) m^2: variance of the GPS offset that a session cannot show, the same at all its times.
+    """
+
+    state: ChainState
+    factor: ChainFactor
+    unseen: Array
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        interval, *jacobians = antenna_jacobian(self.state, t)
+        left, right, by_row_constants = (np.einsum("qi,qij->qj", direction_n, J) for J in jacobians)
+        constants = np.zeros((len(t), CONSTANTS_SIZE))
+        constants[:, :ROW_CONSTANTS_SIZE] = by_row_constants
+        return self.factor.covariance(interval, left, right, constants) + (direction_n * self.unseen) @ direction_n.T
 
 
 def row_times(start: float, end: float, rate: float) -> Array:

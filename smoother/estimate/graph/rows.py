@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.imu import DensePath, MotionAt, at_times, motion_at
 from smoother.estimate.graph.state import (
@@ -121,6 +121,21 @@ def position_rows(
     constants[:, :, POSITION_LATENCY] = -(motion.velocity_n + swing_n)[:, :, None]
     constants[:, :, LEVER_ARM] = motion.R_ns
     return _rows("gps_position", b, residual, sigma, left, right, constants)
+
+
+def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
+    """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
+
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 9) by the row constants.
+    """
+    b = bracket(state, t)
+    R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
+    R_ns = R_left @ so3.exp(b.share[:, None] * so3.log(R_left.transpose(0, 2, 1) @ R_right))
+    left, right, constants = _empty(len(t), 3)
+    _put_curve(left, right, state, b, hermite_position(b))
+    _put_turn(left, right, state, b, -so3.skew(R_ns @ state.constants.lever_arm_s))
+    constants[:, :, LEVER_ARM] = R_ns
+    return b.interval, left, right, constants
 
 
 def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, measured_n: Array, sigma: Array) -> Rows:

@@ -175,3 +175,17 @@ def random_chain_of_length(K: int) -> ChainSystem:
     border[1:] += one.border[1]
     rhs = np.ones((K, n))
     return ChainSystem(diagonal, np.tile(one.upper, (K - 1, 1, 1)), border, one.corner * (K - 1), rhs, np.ones(m))
+
+
+@pytest.mark.parametrize(("K", "n", "m"), [size for size in SIZES if size[0] > 1])
+def test_functions_of_any_two_neighbours_covary_as_in_the_dense_inverse(K: int, n: int, m: int) -> None:
+    system, rng, q = random_system(K, n, m), np.random.default_rng(1), 12
+    first = np.concatenate([[0, K - 2], rng.integers(0, K - 1, q - 2)])
+    left, right, constants = (rng.normal(size=(q, size)) for size in (n, n, m))
+    J = np.zeros((q, K * n + m))
+    for i, k in enumerate(first):
+        J[i, k * n : (k + 2) * n], J[i, K * n :] = np.concatenate([left[i], right[i]]), constants[i]
+    factor = solve_chain(system).factor
+    assert factor is not None
+    want = J @ np.linalg.inv(dense(system)[0]) @ J.T
+    assert_close(factor.covariance(first, left, right, constants), want, 1e-8)

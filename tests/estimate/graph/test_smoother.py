@@ -133,6 +133,28 @@ class TestOutput:
         R = trajectory.R_nb
         np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
 
+    def test_the_joint_covariance_of_positions_agrees_with_their_sigmas_and_with_the_drift_of_the_error(self) -> None:
+        s = kart()
+        trajectory, joint = s.trajectory, s.trajectory.joint
+        assert joint is not None
+        assert trajectory.sigmas is not None
+        rows = np.arange(500, len(trajectory) - 500, 50)
+        north, west = np.eye(3)[0], np.eye(3)[1]
+        both = np.concatenate([np.tile(north, (len(rows), 1)), np.tile(west, (len(rows), 1))])
+        t = trajectory.t[rows]
+        C, n = joint.covariance(np.concatenate([t, t]), both), len(rows)
+        np.testing.assert_allclose(C, C.T, atol=1e-9)
+        sigma = trajectory.sigmas.position_n[rows, :2].T.ravel()
+        np.testing.assert_allclose(np.sqrt(np.diag(C)), sigma, rtol=0.01)  # sigmas are interpolated between keyframes
+        # what decides a lap time: the change of the error over some seconds is far below the error itself, and as said
+        lag, error = 10, s.error_n[rows, :2].T.reshape(2, n)
+        changed = (error[:, lag:] - error[:, :-lag]).ravel()
+        own = np.diag(C).reshape(2, n)
+        between = np.stack([np.diagonal(C[i * n : (i + 1) * n, i * n : (i + 1) * n], lag) for i in range(2)])
+        said = np.sqrt(own[:, lag:] + own[:, :-lag] - 2.0 * between).ravel()
+        assert np.max(said) < 0.5 * np.min(sigma)
+        assert 0.6 < np.sqrt(np.mean((changed / said) ** 2)) < 1.5  # some thirty independent stretches
+
     def test_velocity_is_the_slope_of_position(self) -> None:
         trajectory = white(0, True).trajectory
         slope = np.diff(trajectory.position_n, axis=0) / np.diff(trajectory.t)[:, None]
