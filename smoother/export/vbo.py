@@ -20,6 +20,7 @@ from smoother.report.files import replacing
 from smoother.units import KMH
 
 SATELLITES = 10  # a smoothed row has no count of its own; below 4 or so programs take a row for one without fix
+ELAPSED = Channel("elapsed_time", "elapsed_s", "s")
 HEADER = ("satellites", "time", "latitude", "longitude", "velocity kmh", "heading", "height", "vertical velocity m/s")
 COLUMNS = ("sats", "time", "lat", "long", "velocity", "heading", "height", "vert-vel")
 ROW = "%03d %010.3f %+013.6f %+013.6f %08.3f %07.3f %+010.3f %+08.3f"
@@ -27,7 +28,7 @@ ROW = "%03d %010.3f %+013.6f %+013.6f %08.3f %07.3f %+010.3f %+08.3f"
 
 def write(source: Source, path: Path) -> None:
     """Write the session as VBO."""
-    channels = known_channels(source)
+    channels = [ELAPSED, *known_channels(source)]
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         _write_head(file, source, channels)
         template = ROW + " %+.4f" * len(channels) + "\r\n"
@@ -40,7 +41,7 @@ def _write_head(file: IO[str], source: Source, channels: Sequence[Channel]) -> N
     names = [channel.name for channel in channels]
     head = [f"File created on {date} at {time}", ""]
     head += ["[header]", *HEADER, *names, ""]
-    head += ["[channel units]", "s", *(channel.unit or "-" for channel in channels), ""]
+    head += ["[channel units]", *(channel.unit or "-" for channel in channels), ""]
     head += ["[comments]", *_comments(source), ""]
     head += ["[laptiming]", *(_laptiming(gate, i) for i, gate in enumerate(timing_gates(source))), ""]
     head += ["[column names]", " ".join((*COLUMNS, *names)), ""]

@@ -51,17 +51,19 @@ def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Arr
     columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
     blank = ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)
     gnss, problems = screen_fixes(FixColumns(**{**columns, "is_blank": blank}), file)
-    _require_sane_times(file, gnss, problems)
+    _require_sane_times(file, t, gnss, problems)
     return gnss, problems
 
 
-def _require_sane_times(file: str, gnss: GnssFixes, problems: list[Problem]) -> None:
+def _require_sane_times(file: str, t: Array, gnss: GnssFixes, problems: list[Problem]) -> None:
     repeated = sum(problem.count for problem in problems if problem.code == "gps_repeated_time")
     if repeated > len(gnss):
         raise SessionError(f"{file}: {repeated} rows repeat the time of another; its times cannot be used")
-    if len(gnss) < 2:
+    steps = np.diff(t[np.isfinite(t)])
+    steps = steps[steps > 0.0]
+    if steps.size == 0:
         return
-    step = float(np.median(np.diff(gnss.t)))
+    step = float(np.median(steps))
     if step * FASTEST_FIXES < 1.0 - 1e-6:
         raise SessionError(f"{file}: {1.0 / step:.3g} fixes a second, which no receiver makes; its times are wrong")
     if step > SLOWEST_FIXES:

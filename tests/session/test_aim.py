@@ -1,0 +1,110 @@
+"""AiM CSV: units, separators, repeated names, other channels, and what is damaged."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.cli.main import run
+from smoother.errors import SessionError
+from smoother.session.aim import read_aim
+from smoother.session.load import load_raw
+
+PREAMBLE = (
+    ("Format", "AiM CSV File"),
+    ("Session", "Circuit"),
+    ("Vehicle", "KZ2"),
+    ("Racer", "A. Driver"),
+    ("Date", "Saturday, April 11, 2026"),
+    ("Time", "11:32 AM"),
+    ("Sample Rate", "1e99"),
+    ("Beacon Markers", "12.500", "60.100"),
+    ("Segment Times", "0:12.500", "0:47.600"),
+)
+NAMES = ("Time", "GPS Speed", "GPS Nsat", "GPS Heading", "GPS Altitude", "GPS PosAccuracy", "GPS SpdAccuracy")
+NAMES = (*NAMES, "GPS Latitude", "GPS Longitude", "RPM", "RPM", "InlineAcc", "LateralAcc", "YawRate")
+UNITS = ("s", "km/h", "#", "deg", "m", "mm", "km/h", "deg", "deg", "rpm", "rpm", "g", "g", "deg/s")
+
+
+def values(k: int) -> tuple[str, ...]:
+    """20 Hz, west at 36 km/h; heading is within 180 degrees."""
+    place = ("45.7000000", f"{13.07 - 0.5 * k / 77660:.7f}")
+    return (f"{0.05 * k:.3f}", "36.00", "16", "-90.0", "4.5", "420", "1.8", *place, "9000", "9001", "0", "0", "0")
+
+
+def table(rows: list[tuple[str, ...]], separator: str = ",", names: tuple[str, ...] = NAMES) -> str:
+    def line(cells: tuple[str, ...]) -> str:
+        return separator.join(f'"{cell}"' for cell in cells)
+
+    text = "\r\n".join(
+        [*(line(row) for row in PREAMBLE), "", line(names), line(UNITS), "", *(line(row) for row in rows)]
+    )
+    return text + "\r\n"
+
+
+def read(directory: Path, text: str):
+    path = directory / "aim.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_aim(path)
+
+
+def test_every_channel_of_the_receiver_reaches_its_place_in_its_unit(tmp_path: Path) -> None:
+    reading = read(tmp_path, table([values(k) for k in range(80)]))
+    gnss = reading.gnss
+    np.testing.assert_allclose(gnss.t, 0.05 * np.arange(80), atol=1e-9)
+    np.testing.assert_allclose(gnss.velocity_n[:, :2], [[0.0, 10.0]] * 80, atol=1e-9)
+    assert (gnss.lat_deg[0], gnss.lon_deg[0], gnss.alt_m[0], gnss.num_sv[0]) == (45.7, 13.07, 4.5, 16)
+    assert gnss.sigma_horizontal[0] == pytest.approx(0.42) and gnss.sigma_velocity[0] == pytest.approx(0.5)
+    assert np.isnan(gnss.unix_s).all()  # the time of day in the file is local
+    assert [problem.code for problem in reading.problems] == ["imu_axes_unknown"] and reading.imu is None
+
+
+def test_semicolons_with_decimal_commas_read_the_same(tmp_path: Path) -> None:
+    rows = [values(k) for k in range(80)]
+    plain = read(tmp_path, table(rows)).gnss
+    commas = read(tmp_path, table([tuple(v.replace(".", ",") for v in row) for row in rows], ";")).gnss
+    np.testing.assert_array_equal(commas.lon_deg, plain.lon_deg)
+    np.testing.assert_array_equal(commas.speed, plain.speed)
+
+
+def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
+    read(tmp_path, table([values(k) for k in range(80)]))
+    raw = load_raw(tmp_path)
+    assert raw.inputs == ("aim.csv",) and raw.imu is None and len(raw.gnss) == 80
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('"Format","AiM CSV File"\r\n', "no rows; not, or not a whole, AiM CSV"),
+        (table([]), "a header, but no rows"),
+        (table([values(k)[:9] for k in range(9)]), "rows have 9 values, but 14 columns are named"),
+        (table([values(k) for k in range(9)], names=(*NAMES[:7], "Lat", "Lon", *NAMES[9:])), "no channel Gps Latitude"),
+        (table([values(0)] * 50), "rows repeat the time of another"),
+        (table([(f"{1e-5 * k:.5f}", *values(k)[1:]) for k in range(50)]), "fixes a second, which no receiver makes"),
+    ],
+)
+def test_an_unusable_file_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    with pytest.raises(SessionError, match=re.escape(message)):
+        read(tmp_path, text)
+    assert run([str(tmp_path), "--no-figures"]) == 2
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith("smooth: aim.csv: ")
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    data = np.frombuffer(table([values(k) for k in range(40)]).encode(), np.uint8).copy()
+    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
+    path = tmp_path / "aim.csv"
+    path.write_bytes(data[: rng.integers(1, data.size + 1)].tobytes())
+    try:
+        gnss = read_aim(path).gnss
+    except SessionError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.all(np.diff(gnss.t) > 0.0)

@@ -1,0 +1,138 @@
+"""RaceChrono CSV of version 3: repeated names, units, sensors in rows of their own, and what is damaged."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.cli.main import run
+from smoother.errors import SessionError
+from smoother.session.load import load_raw
+from smoother.session.racechrono import read_racechrono
+
+PREAMBLE = """This file is created using RaceChrono v9.1.3 ( http://racechrono.com/ ).
+Format,3
+Session title,"Lignano, ""wet"" run"
+Session type,Lap timing
+Track name,"Lignano"
+Driver name,
+Created,11/04/2026,11:32
+Note,
+
+"""
+NAMES = (
+    "timestamp,fragment_id,lap_number,elapsed_time,accuracy,altitude,bearing,fix_type,latitude,longitude,satellites,"
+    "speed,speed,lateral_acc,lateral_acc,x_acc,y_acc,z_acc,x_rate_of_rotation,y_rate_of_rotation,z_rate_of_rotation"
+)
+UNITS = "unix time,,,s,m,m,deg,,deg,deg,sats,km/h,m/s,G,G,G,G,G,deg/s,deg/s,deg/s"
+SOURCES = ",,,,100: gps,100: gps,100: gps,100: gps,100: gps,100: gps,100: gps,calc,100: gps,calc,100: gps" + (
+    ",101: acc" * 3 + ",102: gyro" * 3
+)
+START = 1_775_907_141.0
+
+
+def fix_row(k: int) -> str:
+    """10 Hz, north at 10 m/s by the receiver."""
+    place = f"{45.0 + k * 1.0 / 111195:.9f},13.073000000"
+    return f"{START + 0.1 * k:.3f},0,,{0.1 * k:.3f},0.42,4.5,0.0,3,{place},16,99.0,10.0,0.1,0.2,,,,,,"
+
+
+def imu_row(k: int) -> str:
+    return f"{START + 0.01 * k + 0.003:.3f},0,1,{0.01 * k:.3f},,,,,,,,,,,,0.1,-0.2,1.0,1.0,2.0,-90.0"
+
+
+def csv(rows: list[str], names: str = NAMES) -> str:
+    return PREAMBLE + "\n".join([names, UNITS, SOURCES, *rows]) + "\n"
+
+
+def read(directory: Path, text: str):
+    path = directory / "session.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_racechrono(path)
+
+
+def test_of_repeated_names_that_of_the_receiver_is_taken_with_its_unit(tmp_path: Path) -> None:
+    gnss = read(tmp_path, csv([fix_row(k) for k in range(60)])).gnss
+    np.testing.assert_allclose(gnss.speed, 10.0)
+    np.testing.assert_allclose(gnss.t, 0.1 * np.arange(60), atol=1e-6)
+    assert gnss.unix_s[0] == START and gnss.sigma_horizontal[0] == 0.42 and gnss.num_sv[0] == 16
+    np.testing.assert_allclose(gnss.velocity_n[:, 0], 10.0)
+
+
+def test_a_lone_speed_is_in_the_unit_of_its_row(tmp_path: Path) -> None:
+    text = csv([fix_row(k) for k in range(60)]).replace("100: gps,calc,100: gps,calc", "100: gps,100: gps,calc,calc")
+    np.testing.assert_allclose(read(tmp_path, text).gnss.speed, 27.5)  # 99 km/h
+
+
+def test_inertial_samples_in_rows_of_their_own_are_no_failed_fixes(tmp_path: Path) -> None:
+    rows = sorted([fix_row(k) for k in range(60)] + [imu_row(k) for k in range(600)])
+    reading = read(tmp_path, csv(rows))
+    assert len(reading.gnss) == 60 and reading.problems == []
+    assert reading.imu is not None and reading.imu.t.size == 600
+    np.testing.assert_allclose(reading.imu.accel[0], np.array([0.1, -0.2, 1.0]) * 9.80665)
+    np.testing.assert_allclose(reading.imu.gyro[0], np.radians([1.0, 2.0, -90.0]))
+
+
+def test_a_folder_with_the_file_is_a_session_and_the_file_too(tmp_path: Path) -> None:
+    rows = sorted([fix_row(k) for k in range(60)] + [imu_row(k) for k in range(600)])
+    read(tmp_path, csv(rows))
+    (tmp_path / "imu.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n")
+    raw = load_raw(tmp_path)
+    assert raw.inputs == ("session.csv",) and raw.imu is not None
+    assert "imu_unused" in {problem.code for problem in raw.problems}
+    assert load_raw(tmp_path / "session.csv").name == "session"
+
+
+def test_gps_csv_wins_over_a_recording_of_another_program(tmp_path: Path) -> None:
+    read(tmp_path, csv([fix_row(k) for k in range(60)]))
+    rows = "".join(f"{k},45.0,{13 + k * 1e-4}\n" for k in range(9))
+    (tmp_path / "gps.csv").write_text(f"t_s,lat_deg,lon_deg\n{rows}")
+    assert load_raw(tmp_path).inputs == ("gps.csv",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (PREAMBLE, "no rows; not, or not a whole, RaceChrono CSV"),
+        (csv([]), "a header, but no rows"),
+        (csv([fix_row(k) + ",1,2" for k in range(9)]), "rows have 23 values, but 21 columns are named"),
+        (csv([fix_row(k) for k in range(9)], NAMES.replace("latitude", "x")), "no column latitude"),
+        (csv([fix_row(0)] * 50), "rows repeat the time of another"),
+        (csv([fix_row(0).replace(f"{START:.3f}", f"{START + 1e-5 * k:.5f}") for k in range(90)]), "fixes a second"),
+        (csv([fix_row(36_000 * k) for k in range(9)]), "a fix every 3.6e+03 s only"),
+    ],
+)
+def test_an_unusable_file_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    with pytest.raises(SessionError, match=re.escape(message)):
+        read(tmp_path, text)
+    assert run([str(tmp_path), "--no-figures"]) == 2
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith("smooth: session.csv: ")
+
+
+def test_an_endless_line_ends_the_reading(tmp_path: Path) -> None:
+    path = tmp_path / "session.csv"
+    path.write_text(csv([fix_row(0)]))
+    with path.open("r+b") as file:
+        file.seek(1 << 30)
+        file.write(b"\n")
+    with pytest.raises(SessionError, match="characters; this is no RaceChrono CSV"):
+        read_racechrono(path)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    data = np.frombuffer(csv([fix_row(k) for k in range(40)] + [imu_row(9)]).encode(), np.uint8).copy()
+    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
+    path = tmp_path / "session.csv"
+    path.write_bytes(data[: rng.integers(1, data.size + 1)].tobytes())
+    try:
+        gnss = read_racechrono(path).gnss
+    except SessionError as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.all(np.diff(gnss.t) > 0.0)
