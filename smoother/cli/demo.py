@@ -39,7 +39,7 @@ def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool)
 
     with progress_on_terminal() as progress:
         progress("simulating", 0.0)
-        write(simulate_preset(PRESET, seed, track=track, duration=duration), directory, "csv")
+        write(simulate_preset(PRESET, seed, track=track, duration=duration), directory, "klg")
         result = smooth_session(directory, directory / OUTPUT_DIRECTORY, Options(), progress)
     if not result.quality.passed:
         warn(f"{directory}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")

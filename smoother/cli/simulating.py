@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from smoother.sim.simulation import Simulation
 
 PRESETS, TRACKS = ("white", "kart", "kart_harsh"), ("larkfield", "tinbarn", "longmeadow")
-SIMULATED_FILES = ("imu.csv", "gps.csv", "mag.csv", "out.txt", "magcalib.txt", "truth.csv", "session.toml")
+SIMULATED_FILES = (
+    *("imu.csv", "gps.csv", "mag.csv", "out.txt", "magcalib.txt", "LOG00001.KLG", "LOG00002.KLG"),
+    *("truth.csv", "session.toml"),
+)
 MARK = "truth_laps.csv"  # only a simulation writes it: a folder with it may be written over
 
 
@@ -25,7 +28,9 @@ MARK = "truth_laps.csv"  # only a simulation writes it: a folder with it may be 
 @click.option("--seed", type=click.IntRange(0), default=1, help="Same seed, same session [1].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Where [{TRACKS[0]}].")
 @click.option("--duration", metavar="S", type=click.FloatRange(5.0, 90000.0), default=300.0, help="Seconds [300].")
-@click.option("--format", "form", type=click.Choice(["csv", "thesis"]), default="csv", help="Files to write [csv].")
+@click.option(
+    "--format", "form", type=click.Choice(["csv", "klg", "thesis"]), default="csv", help="Files to write [csv]."
+)
 @click.option("--imu-rate", metavar="HZ", type=click.FloatRange(1.0, 2000.0), help="Motion samples a second.")
 @click.option("--gps-rate", metavar="HZ", type=click.FloatRange(0.1, 50.0), help="Fixes a second.")
 @click.option("--standstill", metavar="S", type=click.FloatRange(0.0), help="Seconds at rest before the start.")
@@ -74,6 +79,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
     Raises UsageError rather than write over a recording, or where nothing can be written.
     """
     from smoother.sim.record import write_csv, write_settings, write_thesis
+    from smoother.sim.record_log import write_klg
 
     present = [name for name in SIMULATED_FILES if (directory / name).exists()]
     if present and not (directory / MARK).exists():
@@ -81,7 +87,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
     try:
         for name in present:  # of another format or with more sensors: they would be read with the new ones
             (directory / name).unlink()
-        (write_csv if form == "csv" else write_thesis)(simulation, directory)
+        {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, directory)
         if told:
             write_settings(simulation, directory / "session.toml")
     except OSError as error:

@@ -196,7 +196,7 @@ def lap_table(simulation: Simulation) -> pl.DataFrame:
 
 
 def nmea_sentences(fixes: GnssFixes, kinds: Sequence[str], i: int) -> list[str]:
-    """The sentences of fix i, without line end, as a NEO-6M writes them. kinds: of RMC, GGA, VTG."""
+    """The sentences of fix i, without line end, as a NEO-6M writes them. kinds: of RMC, GGA, VTG, GST."""
     return [_with_checksum(_SENTENCES[kind](fixes, i)) for kind in kinds]
 
 
@@ -227,7 +227,14 @@ def _vtg(fixes: GnssFixes, i: int) -> str:
     return f"GPVTG,{course},T,,M,{speed},N,{kmh},K,A"
 
 
-_SENTENCES = {"RMC": _rmc, "GGA": _gga, "VTG": _vtg}
+def _gst(fixes: GnssFixes, i: int) -> str:
+    assert fixes.sigma_horizontal is not None and fixes.sigma_up is not None
+    time, _ = _utc(fixes, i)
+    horizontal, up = ("" if np.isnan(s[i]) else f"{s[i]:.1f}" for s in (fixes.sigma_horizontal, fixes.sigma_up))
+    return f"GPGST,{time},,,,,{horizontal},{horizontal},{up}"
+
+
+_SENTENCES = {"RMC": _rmc, "GGA": _gga, "VTG": _vtg, "GST": _gst}
 
 
 def _utc(fixes: GnssFixes, i: int) -> tuple[str, str]:

@@ -75,7 +75,7 @@ def test_the_demo_ends_with_a_figure_of_a_smoothed_session(tmp_path: Path, capsy
         last = capsys.readouterr().out.rstrip("\n").splitlines()[-1]
         assert last == str(directory / "smoothed" / "figures" / "overview.png")
         assert Path(last).exists()
-    assert {"imu.csv", "gps.csv", "mag.csv", "truth.csv", "smoothed"} <= {path.name for path in directory.iterdir()}
+    assert {"LOG00002.KLG", "truth.csv", "smoothed"} <= {path.name for path in directory.iterdir()}
 
 
 def test_the_same_seed_writes_the_same_session(tmp_path: Path) -> None:
@@ -102,6 +102,16 @@ def test_the_thesis_form_can_be_read_back(tmp_path: Path) -> None:
     assert raw.imu is not None
     assert len(raw.gnss) > 50
     assert run(["simulate", str(tmp_path / "u"), "--duration", "20", "--format", "thesis", "--no-imu"]) == 2
+
+
+def test_the_loggers_form_can_be_read_back(tmp_path: Path, capsys: Captured) -> None:
+    assert run(["simulate", str(tmp_path / "k"), "--duration", "20", "--format", "klg"]) == 0
+    raw = load_raw(tmp_path / "k")
+    assert raw.imu is not None
+    assert len(raw.imu.t) == 4000
+    assert len(raw.gnss) > 50
+    assert run(["simulate", str(tmp_path / "u"), "--duration", "20", "--format", "klg", "--imu-rate", "2000"]) == 2
+    assert "at most 1000 times a second" in capsys.readouterr().err
 
 
 def test_a_new_simulation_leaves_nothing_of_an_older_one(tmp_path: Path) -> None:
