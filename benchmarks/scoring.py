@@ -20,7 +20,7 @@ from smoother.estimate.bound import (
     scored_span,
     within,
 )
-from smoother.estimate.evaluate import errors_between
+from smoother.estimate.evaluate import Errors, errors_between
 from smoother.estimate.resample import resample
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
@@ -29,7 +29,7 @@ from smoother.session.clock import regularize, true_fix_times
 from smoother.sim.scenario import with_changes
 from smoother.sim.sensors import mean_motion
 from smoother.sim.simulation import Simulation, simulate_preset
-from smoother.trajectory import Identified, Keyframes, Trajectory
+from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG
 
 TRACKS = ("larkfield", "tinbarn", "longmeadow")
@@ -142,41 +142,75 @@ def score(
     case: Case, simulation: Simulation, session: Session, estimate: Trajectory, seconds: float, options: ScoreOptions
 ) -> Score:
     """Return the score of `estimate`, which took `seconds`."""
-    start, end = scored_span(simulation)
-    start, end = max(start, estimate.t[0]), min(end, estimate.t[-1])
+    start, end = span_of(simulation, estimate)
+    compared = compare(simulation, session, estimate, SCORED_RATE)
     left_out = () if options.outages else outages(simulation)
-    t = np.arange(start, end, 1.0 / SCORED_RATE)
-    inside = within(t, start, end, left_out)
-    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
-    found = resample(estimate, t)
-    errors = errors_between(found, truth)
-    track = _track_errors(simulation, estimate, t, truth, found)
+    inside = within(compared.t, start, end, left_out)
     density = effective_density(simulation)
     bounds = bound_of(simulation, density if options.full_bound else None)
     bound = bounds.rms(start, end, left_out)
     limits = {**_bound_figures(bound), "track": bounds.rms(start, end, outages(simulation)).track}
-    pairs = _sigma_pairs(errors.position_n, errors.velocity_n, errors.euler, found, track)
-    euler, sensor = errors.euler[inside] / DEG, _sensor_errors(simulation, found, truth)[inside] / DEG
-    rms = {
+    return Score(
+        case,
+        estimate.report.mode,
+        seconds,
+        rms_errors(simulation, compared, inside),
+        limits,
+        _values(simulation, estimate.report.identified, bound),
+        {name: _shares(e[inside], s[inside]) for name, (e, s) in _sigma_pairs(compared).items()},
+        nees_at_times(simulation, session, estimate),
+        _noise(simulation, estimate.report.identified, density),
+        [p.code for p in estimate.report.problems],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Estimate beside truth at t (N,) s: errors, also of position plus GPS offset (N, 2) m, None without an offset."""
+
+    t: Array
+    truth: Trajectory
+    found: Trajectory
+    errors: Errors
+    track: Array | None
+
+
+def compare(simulation: Simulation, session: Session, estimate: Trajectory, rate: float) -> Compared:
+    """Return `estimate` beside the truth at `rate` Hz, over all that counts."""
+    t = np.arange(*span_of(simulation, estimate), 1.0 / rate)
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
+    found = resample(estimate, t)
+    track = _track_errors(simulation, estimate, t, truth, found)
+    return Compared(t, truth, found, errors_between(found, truth), track)
+
+
+def rms_errors(simulation: Simulation, compared: Compared, inside: BoolArray | None = None) -> dict[str, float]:
+    """Root mean squares, m/s, m and deg, over the rows `inside` (N,) or all; QUANTITIES, position, track, sensor_.."""
+    errors = compared.errors
+    inside = np.full(len(compared.t), True) if inside is None else inside
+    euler = errors.euler[inside] / DEG
+    sensor = _sensor_errors(simulation, compared.found, compared.truth)[inside] / DEG
+    return {
         "velocity": _rms(np.linalg.norm(errors.velocity_n[inside, :2], axis=1)),
         "relative": _relative(errors.position_n[:, :2], inside),
         **{name: _rms(euler[:, i]) for i, name in enumerate(ANGLES)},
         **{f"sensor_{name}": _rms(sensor[:, i]) for i, name in enumerate(ANGLES)},
         "position": _rms(np.linalg.norm(errors.position_n[inside, :2], axis=1)),
-        "track": np.nan if track is None else _rms(track[inside]),
+        "track": np.nan if compared.track is None else _rms(compared.track[inside]),
     }
-    return Score(
-        case,
-        estimate.report.mode,
-        seconds,
-        rms,
-        limits,
-        _values(simulation, estimate.report.identified, bound),
-        {name: _shares(e[inside], s[inside]) for name, (e, s) in pairs.items()},
-        _nees(estimate.report.keyframes, simulation, session, start, end),
-        _noise(simulation, estimate.report.identified, density),
-        [p.code for p in estimate.report.problems],
-    )
+
+
+def span_of(simulation: Simulation, estimate: Trajectory) -> tuple[float, float]:
+    """Return first and last time s that count: both truth and estimate are there, and the kart has driven a while."""
+    start, end = scored_span(simulation)
+    return max(start, float(estimate.t[0])), min(end, float(estimate.t[-1]))
+
+
+def normalised_errors(simulation: Simulation, session: Session, estimate: Trajectory, rate: float) -> dict[str, Array]:
+    """Errors over their reported sigmas by quantity, (N, c) at `rate` Hz, NaN where unknown; no bound is computed."""
+    compared = compare(simulation, session, estimate, rate)
+    pairs = _sigma_pairs(compared)
+    return {name: (error / sigma).reshape(len(compared.t), -1) for name, (error, sigma) in pairs.items()}
 
 
 def outages(simulation: Simulation) -> list[tuple[float, float]]:
@@ -265,18 +299,16 @@ def _around(times: Array, t: Array) -> np.ndarray:
     return np.clip(np.searchsorted(times, t)[:, None] + [-1, 0], 0, len(times) - 1)
 
 
-def _sigma_pairs(
-    position: Array, velocity: Array, euler: Array, found: Trajectory, track: Array | None
-) -> dict[str, tuple[Array, Array]]:
-    if found.sigmas is None:
+def _sigma_pairs(compared: Compared) -> dict[str, tuple[Array, Array]]:
+    if compared.found.sigmas is None:
         return {}
-    s = found.sigmas
+    s, errors, track = compared.found.sigmas, compared.errors, compared.track
     pairs = {}
     for i, axis in enumerate(("north", "west", "up")):
-        pairs[f"pos_{axis}"] = position[:, i], s.position_n[:, i]
-        pairs[f"vel_{axis}"] = velocity[:, i], s.velocity_n[:, i]
+        pairs[f"pos_{axis}"] = errors.position_n[:, i], s.position_n[:, i]
+        pairs[f"vel_{axis}"] = errors.velocity_n[:, i], s.velocity_n[:, i]
     for i, angle in enumerate(ANGLES):
-        pairs[angle] = euler[:, i], s.attitude[:, i]
+        pairs[angle] = errors.euler[:, i], s.attitude[:, i]
     if track is not None:
         pairs["track"] = track, np.stack([s.track, s.track], axis=1)
     return pairs
@@ -330,11 +362,12 @@ def _noise(simulation: Simulation, identified: dict[str, Identified], density: t
     return out
 
 
-def _nees(
-    keyframes: Keyframes | None, simulation: Simulation, session: Session, start: float, end: float
-) -> list[NeesAt]:
+def nees_at_times(simulation: Simulation, session: Session, estimate: Trajectory) -> list[NeesAt]:
+    """Return the NEES of the keyframes nearest to fixed times, every NEES_EVERY s; none without keyframes."""
+    keyframes = estimate.report.keyframes
     if keyframes is None:
         return []
+    start, end = span_of(simulation, estimate)
     wanted = np.arange(start, end, NEES_EVERY)
     k = np.clip(np.searchsorted(keyframes.t, wanted), 0, len(keyframes.t) - 1)
     truth = simulation.truth.trajectory(keyframes.t[k], simulation.scenario.lever_arm_b, session.origin)
