@@ -10,6 +10,7 @@ from smoother.errors import UsageError
 if TYPE_CHECKING:
     from smoother.arrays import Array
     from smoother.config import SessionConfig
+    from smoother.frames import Origin
     from smoother.laps.analysis import LapOptions
     from smoother.laps.results import FixPath, LapAnalysis
     from smoother.laps.sigma import Drift
@@ -76,7 +77,7 @@ def fix_path(session: Session) -> FixPath:
 
 def analyse_session(session: Session, smoothed: Trajectory, say: Stated) -> LapAnalysis:
     """Return the laps of a smoothed session."""
-    return analyse_rows(smoothed, fix_path(session), options_for(smoothed, session, say))
+    return analyse_rows(smoothed, fix_path(session), options_on(smoothed, session.origin, say))
 
 
 def analyse_rows(smoothed: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:
@@ -94,7 +95,7 @@ def analysed_rows(smoothed: Trajectory) -> Trajectory:
     return smoothed.every(max(1, int(rate / USUAL_RATE + 0.01)))
 
 
-def options_for(smoothed: Trajectory, session: Session, say: Stated) -> LapOptions:
+def options_on(smoothed: Trajectory, origin: Origin, say: Stated, drift: Drift | None = None) -> LapOptions:
     """Return the options that follow from what was stated; of several layouts the one that was driven."""
     from smoother.laps.analysis import LapOptions
     from smoother.laps.circuit import find_circuit
@@ -106,7 +107,7 @@ def options_for(smoothed: Trajectory, session: Session, say: Stated) -> LapOptio
     if len(say.tracks) > 1:
         circuit = find_circuit(plan_path(analysed_rows(smoothed)), None, None, LapOptions().shortest)
         curve = None if isinstance(circuit, Problem) else circuit.curve
-    return LapOptions(lines=layout_on(say.tracks, session.origin, curve), official=say.official)
+    return LapOptions(lines=layout_on(say.tracks, origin, curve), official=say.official, drift=drift)
 
 
 def drift_of_session(smoothed: Trajectory) -> Drift | None:

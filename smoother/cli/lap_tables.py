@@ -95,9 +95,8 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     line, said = analysis["start_line"], analysis["statistics"]
     pairs = []
     if line is not None:
-        where = {"found": "found where timing is surest", "library": f"of {analysis['track']}"}.get(
-            line["source"], "given"
-        )
+        named = f"of {analysis['track']}" if analysis["track"] else "given"
+        where = "found where timing is surest" if line["source"] == "found" else named
         pairs.append(("line", f"{where}, lap {analysis['length_m']:.0f} m"))
     if said is not None and said["counted"]:
         pairs += [
@@ -131,3 +130,38 @@ def _consistency(said: dict[str, Any]) -> str:
     text = f"{said['counted']} laps count, {said['within_tenth']} within 0.1 s of the best"
     spread = said["spread_s"]
     return text if spread is None or not math.isfinite(spread) else f"{text}, spread {spread:.3f} s"
+
+
+def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: str) -> None:
+    """Print what every lap lost in each corner against the reference lap; `*`: more than two sigma, so real."""
+    corners = analysis["corners"]
+    if not corners:
+        return
+    header = ["lap", *(f"{c['number']}{c['direction'][0].upper()}" for c in corners), ""]
+    rows = []
+    for lap in laps:
+        cells = [next((one for one in c["laps"] if one["lap"] == lap["lap"]), None) for c in corners]
+        if all(cell is None for cell in cells):
+            continue
+        rows.append([str(lap["lap"]), *(_lost(cell) for cell in cells), lap["reason"]])
+    factor = SPEED_UNITS[units]
+    say("")
+    say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)
+    slowest = [["-" if (v := _slowest(c, analysis)) is None else number(v / factor, 1) for c in corners]]
+    say_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
+
+
+def _against(analysis: dict[str, Any]) -> str:
+    return analysis["reference_name"] or f"lap {analysis['reference_lap']}"
+
+
+def _lost(cell: dict[str, Any] | None) -> str:
+    lost = None if cell is None else cell["time_lost_s"]
+    if cell is None or lost is None or not math.isfinite(lost):
+        return "-"
+    return f"{round(lost, 2) + 0.0:+.2f}{'*' if cell['is_real'] else ' '}"
+
+
+def _slowest(corner: dict[str, Any], analysis: dict[str, Any]) -> float | None:
+    best = (analysis["statistics"] or {}).get("best_lap")
+    return next((one["min_speed_mps"] for one in corner["laps"] if one["lap"] == best), None)

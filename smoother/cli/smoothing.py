@@ -16,10 +16,13 @@ from smoother.cli.arguments import (
     solver_option,
 )
 from smoother.cli.calibrating import calibrate
+from smoother.cli.card import tasks
 from smoother.cli.checking import check
+from smoother.cli.comparing import compare
 from smoother.cli.demo import demo
 from smoother.cli.evaluating import evaluate
 from smoother.cli.exporting import export
+from smoother.cli.lapping import laps
 from smoother.cli.output import progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.simulating import simulate
@@ -28,7 +31,7 @@ from smoother.errors import SmootherError
 
 HELP = """Smooth recorded kart sessions: position, speed, attitude, each with an error bar.
 
-SESSION is the folder your logger wrote (imu.csv with gps.csv or a .nmea file; or out.txt), or one file of it.
+SESSION is the folder or card your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt), or one file of it.
 The results go into a folder "smoothed" inside it: a table for your spreadsheet (trajectory.csv), figures, and
 summary.json with everything that was found out. Nothing you recorded is changed, and no network is used.
 
@@ -44,6 +47,8 @@ NAMED_COMMANDS: dict[str, click.Command] = {
     "simulate": simulate,
     "evaluate": evaluate,
     "export": export,
+    "laps": laps,
+    "compare": compare,
 }
 EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
@@ -70,6 +75,7 @@ class SmoothCommand(click.Command):
 @click.command(cls=SmoothCommand, help=HELP)
 @sessions_argument
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed].")
+@click.option("--recording", metavar="N", type=click.IntRange(1), help="Of a card with several recordings: the Nth.")
 @click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
@@ -80,6 +86,7 @@ class SmoothCommand(click.Command):
 def smooth(
     sessions: tuple[Path, ...],
     out: Path | None,
+    recording: int | None,
     rate: float,
     solver: str,
     no_baseline: bool,
@@ -91,11 +98,13 @@ def smooth(
     require_sessions(sessions, "smooth")
     options = Options(rate, solver, not no_baseline, not no_figures)
     outcomes: list[Result | SmootherError] = []
-    for path, directory in zip(sessions, output_directories(out, sessions), strict=True):
-        outcomes.append(_attempt(path, directory, options, is_only=len(sessions) == 1))
+    places = zip(sessions, output_directories(out, sessions), strict=True)
+    wanted = [task for path, place in places for task in tasks(path, place, recording)]
+    for path, directory in wanted:
+        outcomes.append(_attempt(path, directory, options, is_only=len(wanted) == 1))
         _report(outcomes[-1], path, as_json)
     if as_json:
-        say_json(_as_json(sessions, outcomes))
+        say_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]
     if open_it and results:
         click.launch(str(results[-1].main_file))
@@ -140,7 +149,7 @@ def _report(outcome: Result | SmootherError, path: Path, as_json: bool) -> None:
         show_result(outcome)
 
 
-def _as_json(sessions: tuple[Path, ...], outcomes: list[Result | SmootherError]) -> str:
+def _as_json(sessions: list[Path], outcomes: list[Result | SmootherError]) -> str:
     """One session: its summary. Several: a list, with an `error` in place of the summary of an unusable one."""
     from smoother.report.files import to_json
 

@@ -7,9 +7,10 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corners import make_corners
-from smoother.laps.delta import delta_sigma, grid_of, lap_times_at, make_traces, row_values
+from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
 from smoother.laps.passages import Passage, find_passages, reasons
 from smoother.laps.path import PlanPath, plan_path
+from smoother.laps.reference import Curve
 from smoother.laps.results import (
     Corner,
     FixPath,
@@ -20,6 +21,7 @@ from smoother.laps.results import (
     Reason,
     ReferenceLap,
     ReferenceLine,
+    SigmaSource,
 )
 from smoother.laps.sectors import found_sectors, lap_sigmas, line_times
 from smoother.laps.sigma import Drift, position_errors
@@ -65,8 +67,7 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
     options = options or LapOptions()
     if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
-    interval = float(np.median(np.diff(fixes.t))) if len(fixes.t) > 1 else np.inf
-    errors, source = position_errors(trajectory, interval, options.drift)
+    errors, source = _errors(trajectory, fixes, options.drift)
     given = _Given(trajectory, plan_path(trajectory), fixes, options, errors)
     circuit = find_circuit(given.path, options.lines, options.reference, options.shortest)
     if isinstance(circuit, Problem):
@@ -84,6 +85,22 @@ def _beside(trajectory: Trajectory) -> float:
         return BESIDE
     sigma = float(np.nanmedian(trajectory.sigmas.position_n[:, :2]))
     return float(np.clip(3.0 * sigma, 4.0, 12.0)) if np.isfinite(sigma) else BESIDE
+
+
+def reference_lap_of(
+    analysis: LapAnalysis, trajectory: Trajectory, fixes: FixPath, name: str, drift: Drift | None = None
+) -> ReferenceLap | None:
+    """Return the best lap of a session for others to be compared with on its reference line; None without one."""
+    if analysis.traces is None or analysis.reference is None or analysis.reference_lap is None:
+        return None
+    errors, _ = _errors(trajectory, fixes, drift)
+    curve, lap = Curve(analysis.reference), analysis.reference_lap
+    return as_reference_lap(analysis.traces, lap, name, curve, plan_path(trajectory), errors)
+
+
+def _errors(trajectory: Trajectory, fixes: FixPath, drift: Drift | None) -> tuple[JointPosition | None, SigmaSource]:
+    interval = float(np.median(np.diff(fixes.t))) if len(fixes.t) > 1 else np.inf
+    return position_errors(trajectory, interval, drift)
 
 
 def without_laps(trajectory: Trajectory, *problems: Problem) -> LapAnalysis:
@@ -116,12 +133,13 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
     quickest = _quickest(passages, valid)
     elapsed = _elapsed(given, circuit, passages, quickest)
     index = None if options.reference_lap is not None else quickest
+    shaping = valid if options.reference is None else None
     traces = make_traces(
-        given.trajectory, circuit, passages, row_values(given.trajectory), elapsed, valid, given.errors
+        given.trajectory, circuit, passages, row_values(given.trajectory), elapsed, shaping, given.errors
     )
     if given.errors is not None and elapsed is not None:
         sigma = delta_sigma(circuit.curve, traces.t, path, traces.distance, index, given.errors)
-        traces = replace(traces, delta_sigma=sigma)
+        traces = replace(traces, delta_sigma=np.hypot(sigma, _sigma_elsewhere(traces.distance, options)))
     corners = make_corners(circuit.curve, traces, given.trajectory, path, index, elapsed, valid, given.errors)
     lines = circuit.sector_lines or _sectors(circuit, corners, valid)
     laps = _laps(given, circuit, passages, why, lines)
@@ -183,6 +201,14 @@ def _elapsed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...], qui
         return None
     passage = passages[quickest]
     return lap_times_at(given.path, circuit, passage, distance) - passage.start
+
+
+def _sigma_elsewhere(distance: Array, options: LapOptions) -> Array:
+    """Sigma (M,) s of the elapsed time of a reference lap from elsewhere; zero where it is one of these."""
+    lap = options.reference_lap
+    if lap is None or lap.sigma is None:
+        return np.zeros(len(distance))
+    return np.interp(distance, lap.distance, lap.sigma)
 
 
 def _sectors(circuit: Circuit, corners: tuple[Corner, ...], valid: BoolArray) -> tuple[Line, ...]:

@@ -203,10 +203,10 @@ def usual_speed(path: PlanPath, curve: Curve, followed: Followed) -> Array:
     on = followed.is_on
     index = np.floor(curve.wrapped(followed.distance[on]) / curve.length * len(curve.line.distance)).astype(np.int64)
     index = np.clip(index, 0, len(curve.line.distance) - 1)
-    order = np.argsort(index, kind="stable")
+    order = np.lexsort((path.speed[on], index))
     index, speed = index[order], path.speed[on][order]
-    places, first = np.unique(index, return_index=True)
-    medians = np.array([np.median(part) for part in np.split(speed, first[1:])])
+    places, first, count = np.unique(index, return_index=True, return_counts=True)
+    medians = 0.5 * (speed[first + (count - 1) // 2] + speed[first + count // 2])
     period = len(curve.line.distance) if curve.line.is_closed else None
     return np.asarray(np.interp(np.arange(len(curve.line.distance)), places, medians, period=period))
 

@@ -118,9 +118,9 @@ def _bounds(bends: tuple[Bend, ...], distance: Array, speed: Array) -> Array:
     """Ends (C + 1,) of the segments: the line, the fastest places between neighbours, the line again."""
     bounds = [0.0]
     for before, after in pairwise(bends):
-        low, high = np.searchsorted(distance, [before.apex, after.apex])
-        part = slice(int(low), max(int(high), int(low) + 1))
-        bounds.append(float(distance[part][np.argmax(speed[part])]))
+        between = np.flatnonzero((distance >= before.end) & (distance <= after.start))
+        fastest = distance[between[np.argmax(speed[between])]] if between.size else 0.5 * (before.end + after.start)
+        bounds.append(float(fastest))
     bounds.append(float(distance[-1]))
     return np.maximum.accumulate(np.array(bounds))
 
@@ -138,7 +138,7 @@ def _lost_sigma(
     reference: int | None,
     errors: JointPosition | None,
 ) -> Array:
-    """Sigma (L, C) of the time lost in each segment; of its own time alone when the reference is from elsewhere."""
+    """Sigma (L, C) of the time lost in each segment; a reference from elsewhere counts as just as unsure."""
     out = np.full((len(at_bounds), len(bounds) - 1), np.nan)
     if errors is None:
         return out
@@ -155,7 +155,8 @@ def _lost_sigma(
         step = np.eye(len(bounds))[1:] - np.eye(len(bounds))[:-1]
         weights = np.concatenate([step, -step], axis=1) if theirs.size else step
         usable = np.all(known[None, :] | (weights == 0.0), axis=1)
-        out[lap] = np.where(usable, sigma_of(covariance, weights), np.nan)
+        both = 1.0 if reference is not None else np.sqrt(2.0)
+        out[lap] = np.where(usable, both * sigma_of(covariance, weights), np.nan)
         if reference == lap:
             out[lap] = np.where(usable, 0.0, np.nan)
     return out

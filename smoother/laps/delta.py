@@ -7,9 +7,9 @@ second over a lap as lines differ.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.fit.running import local_polynomial
 from smoother.frames import wrap_angle
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
@@ -56,7 +56,7 @@ def _smoothed(values: Array, t: Array) -> Array:
     window = 2 * round(0.5 * SMOOTHED_OVER / float(np.median(np.diff(t)))) + 1
     if window < 3 or len(values) < window:
         return values
-    return np.asarray(savgol_filter(values, window, 1))
+    return local_polynomial(values, window, 1)
 
 
 def zones(along: Array) -> IntArray:
@@ -135,13 +135,13 @@ def make_traces(
     passages: tuple[Passage, ...],
     values: Timed,
     reference: Array | None,
-    counting: BoolArray,
+    counting: BoolArray | None,
     errors: JointPosition | None,
 ) -> Traces:
     """Return the traces of all laps.
 
     reference (M,) s: elapsed time of the reference lap at each place, None without; counting (L,): the laps whose mean
-    the reference line is.
+    the reference line is, None if that is another session's.
     """
     path, curve = plan_path(trajectory), circuit.curve
     distance = grid_of(curve)
@@ -190,8 +190,14 @@ def sigma_places(distance: Array) -> IntArray:
     return np.unique(np.linspace(0, len(distance) - 1, min(SIGMA_PLACES, len(distance))).round().astype(np.int64))
 
 
-def _lateral_sigma(curve: Curve, distance: Array, t: Array, counting: BoolArray, errors: JointPosition | None) -> Array:
-    """Sigma (L, M) m of each lap's offset from the mean of the laps that count."""
+def _lateral_sigma(
+    curve: Curve, distance: Array, t: Array, counting: BoolArray | None, errors: JointPosition | None
+) -> Array:
+    """Sigma (L, M) m of each lap's offset from the mean of the laps that count.
+
+    Without `counting` the line is that of another session, whose GPS was off in its own way: then the position's whole
+    error counts, twice.
+    """
     out = np.full(t.shape, np.nan)
     if errors is None:
         return out
@@ -202,8 +208,12 @@ def _lateral_sigma(curve: Curve, distance: Array, t: Array, counting: BoolArray,
         if len(laps) == 0:
             continue
         left = np.tile([-west, north, 0.0], (len(laps), 1))
+        covariance = errors.covariance(t[laps, place], left)
+        if counting is None:
+            out[laps, place] = np.sqrt(2.0 * np.diag(covariance))
+            continue
         shaping = counting[laps] / max(1, int(np.count_nonzero(counting[laps])))
-        out[laps, place] = sigma_of(errors.covariance(t[laps, place], left), np.eye(len(laps)) - shaping)
+        out[laps, place] = sigma_of(covariance, np.eye(len(laps)) - shaping)
     return _between(distance, places, out, np.isfinite(t))
 
 
@@ -247,7 +257,13 @@ def delta_sigma(
     return filled
 
 
-def as_reference_lap(distance: Array, elapsed: Array, name: str) -> ReferenceLap:
-    """Return a lap's elapsed times (M,) over track distance as something that other sessions can be compared with."""
+def as_reference_lap(
+    traces: Traces, lap: int, name: str, curve: Curve, path: PlanPath, errors: JointPosition | None
+) -> ReferenceLap:
+    """Return a lap as something that laps of other sessions can be compared with."""
+    elapsed = traces.t[lap] - traces.t[lap, 0]
     known = np.isfinite(elapsed)
-    return ReferenceLap(distance[known], elapsed[known], name)
+    sigma = None
+    if errors is not None:
+        sigma = delta_sigma(curve, traces.t[lap : lap + 1], path, traces.distance, None, errors)[0][known]
+    return ReferenceLap(traces.distance[known], elapsed[known], name, sigma)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from smoother.arrays import Array, IntArray, frozen
+from smoother.fit.running import local_polynomial
 from smoother.trajectory import Trajectory
 
 STANDING = 1.0  # m/s; below, distance is the wander of the GPS and not counted
@@ -83,4 +83,4 @@ def _from_velocity(path: PlanPath) -> Array:
     window = max(5, 2 * round(0.5 * SMOOTHED_OVER / step) + 1)
     if len(path.t) < window:
         return np.gradient(path.velocity_n, path.t, axis=0) if len(path.t) > 1 else np.zeros((len(path.t), 2))
-    return np.asarray(savgol_filter(path.velocity_n, window, 3, deriv=1, delta=step, axis=0))
+    return local_polynomial(path.velocity_n, window, 3, derivative=1, step=step)

@@ -272,8 +272,10 @@ class GivenLines:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLap:
-    """A lap from elsewhere to compare with: elapsed s since its line at track distance m (K,) on the same line."""
+    """A lap from elsewhere to compare with: elapsed s since its line at track distance m (K,) on the same line; sigma
+    (K,) s of elapsed, None where unknown; name says whose it is."""
 
     distance: Array
     elapsed: Array
     name: str
+    sigma: Array | None = None

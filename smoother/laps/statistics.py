@@ -1,7 +1,8 @@
 """Figures of all laps together: best, theoretical and rolling best, consistency; official times beside ours."""
 
+from statistics import NormalDist
+
 import numpy as np
-from scipy.stats import norm
 
 from smoother.arrays import Array
 from smoother.laps.path import PlanPath
@@ -17,7 +18,7 @@ BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps ov
 
 def expected_minimum(count: int) -> float:
     """Mean of the least of `count` standard normal values, 0 for one. Source: Blom 1958, alpha = 0.375."""
-    return float(norm.ppf((1.0 - 0.375) / (count + 0.25)))
+    return NormalDist().inv_cdf((1.0 - 0.375) / (count + 0.25))
 
 
 def least_without_luck(values: Array, sigmas: Array) -> tuple[float, float]:

@@ -1,0 +1,229 @@
+"""`smooth compare A B [C..]`: laps of several sessions, drivers or karts on one reference line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
+from smoother.cli.lap_tables import SPEED_UNITS, lap_clock, local_time, say_columns
+from smoother.cli.lapping import documents_of, line_option, told, units_option
+from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
+from smoother.cli.results import results_of
+from smoother.errors import UsageError
+
+if TYPE_CHECKING:
+    from smoother.laps.results import LapAnalysis, ReferenceLap
+    from smoother.laps.stored import Stored
+
+FAR = 5000.0  # m between two sessions: not the same track
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One session: its name for people, its results, its laps on the common line."""
+
+    name: str
+    stored: Stored
+    analysis: LapAnalysis
+
+
+@click.command(short_help="Laps of several sessions on one reference line.")
+@sessions_argument
+@line_option
+@click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")
+@units_option
+@json_option
+def compare(sessions: tuple[Path, ...], line: str | None, against: int | None, units: str, as_json: bool) -> int:
+    """Compare sessions, drivers or karts on one track: best laps, and what was lost to the best of all in each corner.
+
+    The reference line is that of the first session, so is the start/finish line unless --line says otherwise. Every
+    difference carries one sigma; `*` marks those that are larger than two and so not the luck of the timing.
+    """
+    require_sessions(sessions, "smooth compare")
+    if len(sessions) < 2:
+        raise UsageError("compare what with what? `smooth compare A B` needs two sessions or more")
+    wanted = None if line is None else tracks_from(line)
+    with progress_on_terminal() as progress:
+        found = [results_of(path, progress) for path in sessions]
+        progress("comparing", 0.0)
+        said = told(sessions[0], wanted, None)
+        names = [_name(path) for path in sessions]
+        compared = compare_results([directory for directory, _ in found], names, said, against)
+    if as_json:
+        from smoother.report.files import to_json
+
+        say_json(to_json(document(compared)))
+    else:
+        show(compared, units)
+    return EXIT_DONE if all(passed for _, passed in found) else EXIT_QUALITY
+
+
+def compare_results(directories: list[Path], names: list[str], said: Stated, against: int | None) -> list[Compared]:
+    """Return all sessions on the reference line of the first, deltas against the best lap of all (or `against`).
+
+    Raises UsageError when the first has no laps, or another was driven elsewhere.
+    """
+    from smoother.laps.stored import read_stored
+
+    first = read_stored(directories[0])
+    stored = [first, *(read_stored(directory, first.origin) for directory in directories[1:])]
+    own = analyse_rows(first.trajectory, first.fixes, options_on(first.trajectory, first.origin, said, first.drift))
+    if own.reference is None or own.statistics is None:
+        raise UsageError(f"{names[0]}: holds no whole lap, so there is no reference line; name another session first")
+    for name, other in zip(names[1:], stored[1:], strict=True):
+        _require_same_place(name, names[0], other, first)
+    alone = [own, *(_on_line_of(own, other, None) for other in stored[1:])]
+    lap = _reference_lap(names, stored, alone, against)
+    if lap is None:
+        raise UsageError(f"{names[0]}: has no lap {against} that was timed from line to line")
+    return [Compared(name, s, _on_line_of(own, s, lap)) for name, s in zip(names, stored, strict=True)]
+
+
+def _require_same_place(name: str, first_name: str, other: Stored, first: Stored) -> None:
+    import numpy as np
+
+    apart = np.linalg.norm(
+        np.median(other.trajectory.position_n[:, :2], axis=0) - np.median(first.trajectory.position_n[:, :2], axis=0)
+    )
+    if apart > FAR:
+        raise UsageError(f"{name}: was driven {apart / 1000.0:.0f} km away from {first_name}; compare one track")
+
+
+def _on_line_of(own: LapAnalysis, stored: Stored, lap: ReferenceLap | None) -> LapAnalysis:
+    """Return the laps of a session on another's reference line, start/finish and sectors."""
+    import numpy as np
+
+    from smoother.laps.analysis import LapOptions
+    from smoother.laps.results import GivenLines
+
+    assert own.start_line is not None
+    ends = [np.stack([line.left_n, line.right_n]) for line in (own.start_line, *own.sector_lines)]
+    lines = GivenLines(ends[0], tuple(ends[1:]), name=own.track, source=own.start_line.source)
+    options = LapOptions(lines=lines, reference=own.reference, reference_lap=lap, drift=stored.drift)
+    return analyse_rows(stored.trajectory, stored.fixes, options)
+
+
+def _reference_lap(
+    names: list[str], stored: list[Stored], alone: list[LapAnalysis], against: int | None
+) -> ReferenceLap | None:
+    """The best lap of all, or lap `against` of the first session."""
+    from dataclasses import replace
+
+    from smoother.cli.lap_stage import analysed_rows
+    from smoother.laps.analysis import reference_lap_of
+
+    best = [a.statistics.best if a.statistics is not None else float("nan") for a in alone]
+    k = 0 if against is not None else min((i for i, b in enumerate(best) if b == b), key=lambda i: best[i], default=0)
+    analysis, one = alone[k], stored[k]
+    if against is not None:
+        index = next((i for i, lap in enumerate(analysis.laps) if lap.number == against and lap.is_timed), None)
+        if index is None:
+            return None
+        analysis = replace(analysis, reference_lap=index)
+    if analysis.reference_lap is None:
+        return None
+    name = f"{names[k]} lap {analysis.laps[analysis.reference_lap].number}"
+    return reference_lap_of(analysis, analysed_rows(one.trajectory), one.fixes, name, one.drift)
+
+
+def document(compared: list[Compared]) -> dict[str, Any]:
+    """Return the comparison for --json: `reference`, and the laps of each session against it."""
+    return {
+        "reference": compared[0].analysis.reference_name,
+        "sessions": [
+            {
+                "session": one.name,
+                "about": one.stored.document["session"],
+                **documents_of(one.analysis, one.stored.origin),
+            }
+            for one in compared
+        ],
+    }
+
+
+def show(compared: list[Compared], units: str) -> None:
+    """Print best laps, and sectors and corners of each session's best lap beside the best of all."""
+    for one in compared:
+        if not any(lap.is_timed for lap in one.analysis.laps):
+            warn(f"{one.name}: no whole lap on the reference line")
+    say_columns("best laps", *_best_table(compared, units))
+    say("")
+    say_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
+    say("")
+    say_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
+
+
+def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:
+    sectors = max(one.analysis.sectors for one in compared)
+    header = [
+        "started",
+        "laps",
+        "best",
+        "±",
+        *(f"S{i + 1}" for i in range(sectors)),
+        "theoretical",
+        "spread",
+        f"top {units}",
+        "",
+    ]
+    rows = []
+    for one in compared:
+        said, laps = one.analysis.statistics, one.analysis.laps
+        lap = None if said is None or said.best_lap is None else laps[said.best_lap]
+        unix = one.stored.unix_at_zero
+        cells = ["-"] * (2 + sectors + 3)
+        if said is not None and lap is not None:
+            cells = [
+                lap_clock(said.best),
+                number(said.best_sigma, 3),
+                *(lap_clock(float(t)) for t in lap.sector_time),
+                *["-"] * (sectors - len(lap.sector_time)),
+                lap_clock(said.theoretical),
+                number(said.spread, 3),
+                number(lap.top_speed / SPEED_UNITS[units], 1),
+            ]
+        start = "-" if unix is None else local_time(unix + float(one.stored.trajectory.t[0]))
+        rows.append([start, str(0 if said is None else said.counted), *cells, one.name])
+    return header, rows
+
+
+def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]:
+    corners = compared[0].analysis.corners
+    header = [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), "lap", ""]
+    rows = []
+    for one in compared:
+        best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
+        if best is None or len(one.analysis.corners) != len(corners):
+            rows.append(["-"] * (len(corners) + 1) + [one.name])
+            continue
+        cells = [_lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best]) for c in one.analysis.corners]
+        traces = one.analysis.traces
+        whole = "-" if traces is None else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
+        rows.append([*cells, whole, one.name])
+    return header, rows
+
+
+def _lost(lost: float, sigma: float, is_real: bool) -> str:
+    if lost != lost:
+        return "-"
+    mark = "*" if is_real or (sigma == sigma and abs(lost) > 2.0 * sigma > 0.0) else " "
+    return f"{round(float(lost), 2) + 0.0:+.2f}{mark}"
+
+
+def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:
+    corners = compared[0].analysis.corners
+    rows = []
+    for one in compared:
+        best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
+        speeds = [c.min_speed[best] if best is not None else float("nan") for c in one.analysis.corners]
+        rows.append([*(number(float(v) / SPEED_UNITS[units], 1) for v in speeds), one.name])
+    return [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), ""], rows
+
+
+def _name(path: Path) -> str:
+    return path.stem if path.is_file() else path.resolve().name

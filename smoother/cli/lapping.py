@@ -1,0 +1,143 @@
+"""`smooth laps SESSION...`: the table of laps and sectors, also on another line than the session's own."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
+from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps
+from smoother.cli.output import Progress, progress_on_terminal, say_json
+from smoother.cli.pipeline import SUMMARY, Options, Stopwatch, calibrated, estimate, read, session_directory
+from smoother.cli.results import results_of
+
+if TYPE_CHECKING:
+    from smoother.frames import Origin
+    from smoother.laps.results import LapAnalysis
+    from smoother.laps.stored import Stored
+
+Document = dict[str, Any]
+
+line_option = click.option(
+    "--line",
+    metavar="LINE",
+    help='Start/finish: "lat,lon;lat,lon", a track file (file.json#NAME picks one of several), or a known track.',
+)
+units_option = click.option(
+    "--units", type=click.Choice(list(SPEED_UNITS)), default="km/h", help="Of speeds in tables [km/h]."
+)
+
+
+@click.command(short_help="Laps and sectors, with an error bar on each.")
+@sessions_argument
+@line_option
+@click.option(
+    "--official",
+    metavar="FILE",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Transponder times, a lap a row, to stand beside ours [SESSION/official.csv].",
+)
+@click.option("--corners", is_flag=True, help="Also what every lap lost in which corner.")
+@units_option
+@json_option
+def laps(
+    sessions: tuple[Path, ...], line: str | None, official: Path | None, corners: bool, units: str, as_json: bool
+) -> int:
+    """Show laps and sectors of a session, each time with one sigma; it is smoothed first where that was not done.
+
+    Without --line it is the start/finish line of session.toml's track, else one that was found where timing is surest.
+    Times of day are those of this computer's time zone. --json has the laps as summary.json has them.
+    """
+    require_sessions(sessions, "smooth laps")
+    documents, passed = [], True
+    for path in sessions:
+        with progress_on_terminal() as progress:
+            document, unix, good = laps_of(path, line, official, progress)
+        passed &= good
+        documents.append({"session": str(path), **document})
+        if as_json:
+            continue
+        show_laps(document["laps"], document["lap_analysis"], unix, units, title=str(path))
+        if corners:
+            show_corners(document["laps"], document["lap_analysis"], units)
+    if as_json:
+        from smoother.report.files import to_json
+
+        say_json(to_json(documents[0] if len(documents) == 1 else documents))
+    return EXIT_DONE if passed else EXIT_QUALITY
+
+
+def laps_of(
+    path: Path, line: str | None, official: Path | None, progress: Progress
+) -> tuple[Document, float | None, bool]:
+    """Return laps and analysis as summary.json would hold them, UTC at t = 0, and whether the session passed."""
+    from smoother.laps.stored import read_stored
+
+    wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
+    directory, passed = results_of(path, progress)
+    progress("laps", 0.0)
+    document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    if wanted is None and official is None and "lap_analysis" in document and not _is_older(path, directory):
+        return {key: document[key] for key in ("laps", "lap_analysis")}, _unix_at_zero(document), passed
+    stored = read_stored(directory)
+    said = told(path, wanted, official)
+    analysis = analysed(path, stored, said)
+    return documents_of(analysis, stored.origin), stored.unix_at_zero, passed
+
+
+def _unix_at_zero(document: Document) -> float | None:
+    """UTC at t = 0 as a summary tells it."""
+    about = document["session"]
+    if about["start_utc"] is None:
+        return None
+    return dt.datetime.fromisoformat(about["start_utc"]).timestamp() - float(about["start_s"])
+
+
+def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> Stated:
+    """Return what is known of a session's laps: what was typed, else what stands beside its files."""
+    from smoother.config import SessionConfig
+    from smoother.laps.official import load_official
+    from smoother.session.settings import load_settings
+
+    directory = session_directory(path)
+    settings = directory / "session.toml"
+    beside = stated(load_settings(settings) if settings.is_file() else SessionConfig(), directory)
+    return Stated(
+        beside.tracks if tracks is None else tracks,
+        beside.official if official is None else load_official(official),
+    )
+
+
+def analysed(path: Path, stored: Stored, said: Stated) -> LapAnalysis:
+    """Return the laps of stored results; rows too far apart to time on are estimated again, closer."""
+    from smoother.cli.lap_stage import analyse_session, options_on
+
+    if stored.rate < LEAST_RATE - 1.0:
+        session = calibrated(read(path), session_directory(path))
+        estimates = estimate(session, Options(baseline=False, figures=False), Stopwatch())
+        return analyse_session(session, estimates.smoothed, said)
+    return analyse_rows(
+        stored.trajectory, stored.fixes, options_on(stored.trajectory, stored.origin, said, stored.drift)
+    )
+
+
+def documents_of(analysis: LapAnalysis, origin: Origin) -> Document:
+    """Return `laps` and `lap_analysis`."""
+    from smoother.laps.document import analysis_document, lap_rows
+
+    return {"laps": lap_rows(analysis), "lap_analysis": analysis_document(analysis, origin)}
+
+
+def _is_older(path: Path, directory: Path) -> bool:
+    """Whether a track file or official times beside the session changed since its results were written."""
+    from smoother.laps.tracks import ENDINGS
+
+    written = (directory / "summary.json").stat().st_mtime
+    beside = session_directory(path)
+    stating = [*(p for p in beside.iterdir() if p.suffix.lower() in ENDINGS), beside / "official.csv"]
+    return any(p.is_file() and p.stat().st_mtime > written for p in stating)
