@@ -1,0 +1,65 @@
+"""A card with several recordings of the logger."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from smoother.cli.main import run
+from smoother.sim.record_log import DRIVE_FILE, write_klg
+from smoother.sim.simulation import simulate_preset
+
+Captured = pytest.CaptureFixture[str]
+QUICK = ["--no-figures", "--no-baseline"]
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    directory = tmp_path_factory.mktemp("drives")
+    files = []
+    for seed in (1, 2):
+        write_klg(simulate_preset("kart", seed, duration=30.0), directory)
+        files.append((directory / DRIVE_FILE).read_bytes())
+    return files
+
+
+@pytest.fixture
+def card(tmp_path: Path, drives: list[bytes]) -> Path:
+    for number, content in enumerate(drives, 1):
+        (tmp_path / f"LOG0000{number}.KLG").write_bytes(content)
+    return tmp_path
+
+
+def test_every_recording_of_a_card_is_smoothed_into_its_own_folder(card: Path, capsys: Captured) -> None:
+    assert run([str(card), *QUICK]) == 0
+    for name in ("LOG00001", "LOG00002"):
+        assert (card / "smoothed" / name / "trajectory.csv").exists()
+    assert "2 recordings (1 LOG00001.KLG, 2 LOG00002.KLG)" in capsys.readouterr().err
+
+
+def test_one_recording_is_chosen_by_its_number_or_its_file(card: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert run([str(card), "--recording", "2", "--json", *QUICK]) == 0
+    assert json.loads(capsys.readouterr().out)["session"]["name"] == "LOG00002"
+    assert [path.name for path in (card / "smoothed").iterdir()] == ["LOG00002"]
+    assert run([str(card / "LOG00001.KLG"), "--out", str(tmp_path / "one"), "--json", *QUICK]) == 0
+    assert json.loads(capsys.readouterr().out)["session"]["name"] == "LOG00001"
+
+
+@pytest.mark.parametrize("number", ["3", "99"])
+def test_a_number_there_is_not_says_how_many_there_are(card: Path, capsys: Captured, number: str) -> None:
+    assert run([str(card), "--recording", number]) == 2
+    assert "holds 2 recordings of the logger" in capsys.readouterr().err
+
+
+def test_commands_for_one_session_ask_for_the_file(card: Path, capsys: Captured) -> None:
+    assert run(["check", str(card)]) == 2
+    assert "holds 2 recordings (LOG00001.KLG, LOG00002.KLG); name the file of one" in capsys.readouterr().err
+    assert run(["check", str(card / "LOG00002.KLG")]) == 0
+
+
+def test_a_damaged_recording_does_not_keep_the_others_from_being_smoothed(card: Path, capsys: Captured) -> None:
+    data = (card / "LOG00001.KLG").read_bytes()
+    (card / "LOG00001.KLG").write_bytes(data[:512])
+    assert run([str(card), *QUICK]) == 2
+    assert "LOG00001.KLG" in capsys.readouterr().err
+    assert (card / "smoothed" / "LOG00002" / "trajectory.csv").exists()
