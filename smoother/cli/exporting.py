@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -34,6 +35,8 @@ def export(session: Path | None, form: str | None, out: Path | None, rate: float
     if session is None or form is None:
         raise UsageError("smooth export SESSION FORMAT; `smooth export --list` names the formats")
     require_sessions((session,), "smooth export")
+    if rate is not None and math.isnan(rate):
+        raise UsageError("--rate nan: name a number of rows a second")
     if form not in FORMAT_NAMES:
         raise UsageError(f"{form!r} is no format; there are {', '.join(FORMAT_NAMES)}")
     with progress_on_terminal() as progress:

@@ -29,11 +29,13 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     directory = session_directory(path) / OUTPUT_DIRECTORY
     document = _summary(directory / SUMMARY)
     if document is not None and _is_current(path, directory, document):
-        return directory, _passed(document)
-    result = smooth_session(path, None, Options(), progress)
-    if not result.quality.passed:
-        warn(f"{path}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")
-    return result.directory, result.quality.passed
+        passed, reasons = _verdict(document)
+    else:
+        result = smooth_session(path, None, Options(), progress)
+        directory, passed, reasons = result.directory, result.quality.passed, list(result.quality.reasons)
+    if not passed:
+        warn(f"{path}: the result failed its quality gate: {'; '.join(reasons)}")
+    return directory, passed
 
 
 def _summary(path: Path) -> dict[str, object] | None:
@@ -58,6 +60,8 @@ def _is_current(path: Path, directory: Path, document: dict[str, object]) -> boo
     return all((files.directory / name).stat().st_mtime <= written for name in files.names)
 
 
-def _passed(document: dict[str, object]) -> bool:
+def _verdict(document: dict[str, object]) -> tuple[bool, list[str]]:
     quality = document.get("quality")
-    return isinstance(quality, dict) and quality.get("passed") is True
+    if not isinstance(quality, dict):
+        return False, ["summary.json does not say"]
+    return quality.get("passed") is True, [str(reason) for reason in quality.get("reasons") or ()]

@@ -129,8 +129,9 @@ def _head(source: Source, channels: Sequence[LogChannel]) -> bytes:
     struct.pack_into("<I", head, 12, size)
     struct.pack_into("<I", head, 86, len(channels))
     date, time = date_and_time(source)
-    driver, vehicle = source.text("driver", "Driver"), source.text("kart", "Kart")
-    venue, session = source.text("track", source.name), source.text("title", source.name)
+    driver, vehicle = _ascii(source.text("driver")) or "Driver", _ascii(source.text("kart")) or "Kart"
+    name = _ascii(source.name) or "Session"
+    venue, session = _ascii(source.text("track")) or name, _ascii(source.text("title")) or name
     comment = f"Smoothed by {PRODUCT}; Sigma channels are one standard deviation"
     texts = (
         *((74, DEVICE, 8), (94, date, 16), (126, time, 16)),
@@ -175,11 +176,16 @@ def _channel_head(source: Source, log: LogChannel, index: int, channels: int, da
     )
 
 
-def _text(text: str, length: int) -> bytes:
-    """ASCII with accents taken off, padded with zeros, one at least: the format knows no other letters."""
+def _ascii(text: str) -> str:
+    """Text with accents taken off and question marks for other letters: the format knows ASCII only."""
     plain = unicodedata.normalize("NFKD", text)
     plain = "".join(c for c in plain if not unicodedata.combining(c))
-    return plain.encode("ascii", errors="replace")[: length - 1].ljust(length, b"\0")
+    return plain.encode("ascii", errors="replace").decode().strip()
+
+
+def _text(text: str, length: int) -> bytes:
+    """Plain text padded with zeros, one at least."""
+    return text.encode("ascii")[: length - 1].ljust(length, b"\0")
 
 
 def beacons(source: Source) -> str:

@@ -134,7 +134,7 @@ class Source:
 
     def text(self, key: str, otherwise: str = "") -> str:
         """Title, driver, kart, track or notes as one printable line."""
-        return one_line(self.about.get(key) or otherwise)
+        return one_line(self.about.get(key, "")) or otherwise
 
     def rows(self) -> Iterator[Rows]:
         """Yield all rows: the columns of trajectory.csv, and
@@ -173,7 +173,7 @@ def open_source(directory: Path, rate: float | None = None) -> Source:
     if rate is not None and (survey.end - survey.start) * rate > MOST_ROWS:
         raise SessionError(f"{path}: {(survey.end - survey.start) * rate:.0f} rows at {rate:g} Hz; ask for fewer")
     about, origin = _about(directory / SUMMARY)
-    name = one_line(about.get("name") or directory.resolve().parent.name) or "session"
+    name = one_line(about.get("name", "")) or one_line(directory.resolve().parent.name) or "session"
     return Source(directory, name, about, origin, survey, read_laps(directory / LAPS), rate)
 
 

@@ -48,13 +48,20 @@ class SessionFiles:
             return self._chosen_as("out")
         return self.find(OUT_NAME)
 
+    @property
+    def _is_foreign(self) -> bool:
+        """Whether a person named another program's recording, which stands alone."""
+        return self.chosen is not None and self.chosen[1] in FOREIGN
+
     def imu_table(self) -> Path | None:
         """imu.csv, or the IMU table that was named."""
+        if self._is_foreign:
+            return None
         return self._chosen_as("imu") or self.find("imu.csv", "imu.csv.gz")
 
     def fix_table(self) -> Path | None:
         """gps.csv, or the table of fixes that was named; none if a log of sentences was."""
-        if self._chosen_as("sentences"):
+        if self._chosen_as("sentences") or self._is_foreign:
             return None
         return self._chosen_as("fixes") or self.find("gps.csv", "gps.csv.gz")
 
@@ -62,6 +69,8 @@ class SessionFiles:
         """The logs of NMEA sentences, largest first; only the one that was named, if any."""
         if (log := self._chosen_as("sentences")) is not None:
             return [log]
+        if self._is_foreign:
+            return []
         logs = [self.directory / name for name in self.names if name.lower().endswith(".nmea")]
         return sorted(logs, key=lambda log: (-log.stat().st_size, log.name))
 
