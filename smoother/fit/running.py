@@ -1,6 +1,6 @@
-"""Running filters over evenly spaced rows: local polynomials.
+"""Running filters over evenly spaced rows: local polynomials, Gaussian means, extremes.
 
-SciPy has them too, in a package that takes longer to import than all laps of a session take to be analysed.
+SciPy has them too, in packages that take longer to import than all laps of a session take to be analysed.
 """
 
 import math
@@ -40,3 +40,26 @@ def _derivative_of_powers(x: Array, degree: int, derivative: int) -> Array:
     for power in range(derivative, degree + 1):
         rows[:, power] = math.perm(power, derivative) * x ** (power - derivative)
     return rows
+
+
+def gaussian_mean(values: Array, sigma: float, *, is_closed: bool = False) -> Array:
+    """Mean around each row of values (N,) or (N, c), weighted by a Gaussian of `sigma` rows, cut at four of them.
+
+    Beyond the ends the rows of the other end count where `is_closed`, else the end row repeated.
+    """
+    reach = int(4.0 * sigma + 0.5)
+    weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
+    weight /= weight.sum()
+    columns = _extended(values.reshape(len(values), -1), reach, is_closed)
+    means = [np.convolve(columns[:, i], weight, mode="valid") for i in range(columns.shape[1])]
+    return np.stack(means, axis=1).reshape(values.shape)
+
+
+def running_maximum(values: Array, window: int, *, is_closed: bool = False) -> Array:
+    """Largest of the `window` (odd) rows around each of values (N,); ends as in :func:`gaussian_mean`."""
+    extended = _extended(values[:, None], window // 2, is_closed)[:, 0]
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(extended, window).max(axis=1))
+
+
+def _extended(columns: Array, reach: int, is_closed: bool) -> Array:
+    return np.pad(columns, ((reach, reach), (0, 0)), mode="wrap" if is_closed else "edge")

@@ -7,7 +7,6 @@ it is looked for again, and found only where it also stays on the line in the ri
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from smoother.arrays import Array, BoolArray
 from smoother.laps.path import PlanPath
@@ -67,7 +66,6 @@ class _Pursuit:
         self.path, self.curve = path, curve
         self.points, self.tangents = curve.line.position_n, curve.line.tangent_n
         self.spacing = curve.length / len(self.points)
-        self.tree = cKDTree(self.points)
 
     def run(self, rows: np.ndarray) -> Array:
         """Unwrapped distance (len(rows),), NaN where the kart is not on the line."""
@@ -116,10 +114,11 @@ class _Pursuit:
         """Distance of a kart that was lost: the place on the line that the path follows best for a while."""
         if self.path.speed[row] < MOVING:
             return None
-        near = np.asarray(self.tree.query_ball_point(self.path.position_n[row], FOUND_WITHIN), dtype=np.int64)
+        away = self.points - self.path.position_n[row]
+        near = np.flatnonzero(np.einsum("ij,ij->i", away, away) <= FOUND_WITHIN**2)
         if near.size == 0:
             return None
-        candidates = self._closest_of_runs(np.sort(near), row)
+        candidates = self._closest_of_runs(near, row)
         scores = [self._score(row, int(c)) for c in candidates]
         best = int(np.argmin(scores))
         if not np.isfinite(scores[best]):

@@ -6,9 +6,9 @@ it was drawn long, is told apart by the direction or by being farther from the m
 """
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from smoother.arrays import Array
+from smoother.fit.running import running_maximum
 from smoother.laps.reference import Curve
 from smoother.laps.results import Line
 
@@ -65,10 +65,10 @@ def best_place(curve: Curve, speed: Array, laps_at: Array) -> float:
     speed, laps_at (P,) at the points of the line: usual speed in m/s, and how many laps a line there would give.
     An error of position along the track becomes one of time divided by the speed.
     """
-    mode = "wrap" if curve.line.is_closed else "nearest"
+    is_closed = curve.line.is_closed
     window = 2 * max(1, round(STRAIGHT_FOR * len(speed) / curve.length)) + 1
-    straight = maximum_filter1d(np.abs(curve.line.curvature), window, mode=mode)
-    steady = minimum_filter1d(speed, window, mode=mode)
+    straight = running_maximum(np.abs(curve.line.curvature), window, is_closed=is_closed)
+    steady = -running_maximum(-speed, window, is_closed=is_closed)
     worth = np.where(straight < STRAIGHT, 1.0, STRAIGHT / np.maximum(straight, STRAIGHT)) * steady
     good = worth >= FAST * worth.max()
     good &= laps_at == laps_at[good].max()

@@ -8,7 +8,6 @@ a crossing in the middle of an eight is met in another direction, two laps are l
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.laps.path import PlanPath
@@ -58,13 +57,24 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     position, driven = path.position_n[row], path.driven[row]
     direction = path.velocity_n[row] / np.maximum(path.speed[row], 1e-6)[:, None]
     chosen = np.unique(np.linspace(0, len(row) - 1, min(MOST_PLACES, len(row))).astype(np.int64))
-    found = cKDTree(position).query_ball_point(position[chosen], SAME_PLACE)
-    i = np.repeat(chosen, [len(near) for near in found])
-    j = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    found = _within(position, position[chosen], SAME_PLACE)
+    i, j = np.repeat(chosen, [len(near) for near in found]), np.concatenate(found)
     apart = driven[j] - driven[i]
     good = (apart > shortest) & (apart < LONGEST_LAP)
     good &= np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
     return i[good], j[good]
+
+
+def _within(points: Array, around: Array, distance: float) -> list[IntArray]:
+    """For each place of `around` (K, 2) the indices of the `points` (N, 2) within `distance` m of it."""
+    order = np.argsort(points[:, 0], kind="stable")
+    north = points[order, 0]
+    first, last = np.searchsorted(north, around[:, 0] - distance), np.searchsorted(north, around[:, 0] + distance)
+    found = []
+    for place, i, j in zip(around, first, last, strict=True):
+        away = points[order[i:j]] - place
+        found.append(order[i:j][np.hypot(away[:, 0], away[:, 1]) <= distance])
+    return found
 
 
 def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:

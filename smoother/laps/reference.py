@@ -5,13 +5,12 @@ A closed line is a periodic cubic spline through points a metre apart; an open o
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.fit.running import gaussian_mean
+from smoother.fit.spline import CubicSpline
 from smoother.laps.path import PlanPath
 from smoother.laps.results import ReferenceLine
 
@@ -38,7 +37,7 @@ class Curve:
 
     def tangent(self, distance: Array) -> Array:
         """Unit tangent (K, 2)."""
-        tangent = self._spline(self.wrapped(distance), nu=1)
+        tangent = self._spline(self.wrapped(distance), derivative=1)
         return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
 
     def curvature(self, distance: Array) -> Array:
@@ -72,12 +71,12 @@ class Curve:
         return distance, _left(tangent, away)
 
     @cached_property
-    def _spline(self) -> Any:
+    def _spline(self) -> CubicSpline:
         line = self.line
         if not line.is_closed:
             return CubicSpline(line.distance, line.position_n)
         ends = np.append(line.distance, line.length)
-        return CubicSpline(ends, np.concatenate([line.position_n, line.position_n[:1]]), bc_type="periodic")
+        return CubicSpline(ends, np.concatenate([line.position_n, line.position_n[:1]]), is_closed=True)
 
 
 def _left(tangent: Array, away: Array) -> Array:
@@ -88,8 +87,7 @@ def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceL
     """Return the smooth line through `points` (K, 2) with heights `up` (K,), about a metre apart, by arc length."""
     for _ in range(2):  # resampling changes the length a little; after the second time it is that of the spline
         points, up = _evenly(points, up, is_closed)
-    mode = "wrap" if is_closed else "nearest"
-    smooth = gaussian_filter1d(points, SMOOTHED_OVER / SPACING, axis=0, mode=mode)
+    smooth = gaussian_mean(points, SMOOTHED_OVER / SPACING, is_closed=is_closed)
     if not is_closed:
         smooth[[0, -1]] = points[[0, -1]]
     points, up = _evenly(smooth, up, is_closed)
@@ -98,7 +96,7 @@ def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceL
     tangent = tangent / step[:, None]
     turn = _difference(np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))[:, None], is_closed, is_angle=True)[:, 0]
     distance, length = _arc_length(points, is_closed)
-    curvature = gaussian_filter1d(turn / step, CURVATURE_SMOOTHED_OVER / SPACING, mode=mode)
+    curvature = gaussian_mean(turn / step, CURVATURE_SMOOTHED_OVER / SPACING, is_closed=is_closed)
     return ReferenceLine(distance, points, tangent, curvature, up, length, is_closed)
 
 
@@ -157,10 +155,7 @@ def _evenly(points: Array, up: Array, is_closed: bool) -> tuple[Array, Array]:
     at = np.arange(count) * length / count if is_closed else np.linspace(0.0, distance[-1], count + 1)
     if is_closed:
         values[-1] = values[0]
-        spline = CubicSpline(distance, values, bc_type="periodic")
-    else:
-        spline = CubicSpline(distance, values)
-    even = spline(at)
+    even = CubicSpline(distance, values, is_closed=is_closed)(at)
     return even[:, :2], even[:, 2]
 
 

@@ -1,10 +1,13 @@
-"""Local polynomials against an independent implementation."""
+"""Running filters against an independent implementation."""
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.signal import savgol_filter
 
-from smoother.fit.running import local_polynomial
+from smoother.fit.running import gaussian_mean, local_polynomial, running_maximum
+
+MODES = {False: "nearest", True: "wrap"}
 
 
 @pytest.mark.parametrize(("window", "degree", "derivative"), [(5, 1, 0), (21, 3, 1), (9, 2, 2), (3, 1, 0), (51, 3, 0)])
@@ -29,3 +32,20 @@ def test_a_polynomial_is_reproduced_up_to_both_ends() -> None:
 def test_a_window_that_does_not_fit_is_refused(window: int) -> None:
     with pytest.raises(ValueError, match="window"):
         local_polynomial(np.zeros(40), window, 3)
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+@pytest.mark.parametrize("sigma", [0.2, 1.5, 30.0])
+@pytest.mark.parametrize("columns", [(), (2,)])
+def test_gaussian_means_are_those_of_the_library(is_closed: bool, sigma: float, columns: tuple[int, ...]) -> None:
+    values = np.random.default_rng(1).normal(size=(90, *columns))  # the widest reaches beyond both ends
+    found = gaussian_mean(values, sigma, is_closed=is_closed)
+    np.testing.assert_allclose(found, gaussian_filter1d(values, sigma, axis=0, mode=MODES[is_closed]), atol=1e-12)
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+@pytest.mark.parametrize("window", [1, 3, 51])
+def test_running_maxima_are_those_of_the_library(is_closed: bool, window: int) -> None:
+    values = np.random.default_rng(2).normal(size=60)
+    found = running_maximum(values, window, is_closed=is_closed)
+    np.testing.assert_array_equal(found, maximum_filter1d(values, window, mode=MODES[is_closed]))

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
+from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
@@ -331,7 +331,7 @@ def averaged(path: DensePath, values: Array, density: float, bend: float) -> Arr
     second derivative, whose rms is `bend`; the width that balances both is (q^2 / (3.54 bend^2))^(1/5).
     """
     width = (density**2 / (3.54 * bend**2)) ** 0.2
-    smooth = gaussian_filter1d(values, width / (path.t[1] - path.t[0]), axis=0, mode="nearest")
+    smooth = gaussian_mean(values, width / (path.t[1] - path.t[0]))
     return np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
 
 
