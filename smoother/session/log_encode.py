@@ -4,7 +4,7 @@ Block boundaries are found one block at a time, the bytes of all records of a ty
 """
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,12 +79,17 @@ def encode(records: LogRecords, session: int) -> bytes:
     SETUP and CONFIG stand first and every 5 s; a sentence is recorded when its last byte came in. Raises ValueError
     for what the format cannot hold.
     """
+    return lay_out(records, session, CAPACITY, SETUP_EVERY).tobytes()
+
+
+def lay_out(records: LogRecords, session: int, capacity: int, setup_every: int) -> npt.NDArray[np.uint8]:
+    """Return the blocks (K, 512) of a recording, with at most `capacity` bytes of records each; setup_every in us."""
     short = _short_rows(records)
-    long = _long_records(records)
+    long = _long_records(records, setup_every)
     queue = _queue(short, long)
     if queue.t_us.size and queue.t_us.min() < 0:
         raise ValueError("times before power-on cannot be recorded")
-    first, base = _boundaries(queue)
+    first, base = _boundaries(queue, capacity)
     content = np.zeros((len(first), BLOCK_BYTES), dtype=np.uint8)
     block = np.repeat(np.arange(len(first)), np.diff(first, append=len(queue.kind)))
     before = np.cumsum(queue.length) - queue.length
@@ -93,7 +98,7 @@ def encode(records: LogRecords, session: int) -> bytes:
     _put_short(content.reshape(-1), queue, short, at, since)
     _put_long(content.reshape(-1), queue, long, at, since)
     _put_heads(content, queue, first, base, session)
-    return content.tobytes()
+    return content
 
 
 def _short_rows(records: LogRecords) -> dict[int, tuple[IntArray, npt.NDArray[np.void]]]:
@@ -109,7 +114,7 @@ def _short_rows(records: LogRecords) -> dict[int, tuple[IntArray, npt.NDArray[np
     return rows
 
 
-def _long_records(records: LogRecords) -> list[LongRecord]:
+def _long_records(records: LogRecords, setup_every: int) -> list[LongRecord]:
     """All long records, in order of when they are recorded."""
     long = [*_sentences(records), *(LongRecord(t, t, PPS, PPS_STRUCT.pack(number)) for t, number in records.pps)]
     long += [LongRecord(e.t_us, e.t_us, EVENT, EVENT_STRUCT.pack(e.code, e.value)) for e in records.events]
@@ -121,7 +126,7 @@ def _long_records(records: LogRecords) -> list[LongRecord]:
     times = [t for t in (records.imu_t, records.mag_t, records.temperature_t) if t.size]
     start = min([int(t[0]) for t in times] + [record.recorded_us for record in long], default=0)
     end = max([int(t[-1]) for t in times] + [record.recorded_us for record in long], default=start)
-    return [*_described(records, start, end), *long, *_stopped(records)]
+    return [*_described(records, range(start, end + 1, setup_every)), *long, *_stopped(records)]
 
 
 def _sentences(records: LogRecords) -> Iterator[LongRecord]:
@@ -139,12 +144,12 @@ def _gap(gap: Gap) -> LongRecord:
     return LongRecord(last, last, GAP, data, gap.count if gap.source == IMU else 0)
 
 
-def _described(records: LogRecords, start: int, end: int) -> Iterator[LongRecord]:
-    """SETUP and CONFIG at the start and every few seconds."""
+def _described(records: LogRecords, times: Iterable[int]) -> Iterator[LongRecord]:
+    """SETUP and CONFIG at these times."""
     if records.setup is None:
         return
     setup, text = records.setup.pack(), records.config.encode("ascii")
-    for t_us in range(start, end + 1, SETUP_EVERY):
+    for t_us in times:
         yield LongRecord(t_us, t_us, SETUP, setup)
         for offset in range(0, len(text), CONFIG_PIECE):
             data = CONFIG_STRUCT.pack(offset, len(text)) + text[offset : offset + CONFIG_PIECE]
@@ -182,7 +187,7 @@ def _queue(short: dict[int, tuple[IntArray, npt.NDArray[np.void]]], long: list[L
     )
 
 
-def _boundaries(queue: _Queue) -> tuple[IntArray, IntArray]:
+def _boundaries(queue: _Queue, capacity: int) -> tuple[IntArray, IntArray]:
     """First record (K,) and base time (K,) us of each block: as many records as fit, none 65 ms after the base."""
     is_short = queue.kind < FIRST_LONG
     newest = np.maximum.accumulate(np.where(is_short, queue.t_us, np.iinfo(np.int64).min))
@@ -193,7 +198,7 @@ def _boundaries(queue: _Queue) -> tuple[IntArray, IntArray]:
     while at < total:
         start_bytes = end_bytes[at] - queue.length[at]
         base_us = _base(queue, newest, is_short, at)
-        by_size = int(np.searchsorted(end_bytes, start_bytes + CAPACITY, side="right"))
+        by_size = int(np.searchsorted(end_bytes, start_bytes + capacity, side="right"))
         late = int(np.searchsorted(short_t, base_us + LONGEST_SHORT_TIME, side="right"))
         by_time = int(short_at[late]) if late < len(short_at) else total
         by_time = min(by_time, int(np.searchsorted(latest, base_us + LONGEST_LONG_TIME, side="right")))

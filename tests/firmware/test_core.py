@@ -27,8 +27,10 @@ from smoother.session.log_format import (
     Setup,
     Stop,
 )
+from smoother.session.log_frames import decode_frames, find_frames, lost_frames
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+DATA = Path(__file__).resolve().parents[1] / "data"
 SUITES = sorted(path.stem.removeprefix("test_") for path in (FIRMWARE / "tests" / "core").glob("test_*.c"))
 SUITES += ["led"]  # beside the button in one file
 WARNINGS = ("-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror")
@@ -108,10 +110,10 @@ def test_core_includes_only_itself_and_the_standard_library():
                 assert (FIRMWARE / "core" / line.split('"')[1]).exists(), path.name
 
 
-def run_tool(log_tool, orders, ring=RING, now=0):
+def run_tool(log_tool, orders, ring=RING, now=0, session=SESSION):
     text = "\n".join(orders) + "\n"
     done = subprocess.run(
-        [log_tool, str(ring), str(SESSION), str(now)], input=text.encode(), capture_output=True, timeout=60
+        [log_tool, str(ring), str(session), str(now)], input=text.encode(), capture_output=True, timeout=60
     )
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout
@@ -158,6 +160,21 @@ def test_c_encodes_what_python_decodes_for_every_kind_of_record(log_tool):
     assert records.gaps == (Gap(IMU, GAP_SENSOR, 3, 2000, 4000),)
     assert records.stop == Stop(6000, 1, 2, 3, 1, 1, 17)
     assert (losses.blocks, losses.samples, losses.unreadable) == (0, 0, 0)
+
+
+def test_c_writes_the_golden_log(log_tool):
+    orders = (DATA / "golden.orders").read_text(encoding="ascii").splitlines()
+    assert run_tool(log_tool, orders, now=5_000_000, session=0x12345678) == (DATA / "golden.klg").read_bytes()
+
+
+def test_python_reads_the_frames_that_c_writes(log_tool):
+    orders = [f"imu {t} {t % 30000} 1 2 3 4 5" for t in range(0, 2**33, 2**33 // 50)]
+    orders += [f"imu {2**33 + 1000 * i} {i} 0 0 0 0 0" for i in range(100)]
+    stream = run_tool(log_tool, ["frame", *orders, "endframe"])
+    frames, done = find_frames(stream)
+    records = decode_frames(frames)
+    assert done == len(stream) and lost_frames(frames) == 0
+    assert [f"imu {t} {' '.join(map(str, row))}" for t, row in zip(records.imu_t, records.imu, strict=True)] == orders
 
 
 def test_times_of_a_race_of_24_hours_come_back(log_tool):
