@@ -168,7 +168,7 @@ def make_traces(
         delta_sigma=np.full(t.shape, np.nan),
         lateral=lateral,
         lateral_sigma=lateral_sigma,
-        is_off_line=np.nan_to_num(np.abs(lateral) / lateral_sigma) > SURE,
+        is_off_line=(np.abs(lateral) > SURE * lateral_sigma) & (lateral_sigma > 0.0),
         longitudinal=sampled(values.along),
         lateral_acceleration=sampled(values.left),
         yaw_rate=sampled(trajectory.angular_rate_b[:, 2]),

@@ -1,0 +1,177 @@
+"""Finding laps where nothing is given: what is a loop, what only looks like one, and where the line goes."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.laps.analysis import LapOptions, analyse
+from smoother.laps.circuit import find_circuit
+from smoother.laps.loop import find_loop
+from smoother.laps.path import plan_path
+from smoother.laps.results import FixPath, GivenLines, LapAnalysis
+from smoother.sim.truth import Truth
+from smoother.trajectory import Trajectory
+
+Made = Callable[..., Trajectory]
+Fixes = Callable[..., FixPath]
+RoundTrip = Callable[..., tuple[Array, Array]]
+
+EIGHT = np.array([[0, 0], [40, 40], [80, 60], [110, 30], [80, 0], [40, -5], [0, 0], [-40, 40], [-80, 60], [-110, 30]])
+EIGHT = np.concatenate([EIGHT, [[-80, 0], [-40, -5]]]).astype(float)[:, ::-1]
+PAPERCLIP = np.array(  # out along one straight, back, and out again 12 m beside the first, in the same direction
+    [
+        *([0, 0], [60, 0], [120, 0], [180, 0], [205, 25], [180, 50], [120, 50], [60, 50], [0, 50], [-20, 30], [0, 12]),
+        *([60, 12], [120, 12], [170, 12], [188, 25], [170, 37], [120, 38], [60, 38], [20, 40], [-30, 60], [-60, 30]),
+        [-30, 2],
+    ],
+    dtype=float,
+)
+
+
+def timed(analysis: LapAnalysis) -> list[float]:
+    return [lap.time for lap in analysis.laps if lap.is_timed]
+
+
+def test_laps_are_found_with_nothing_given(driven: Trajectory, larkfield: Truth, fixes: Fixes) -> None:
+    found = analyse(driven, fixes(driven))
+    assert found.start_line is not None
+    ends = np.stack([found.start_line.left_n, found.start_line.right_n])
+    true = larkfield.crossings(ends)
+    true = true[(true > driven.t[0]) & (true < driven.t[-1])]
+    assert timed(found) == pytest.approx(np.diff(true), abs=1e-3)
+    assert [lap.reasons for lap in found.laps] == [("out-lap",), *[()] * (len(found.laps) - 2), ("in-lap",)]
+
+
+def test_the_line_stands_across_a_fast_straight(driven: Trajectory, fixes: Fixes) -> None:
+    found = analyse(driven, fixes(driven))
+    assert found.reference is not None and found.traces is not None and found.start_line is not None
+    assert abs(found.reference.curvature[0]) < 1.0 / 120.0
+    speed = np.nanmedian(found.traces.speed, axis=0)
+    assert speed[0] > 0.85 * speed.max()
+    across = found.start_line.left_n - found.start_line.right_n
+    assert abs(across @ found.reference.tangent_n[0]) < 1e-6
+
+
+def test_the_crossing_of_a_figure_of_eight_is_no_lap(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
+    t, position = round_trip(EIGHT, 14.0, 3.6)
+    path = plan_path(make(t, position))
+    loop = find_loop(path, 100.0)
+    whole = path.driven[-1] / 3.6
+    assert loop is not None
+    assert loop.length == pytest.approx(whole, rel=0.02)
+    assert len(timed(analyse(make(t, position), fixes(make(t, position))))) in (2, 3)
+
+
+def test_a_parallel_straight_nearby_is_no_lap_and_no_crossing(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 4.5)
+    trajectory = make(t, position)
+    lap = plan_path(trajectory).driven[-1] / 4.5 / 14.0
+    gate = GivenLines(np.array([[100.0, -6.0], [100.0, 6.0]]))  # its 6 m of grace reach the other straight
+    for lines in (None, gate):
+        times = timed(analyse(trajectory, fixes(trajectory), LapOptions(lines=lines)))
+        assert len(times) in (3, 4)
+        assert times == pytest.approx([lap] * len(times), abs=0.02)
+
+
+def test_a_gate_over_two_straights_counts_the_one_nearest_its_middle(
+    make: Made, round_trip: RoundTrip, fixes: Fixes
+) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 4.5)
+    trajectory = make(t, position)
+    wide = GivenLines(np.array([[100.0, -12.0], [100.0, 16.0]]))
+    found = analyse(trajectory, fixes(trajectory), LapOptions(lines=wide))
+    assert [problem.code for problem in found.problems] == ["line_passed_often"]
+    lap = plan_path(trajectory).driven[-1] / 4.5 / 14.0
+    assert timed(found) == pytest.approx([lap] * 4, abs=0.02)
+
+
+def test_a_wandering_gps_does_not_lose_laps(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 6.4)
+    wander = 4.0 * np.stack([np.sin(t / 40.0), np.cos(t / 55.0)], axis=1)
+    found = analyse(make(t, position + wander), fixes(make(t, position + wander)))
+    lap = plan_path(make(t, position)).driven[-1] / 6.4 / 14.0
+    assert len(timed(found)) in (5, 6)
+    assert timed(found) == pytest.approx([lap] * len(timed(found)), abs=0.6)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.95])
+def test_less_than_a_lap_is_no_lap(make: Made, round_trip: RoundTrip, fixes: Fixes, share: float) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, share)
+    found = analyse(make(t, position), fixes(make(t, position)))
+    assert not timed(found)
+    assert [problem.code for problem in found.problems] == ["no_laps"]
+
+
+def test_one_lap_and_a_little_is_one_lap(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 1.3)
+    assert len(timed(analyse(make(t, position), fixes(make(t, position))))) == 1
+
+
+def test_two_passages_of_a_given_line_are_a_lap_even_without_a_repeated_path(
+    make: Made, round_trip: RoundTrip, fixes: Fixes
+) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 1.02)
+    shifted = np.roll(PAPERCLIP, -1, axis=0)
+    t, position = round_trip(shifted, 14.0, 1.02)
+    gate = GivenLines(np.array([[66.0, -8.0], [66.0, 5.0]]))
+    assert len(timed(analyse(make(t, position), fixes(make(t, position)), LapOptions(lines=gate)))) == 1
+
+
+def test_a_straight_drive_and_a_stand_are_no_laps(make: Made, fixes: Fixes) -> None:
+    t = np.arange(0.0, 60.0, 0.02)
+    for speed in (12.0, 0.0):
+        position = np.stack([speed * t, 0.0 * t], axis=1)
+        assert not analyse(make(t, position), fixes(make(t, position))).laps
+
+
+def test_laps_in_the_other_direction_are_not_mixed_in(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
+    t, position = round_trip(PAPERCLIP, 14.0, 3.0)
+    there_and_back = np.concatenate([position, position[::-1][1:]])
+    times = np.arange(len(there_and_back)) * 0.02
+    found = analyse(make(times, there_and_back), fixes(make(times, there_and_back)))
+    lap = t[-1] / 3.0
+    assert all(abs(lap_.time - lap) < 0.1 for lap_ in found.laps if lap_.is_valid)
+
+
+def test_a_given_line_elsewhere_is_said_and_one_is_found(circle: Trajectory, fixes: Fixes) -> None:
+    far = GivenLines(np.array([[900.0, 0.0], [910.0, 0.0]]), name="elsewhere")
+    found = analyse(circle, fixes(circle), LapOptions(lines=far))
+    assert [problem.code for problem in found.problems] == ["line_missed"]
+    assert found.start_line is not None and found.start_line.source == "found"
+    assert len(timed(found)) == 5
+
+
+def test_a_reference_of_another_session_is_kept(circle: Trajectory, fixes: Fixes) -> None:
+    first = analyse(circle, fixes(circle))
+    moved = Trajectory(**{**vars(circle), "position_n": circle.position_n + np.array([1.0, -2.0, 0.0])})
+    second = analyse(moved, fixes(moved), LapOptions(reference=first.reference))
+    assert first.reference is not None and second.reference is not None
+    np.testing.assert_array_equal(second.reference.position_n, first.reference.position_n)
+    assert len(timed(second)) == len(timed(first))
+
+
+def test_runs_from_start_to_finish_are_timed_where_the_two_are_apart(make: Made, fixes: Fixes) -> None:
+    t = np.arange(0.0, 90.0, 0.02)
+    out = np.stack([15.0 * t, 40.0 * np.sin(t / 12.0)], axis=1)  # a hill road
+    back = np.stack([15.0 * t[::-1], 300.0 + 0.0 * t], axis=1)  # home another way
+    position = np.concatenate([out, _between(out[-1], back[0]), back, _between(back[-1], out[0]), out])
+    times = np.arange(len(position)) * 0.02
+    start, finish = np.array([[150.0, -60.0], [150.0, 80.0]]), np.array([[1200.0, -80.0], [1200.0, 60.0]])
+    found = analyse(
+        make(times, position), fixes(make(times, position)), LapOptions(lines=GivenLines(start, (), finish))
+    )
+    assert timed(found) == pytest.approx([70.0, 70.0], abs=0.01)
+    assert found.reference is not None and not found.reference.is_closed
+    assert found.finish_line is not None
+
+
+def _between(a: Array, b: Array) -> Array:
+    share = np.linspace(0.0, 1.0, 1200)[1:-1, None]
+    return np.asarray(a + share * (b - a))
+
+
+def test_circuits_need_no_more_than_the_path(driven: Trajectory) -> None:
+    circuit = find_circuit(plan_path(driven), None, None, 100.0)
+    assert not hasattr(circuit, "code")
