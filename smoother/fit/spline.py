@@ -20,21 +20,27 @@ class CubicSpline:
 
     def __init__(self, x: Array, values: Array, *, is_closed: bool = False) -> None:
         """x (K,) increasing, K >= 4; values (K, c)."""
-        self._x, self._values = x, values
-        self._bend = _bend_of_closed(x, values) if is_closed else _bend_of_open(x, values)
+        bend = _bend_of_closed(x, values) if is_closed else _bend_of_open(x, values)
+        h = np.diff(x)[:, None]
+        slope = np.diff(values, axis=0) / h - h * (2.0 * bend[:-1] + bend[1:]) / 6.0
+        self._x = x
+        self._powers = (values[:-1], slope, 0.5 * bend[:-1], np.diff(bend, axis=0) / (6.0 * h))
 
-    def __call__(self, x: Array, derivative: int = 0) -> Array:
-        """Value, or first derivative, at x (N,), within the points. Returns (N, c)."""
+    def __call__(self, x: Array) -> Array:
+        """Value (N, c) at x (N,), within the points."""
+        d, constant, linear, quadratic, cubic = self._piece(x)
+        return np.asarray(((cubic * d + quadratic) * d + linear) * d + constant)
+
+    def with_slope(self, x: Array) -> tuple[Array, Array]:
+        """Value and first derivative, each (N, c), at x (N,), within the points."""
+        d, constant, linear, quadratic, cubic = self._piece(x)
+        value = ((cubic * d + quadratic) * d + linear) * d + constant
+        return value, (3.0 * cubic * d + 2.0 * quadratic) * d + linear
+
+    def _piece(self, x: Array) -> tuple[Array, ...]:
+        """Distance (N, 1) from the point before x (N,), and the coefficients (N, c) of its powers there."""
         k = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
-        h = (self._x[k + 1] - self._x[k])[:, None]
-        right = (x - self._x[k])[:, None] / h
-        left, low, high = 1.0 - right, self._values[k], self._values[k + 1]
-        bend_low, bend_high = self._bend[k], self._bend[k + 1]
-        if derivative == 0:
-            bent = (left**3 - left) * bend_low + (right**3 - right) * bend_high
-            return np.asarray(left * low + right * high + bent * h**2 / 6.0)
-        bent = (3.0 * right**2 - 1.0) * bend_high - (3.0 * left**2 - 1.0) * bend_low
-        return np.asarray((high - low) / h + bent * h / 6.0)
+        return ((x - self._x[k])[:, None], *(power[k] for power in self._powers))
 
 
 def _bend_of_closed(x: Array, values: Array) -> Array:

@@ -33,12 +33,16 @@ class Curve:
 
     def position(self, distance: Array) -> Array:
         """Position (K, 2) m in n."""
-        return np.asarray(self._spline(self.wrapped(distance)))
+        return self._spline(self.wrapped(distance))
 
     def tangent(self, distance: Array) -> Array:
         """Unit tangent (K, 2)."""
-        tangent = self._spline(self.wrapped(distance), derivative=1)
-        return np.asarray(tangent / np.linalg.norm(tangent, axis=-1, keepdims=True))
+        return self.place(distance)[1]
+
+    def place(self, distance: Array) -> tuple[Array, Array]:
+        """Position (K, 2) m in n, and unit tangent (K, 2)."""
+        position, slope = self._spline.with_slope(self.wrapped(distance))
+        return position, slope / np.hypot(slope[:, 0], slope[:, 1])[:, None]
 
     def curvature(self, distance: Array) -> Array:
         """Curvature (K,) 1/m, positive to the left."""
@@ -63,12 +67,13 @@ class Curve:
         """
         distance = np.asarray(guess, dtype=np.float64)
         for _ in range(rounds):
-            away, tangent = position_n - self.position(distance), self.tangent(distance)
+            there, tangent = self.place(distance)
+            away = position_n - there
             lateral = _left(tangent, away)
             stretch = 1.0 - np.clip(lateral * self.curvature(distance), -BENT, BENT)
             distance = distance + np.clip(np.sum(away * tangent, axis=1) / stretch, -5.0, 5.0)
-        away, tangent = position_n - self.position(distance), self.tangent(distance)
-        return distance, _left(tangent, away)
+        there, tangent = self.place(distance)
+        return distance, _left(tangent, position_n - there)
 
     @cached_property
     def _spline(self) -> CubicSpline:
