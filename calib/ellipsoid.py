@@ -6,12 +6,13 @@ from calib.outcome import Comparison, Outcome, Value, rms
 from calib.recording import Recording
 from smoother.arrays import Array
 from smoother.calibration import Calibration
+from smoother.fit.correlation import correlation_growth
 from smoother.fit.ellipsoid import COLUMNS, ROWS, Ellipsoid, FitError, fit_ellipsoid
 
 PROCEDURE = "magnetometer"
 LEAST_COVERAGE = 0.5  # of the sphere; with less, one noisy disturbance decides how the ellipsoid closes
+FEWEST_TURNING = 500  # readings; with fewer those at rest are used too
 SIDE = np.cos(np.radians(35.0))  # a side counts as seen when the field came this near to it
-LONGEST_MEMORY = 200  # readings over which errors may be alike
 _SIDES = {"+x": 0, "-x": 0, "+y": 1, "-y": 1, "+z": 2, "-z": 2}
 
 
@@ -67,7 +68,19 @@ def _readings(recording: Recording) -> tuple[Array, str]:
         raise FitError("no magnetometer was recorded")
     if recording.is_driven:
         raise FitError("a kart that drives stays level; turn the box in every direction by hand, or use the laps alone")
-    return recording.mag.field, "the magnetometer"
+    turning = _while_turned(recording)
+    if np.count_nonzero(turning) < FEWEST_TURNING:
+        return recording.mag.field, "the magnetometer"
+    return recording.mag.field[turning], "the magnetometer while it was turned"
+
+
+def _while_turned(recording: Recording) -> np.ndarray:
+    """Mask (N,) of the magnetometer's readings outside rests, where readings repeat one rounding error."""
+    assert recording.mag is not None
+    if recording.imu is None:
+        return np.ones(len(recording.mag.t), dtype=np.bool_)
+    at_rest = np.interp(recording.mag.t, recording.imu.t, recording.is_at_rest.astype(np.float64))
+    return np.asarray(at_rest < 0.5)
 
 
 def _spread(length: Array) -> float:
@@ -80,22 +93,3 @@ def missing_sides(fit: Ellipsoid, readings: Array) -> list[str]:
     unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
     signs = {"+": 1.0, "-": -1.0}
     return [name for name, axis in _SIDES.items() if np.max(signs[name[0]] * unit[:, axis]) < SIDE]
-
-
-def correlation_growth(residual: Array) -> float:
-    """Factor by which sigmas grow because neighbouring residuals (N,) are alike; 1 for white noise.
-
-    The sum of autocorrelations up to the first that is not significant (Geyer's initial sequence).
-    """
-    n = len(residual)
-    centred = residual - residual.mean()
-    power = float(centred @ centred)
-    if n < 50 or power == 0.0:
-        return 1.0
-    total, limit = 0.0, 4.0 / np.sqrt(n)
-    for lag in range(1, min(LONGEST_MEMORY, n // 4)):
-        correlation = float(centred[lag:] @ centred[:-lag]) / power
-        if correlation < limit:
-            break
-        total += correlation
-    return float(np.sqrt(1.0 + 2.0 * total))

@@ -13,13 +13,14 @@ from smoother.calibration import Calibration
 from smoother.fit.ellipsoid import FitError
 from smoother.fit.levelling import level_angles, yaw_from_field
 from smoother.fit.magnetic_model import EarthField, earth_field
-from smoother.fit.resting import RestingPosition
+from smoother.fit.resting import RestingPosition, rounding_step, rounding_variance
 from smoother.frames import Origin, rotation_from_euler
 from smoother.units import DEG, STANDARD_GRAVITY
 
 PROCEDURE = "level and heading"
 DECLINATION_SIGMA, INCLINATION_SIGMA = 0.36 * DEG, 0.2 * DEG  # error model of the World Magnetic Model
 FEWEST_READINGS = 5
+OUTLIER = 5.0  # times the median distance of a reading
 AXES_SIGMA = 0.5 * DEG  # by which chips on one board may be turned against each other
 COMMENT = "# of the box as it lay; `smooth` does not use it: it finds the mounting while driving"
 DRAWN = 4000  # samples in the figure
@@ -75,6 +76,8 @@ def _force(rest: RestingPosition, calibration: Calibration) -> tuple[Array, Arra
     covariance = A @ rest.force_covariance @ A.T
     if "accel_offset" in calibration.sigmas:
         covariance = covariance + np.diag(calibration.sigmas["accel_offset"] ** 2)
+    if "accel_matrix" in calibration.sigmas:
+        covariance = covariance + np.diag(calibration.sigmas["accel_matrix"] ** 2 @ rest.force**2)
     return np.asarray(A @ (rest.force - calibration.accel_offset)), np.asarray(covariance)
 
 
@@ -85,12 +88,18 @@ def _field(
     if recording.mag is None or calibration.hard_iron is None or calibration.soft_iron is None:
         return None
     inside = (recording.mag.t >= rest.start) & (recording.mag.t <= rest.end)
-    field = calibration.apply_to_mag(recording.mag).field_s[inside]
+    field, raw = calibration.apply_to_mag(recording.mag).field_s[inside], recording.mag.field[inside]
     if len(field) < FEWEST_READINGS:
         return None
-    mean = np.median(field, axis=0)  # readings may hold outliers
-    spread = 1.4826 * np.median(np.abs(field - mean), axis=0)
-    covariance = np.diag(1.6 * spread**2 / len(field) + axes_sigma**2)  # a median costs 1.6 times the variance
+    off = np.linalg.norm(field - np.median(field, axis=0), axis=1)
+    field, raw = field[off < OUTLIER * np.median(off) + 1e-9], raw[off < OUTLIER * np.median(off) + 1e-9]
+    mean = field.mean(axis=0)
+    hidden = (
+        calibration.soft_iron
+        @ np.diag(rounding_variance(raw, rounding_step(recording.mag.field)))
+        @ calibration.soft_iron.T
+    )
+    covariance = np.cov(field, rowvar=False) / len(field) + hidden + axes_sigma**2 * np.eye(3)
     if "hard_iron" in calibration.sigmas:
         W = calibration.soft_iron
         covariance = covariance + W @ np.diag(calibration.sigmas["hard_iron"] ** 2) @ W.T

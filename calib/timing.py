@@ -33,7 +33,7 @@ def calibrate(recording: Recording) -> Outcome:
     fast = spectra["accelerometer"].rms(2.0), spectra["gyroscope"].rms(2.0) / DEG
     values.append(Value("vibration above 2 Hz, acceleration", fast[0], None, "m/s²"))
     values.append(Value("vibration above 2 Hz, turning", fast[1], None, "deg/s"))
-    line = engine_line(t, force, hz)
+    line = engine_line(t, np.hstack([force, rate]), hz)
     drawing = {"spectra": spectra, "line": line, "rate": hz, "is_driven": recording.is_driven}
     values += _line_values(line, hz, recording.is_driven, remarks)
     if recording.is_thesis:
@@ -81,7 +81,9 @@ def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str
     if not line.is_there:
         remarks.append(f"no {name} in the vibration" if is_driven else "no line in the vibration")
         return []
-    frequency, amplitude = line.frequency[line.is_seen], line.amplitude[line.is_seen]
+    frequency = line.frequency[line.is_seen]
+    both = line.amplitude[line.is_seen].reshape(-1, 2, 3)  # accelerometer, gyroscope
+    amplitude = np.linalg.norm(both, axis=2)
     low, high = np.percentile(frequency, [10.0, 90.0])
     remarks.append(f"{name} seen in {100 * np.mean(line.is_seen):.0f} % of the time")
     if is_driven:
@@ -89,7 +91,8 @@ def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str
         remarks.append(f"as sampling folds it, its median frequency could be {speeds or 'no engine speed'} rpm")
     return [
         Value(f"{name}, from 10 % to 90 % of the time", np.array([low, high]), None, "Hz"),
-        Value(f"{name}, median amplitude", float(np.median(amplitude)), None, "m/s²"),
+        Value(f"{name}, median amplitude", float(np.median(amplitude[:, 0])), None, "m/s²"),
+        Value(f"{name}, median amplitude of turning", float(np.median(amplitude[:, 1])) / DEG, None, "deg/s"),
     ]
 
 

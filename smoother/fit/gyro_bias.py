@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, frozen
+from smoother.fit.correlation import correlation_growth
 from smoother.fit.ellipsoid import FitError
 
 THESIS_SAMPLES = 1000  # 20 s at its 50 Hz, taken to be at rest
@@ -84,7 +85,8 @@ class TemperatureFit:
 def fit_temperature(temperature: Array, angular_rate: Array) -> TemperatureFit:
     """Fit a straight line through means at rest: temperature (B,) deg C, angular_rate (B, 3) rad/s, B batches.
 
-    Batches count as independent. Raises FitError when the temperature hardly changed or batches are few.
+    Batches, in time order, count as independent unless their residuals show otherwise.
+    Raises FitError when the temperature hardly changed or batches are few.
     """
     known = np.isfinite(temperature) & np.all(np.isfinite(angular_rate), axis=1)
     T, rate = temperature[known], angular_rate[known]
@@ -100,5 +102,6 @@ def fit_temperature(temperature: Array, angular_rate: Array) -> TemperatureFit:
     bias, slope = rate.mean(axis=0), centred @ rate / spread
     residual = rate - bias - centred[:, None] * slope
     variance = np.sum(residual**2, axis=0) / (len(T) - 2)
+    variance = variance * np.square([correlation_growth(residual[:, i]) for i in range(3)])
     ends = (float(np.min(T)), float(np.max(T)))
     return TemperatureFit(middle, bias, slope, np.sqrt(variance / len(T)), np.sqrt(variance / spread), ends)

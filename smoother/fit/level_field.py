@@ -31,6 +31,7 @@ LEAST_TURNING = 0.1  # rad/s rms about the vertical
 AVERAGED = 1.0  # s over which white noise is averaged out of the radius
 DISTURBANCE_MEAN = 2.0  # engine currents go with the throttle: their mean, which no fit sees, per scatter of the radius
 UPRIGHT = 3.0  # least ratio of turning about the vertical to turning about any other axis
+LARGEST_SCATTER = 0.35  # of single readings, relative to the radius; a cloud of noise gives 0.4 and more
 LARGEST_RMS = 0.3  # of the radius; beyond, engine or iron outweigh the Earth
 
 
@@ -97,8 +98,9 @@ def fit_level_field(t: Array, field: Array, up: Array, inclination: float) -> Le
     sectors = _sectors(unit)
     if sectors * SECTORS < LEAST_SECTORS:
         raise FitError("the laps do not show all headings to the magnetometer; drive some circles in both directions")
-    rms = _slow_rms(t, np.linalg.norm(unit, axis=1) - 1.0)
-    if rms > LARGEST_RMS:
+    off = np.linalg.norm(unit, axis=1) - 1.0
+    rms = _slow_rms(t, off)
+    if 1.4826 * float(np.median(np.abs(off))) > LARGEST_SCATTER or rms > LARGEST_RMS:
         raise FitError("the readings do not lie near an ellipse: engine or iron outweigh the Earth's field")
     covariance = _covariance(t, across, parameters)
     slope, height = _plane(across - centre, along)

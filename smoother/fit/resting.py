@@ -18,6 +18,7 @@ BATCH = 0.5  # s; longer than the correlation of any low-pass filter in such sen
 SHORTEST = 2.0  # s, of a position without its edges
 SAME_DIRECTION = np.radians(20.0)
 FEWEST_BATCHES = 4
+MOST_SORTED = 20_000  # readings by which the size of a count is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ def resting_positions(
         return ()
     force_noise = _covariance_of_means(t, force, stretches)
     rate_noise = _covariance_of_means(t, rate, stretches)
+    force_step, rate_step = rounding_step(force), rounding_step(rate)
     found = []
     for i, j in stretches:
         length = float(t[j - 1] - t[i])
@@ -63,8 +65,8 @@ def resting_positions(
                 end=float(t[j - 1]),
                 force=force[i:j].mean(axis=0),
                 rate=rate[i:j].mean(axis=0),
-                force_covariance=force_noise / length + np.diag(rounding_variance(force[i:j])),
-                rate_covariance=rate_noise / length + np.diag(rounding_variance(rate[i:j])),
+                force_covariance=force_noise / length + np.diag(rounding_variance(force[i:j], force_step)),
+                rate_covariance=rate_noise / length + np.diag(rounding_variance(rate[i:j], rate_step)),
                 count=j - i,
                 temperature=warmth,
             )
@@ -96,22 +98,23 @@ def _covariance_of_means(t: Array, values: Array, stretches: list[tuple[int, int
     return scatter / freedom * BATCH
 
 
-def rounding_variance(values: Array) -> Array:
-    """Variance (D,) that rounding leaves in the mean of values (N, D), however many: noise smaller than a count hides.
+def rounding_step(values: Array) -> Array:
+    """Size (D,) of a count in values (N, D): the least difference between different readings; 0 if all are alike."""
+    some = values[:: max(1, len(values) // MOST_SORTED)]
+    levels = [np.unique(column) for column in some.T]
+    return np.array([float(np.min(np.diff(level))) if len(level) > 1 else 0.0 for level in levels])
 
-    Source: Widrow and Kollar, Quantization Noise: the first harmonic of the error of a rounded Gaussian.
+
+def rounding_variance(values: Array, step: Array) -> Array:
+    """Variance (D,) that rounding to `step` (D,) leaves in the mean of values (N, D), however many they are.
+
+    Noise smaller than a count hides what lies between two counts. Source: Widrow and Kollar, Quantization Noise: the
+    first harmonic of the error of a rounded Gaussian.
     """
-    out = np.zeros(values.shape[1])
-    for i, column in enumerate(values.T):
-        levels = np.unique(column)
-        if len(levels) > 50 or not len(levels):
-            continue  # far more noise than a count
-        step = float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
-        noise = float(np.var(column))
-        spread = max(noise - step**2 / 12.0, 0.0)
-        hidden = np.exp(-4.0 * np.pi**2 * spread / step**2) if step > 0.0 else 0.0
-        out[i] = step**2 * min(hidden / (2.0 * np.pi**2), 1.0 / 12.0)
-    return out
+    spread = np.maximum(np.var(values, axis=0) - step**2 / 12.0, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        hidden = np.where(step > 0.0, np.exp(-4.0 * np.pi**2 * spread / step**2), 0.0)
+    return np.asarray(step**2 * np.minimum(hidden / (2.0 * np.pi**2), 1.0 / 12.0))
 
 
 def distinct_directions(force: Array) -> Array:

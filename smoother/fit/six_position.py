@@ -94,7 +94,8 @@ def fit_accelerometer(positions: Sequence[RestingPosition], gravity: float = STA
 
 def _middle(force: Array) -> Array:
     """Rough offset (3,), so that directions are those of gravity even with a large one."""
-    return np.asarray(0.5 * (force.max(axis=0) + force.min(axis=0))) if len(force) >= FEWEST_DIRECTIONS else np.zeros(3)
+    low, high = force.min(axis=0), force.max(axis=0)
+    return np.where(np.all(high - low > STANDARD_GRAVITY), 0.5 * (low + high), 0.0)
 
 
 def _limit(count: int) -> float:

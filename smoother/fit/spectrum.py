@@ -15,11 +15,14 @@ from smoother.fit.ellipsoid import FitError
 
 FEWEST_SAMPLES = 256
 RESOLUTION = 1.0  # Hz; finer than an engine holds its speed
-LOWEST_LINE = 10.0  # Hz; below, a kart's own motion and its chassis
-LINE_WINDOW = 0.5  # s over which the engine's speed hardly changes
+LOWEST_LINE = 20.0  # Hz; below, a kart's own motion and its chassis
+LINE_WINDOW = 0.5  # s over which the engine's speed changes evenly
+SWEEPS = tuple(np.linspace(-120.0, 120.0, 25))  # Hz/s by which a line may rise; 120 is 7,200 rpm in a second
+EDGE_BINS = 6  # at either end of the frequencies searched; 6 Hz
+MARGIN = 1.35  # because the background, too, is an estimate, of which the least of many sweeps counts
 LINE_CHANCE = 1e-3  # that noise alone makes such a peak in a window
-BACKGROUND = 12.0  # Hz on either side of a line; the line itself is 4 Hz wide
-LEAST_SHARE = 0.2  # of the windows; a line that is seen more rarely is called none
+BACKGROUND = 30.0  # Hz on either side of a line; the line itself is 8 Hz wide
+LEAST_SHARE = 0.05  # of the windows; fifty times what chance gives. A line that sweeps fast is seen rarely
 ENGINE_SPEEDS = (1500.0, 20000.0)  # rpm, of kart engines
 
 
@@ -39,9 +42,9 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class EngineLine:
-    """The strongest line in windows of LINE_WINDOW: t (W,) s, frequency (W,) Hz, amplitude (W,); is_seen (W,).
+    """The strongest line in windows of LINE_WINDOW: t (W,) s, frequency (W,) Hz, is_seen (W,).
 
-    The amplitude is the root sum square over the axes of the tone's amplitude on each, in the unit of the values.
+    amplitude (W, D) of the tone in each column, in the unit of that column.
     """
 
     t: Array
@@ -68,33 +71,74 @@ def vibration_spectrum(values: Array, rate: float) -> Spectrum:
 
 
 def engine_line(t: Array, values: Array, rate: float) -> EngineLine:
-    """Follow the strongest line above LOWEST_LINE through values (N, 3), evenly sampled at `rate` Hz from t (N,).
+    """Follow the strongest line above LOWEST_LINE through values (N, D), evenly sampled at `rate` Hz from t (N,).
 
-    A window has a line when its highest peak, summed over the axes and over the background around it, is one that
-    white noise reaches once in a thousand windows. Raises FitError for too few samples.
+    The columns (any units: each is divided by its own noise) are searched together. A window has a line when its
+    highest peak over the background around it is one that white noise reaches once in a thousand windows.
+    Raises FitError for too few samples.
     """
     size = round(LINE_WINDOW * rate)
     windows = len(values) // size if size else 0
     if windows < 1 or size < 16:
         raise FitError("the samples are too few or too slow to follow an engine's line")
-    blocks = np.asarray(values, dtype=np.float64)[: windows * size].reshape(windows, size, -1)
+    noise = np.median(np.abs(np.diff(values, 2, axis=0)), axis=0)
+    noise = np.where(noise > 0.0, noise, 1.0)
+    blocks = (np.asarray(values) / noise)[: windows * size].reshape(windows, size, -1)
     taper = get_window("hann", size)
     blocks = (blocks - blocks.mean(axis=1, keepdims=True)) * taper[:, None]
-    padded = 4 * size  # so that the peak is met within a fraction of its width
-    power = np.sum(np.abs(np.fft.rfft(blocks, padded, axis=1)) ** 2, axis=2)
-    frequency = np.fft.rfftfreq(padded, 1.0 / rate)
-    inside = frequency >= min(LOWEST_LINE, 0.25 * rate)
-    power, frequency = power[:, inside], frequency[inside]
-    peak = np.argmax(power, axis=1)
     freedom = 2 * blocks.shape[2]  # two quadratures on each axis
-    background = np.median(_around(power, peak, round(BACKGROUND * padded / rate)), axis=1) / chi2.median(freedom)
-    height = power[np.arange(windows), peak]
-    threshold = chi2.isf(LINE_CHANCE / size, freedom)  # noise exceeds it in LINE_CHANCE of the windows
-    amplitude = 2.0 * np.sqrt(height) / np.sum(taper)
-    is_seen = height > threshold * np.maximum(background, 1e-300)
+    best = _Peaks.none(windows, blocks.shape[2])
+    for sweep in SWEEPS:
+        best = best.or_better(_Peaks.of(blocks, sweep, rate, freedom))
+    threshold = MARGIN * chi2.isf(LINE_CHANCE / (size * len(SWEEPS)), freedom)
     middle = t[0] + (np.arange(windows) + 0.5) * size / rate
-    at_the_edge = (peak == 0) | (peak == len(frequency) - 1)  # the slope of something slower, or folded over
-    return EngineLine(middle, frequency[peak], amplitude, is_seen & ~at_the_edge)
+    amplitude = noise * 2.0 * np.sqrt(best.height) / np.sum(taper)
+    return EngineLine(middle, best.frequency, amplitude, (best.ratio > threshold) & ~best.is_at_edge)
+
+
+@dataclass(frozen=True, eq=False)
+class _Peaks:
+    """The highest peak of each window (W,): ratio to the background around, power (W, D), frequency Hz, at an edge."""
+
+    ratio: Array
+    height: Array
+    frequency: Array
+    is_at_edge: BoolArray
+
+    @staticmethod
+    def none(windows: int, columns: int) -> "_Peaks":
+        nothing = np.zeros(windows)
+        return _Peaks(nothing, np.zeros((windows, columns)), nothing, np.zeros(windows, dtype=np.bool_))
+
+    @staticmethod
+    def of(blocks: Array, sweep: float, rate: float, freedom: int) -> "_Peaks":
+        """Peaks of blocks (W, n, D) for a line whose frequency rises by `sweep` Hz/s through each window."""
+        windows, size = blocks.shape[:2]
+        time = (np.arange(size) - 0.5 * (size - 1)) / rate
+        steadied = blocks * np.exp(-1j * np.pi * sweep * time**2)[:, None]
+        padded = 2 * size  # so that a peak is met within a fraction of its width
+        frequency = np.arange(padded // 2 + 1) * rate / padded
+        inside = frequency >= min(LOWEST_LINE, 0.25 * rate)
+        each = np.abs(np.fft.fft(steadied, padded, axis=1)[:, : len(inside)][:, inside]) ** 2
+        power, frequency = np.sum(each, axis=2), frequency[inside]
+        peak = np.argmax(power, axis=1)
+        background = np.median(_around(power, peak, round(BACKGROUND * padded / rate)), axis=1) / chi2.median(freedom)
+        height = each[np.arange(windows), peak]
+        at_edge = (peak < EDGE_BINS) | (
+            peak >= len(frequency) - EDGE_BINS
+        )  # the slope of something slower, or folded over
+        ratio = power[np.arange(windows), peak] / np.maximum(background, 1e-300)
+        return _Peaks(ratio, height, frequency[peak], at_edge)
+
+    def or_better(self, other: "_Peaks") -> "_Peaks":
+        """The one of the two with the higher ratio, window by window."""
+        mine = self.ratio >= other.ratio
+        return _Peaks(
+            np.where(mine, self.ratio, other.ratio),
+            np.where(mine[:, None], self.height, other.height),
+            np.where(mine, self.frequency, other.frequency),
+            np.where(mine, self.is_at_edge, other.is_at_edge),
+        )
 
 
 def _around(power: Array, peak: IntArray, width: int) -> Array:

@@ -18,6 +18,8 @@ RUN = 3  # equal readings at an axis' extreme that noise does not make, for a se
 LARGEST_DELAY = 0.25  # s, that is looked for between gyroscope and magnetometer
 FEWEST_TURNING = 200  # readings while turning, for a delay
 TURNING = 0.5  # rad/s
+SPACING = 0.06  # s between two readings that are compared: a change beyond noise and rounding, still a small turn
+UNEXPLAINED = 0.7  # of the squared change; axes that do not belong together leave more than all of it
 LARGEST_TURN = 0.3  # rad; beyond, the axes are not those of the gyroscope at all
 OUTLIER = 6.0  # times the median size
 
@@ -82,7 +84,7 @@ def clipped_share(values: Array, full_scale: float | None = None) -> Array:
 def magnetometer_against_gyro(t: Array, angular_rate: Array, field_t: Array, field: Array) -> Against:
     """Delay and turned axes of calibrated field (M, 3) at field_t (M,) s, against angular_rate (N, 3) rad/s at t (N,).
 
-    The field stands still in space, so between two readings it turns back by what the gyroscope turned; the shift of
+    The field stands still in space, so between near readings it turns back by what the gyroscope turned; the shift of
     the stamps and the turn of the axes with the least sum of squares are sought. Readings whose length is odd, and
     changes that fit nothing, are left out.
     Raises FitError when the sensor was hardly turned, or the two disagree whatever the delay.
@@ -103,7 +105,11 @@ def magnetometer_against_gyro(t: Array, angular_rate: Array, field_t: Array, fie
         if np.max(np.abs(step)) < 1e-9:
             break
     still = float(np.sum(changes.change[used] ** 2))
-    if abs(x[0]) > LARGEST_DELAY or np.linalg.norm(x[1:]) > LARGEST_TURN or np.sum(residual[used] ** 2) > 0.5 * still:
+    if (
+        abs(x[0]) > LARGEST_DELAY
+        or np.linalg.norm(x[1:]) > LARGEST_TURN
+        or np.sum(residual[used] ** 2) > UNEXPLAINED * still
+    ):
         raise FitError("the field does not turn as the gyroscope says; are both in the same axes?")
     sigma = changes.sigma(J[used], residual[used], used, x, normal)
     return Against(float(x[0]), float(sigma[0]), x[1:], sigma[1:], int(used.sum()))
@@ -117,7 +123,7 @@ def _of_usual_length(field: Array) -> BoolArray:
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """Neighbouring readings of a field while it turned: start, end (K,) s, change and mean (K, 3), the first's index.
+    """Pairs of readings of a field while it turned: start, end (K,) s, change and mean (K, 3); first, first + stride.
 
     turned (N, 3): the integral of the angular rate until t (N,), exact there, because a sample is the mean over the
     interval that ends at its time.
@@ -128,20 +134,23 @@ class _Changes:
     change: Array
     mean: Array
     first: IntArray
+    stride: int
     t: Array
     turned: Array
 
     @staticmethod
     def of(t: Array, rate: Array, field_t: Array, field: Array) -> "_Changes":
         turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rate[1:] * np.diff(t)[:, None], axis=0)])
-        start, end, step = field_t[:-1], field_t[1:], np.diff(field_t)
-        inside = (start > t[0] + LARGEST_DELAY) & (end < t[-1] - LARGEST_DELAY) & (step < 3.0 * np.median(step))
+        stride = max(1, round(SPACING / float(np.median(np.diff(field_t)))))
+        start, end = field_t[:-stride], field_t[stride:]
+        step = end - start
+        inside = (start > t[0] + LARGEST_DELAY) & (end < t[-1] - LARGEST_DELAY) & (step < 1.5 * np.median(step))
         speed = np.linalg.norm(_between(start, end, t, turned), axis=1) / step
         chosen = np.flatnonzero(inside & (speed > TURNING))
         if len(chosen) < FEWEST_TURNING:
             raise FitError("the box was hardly turned, so no delay between gyroscope and magnetometer can be seen")
-        change, mean = np.diff(field, axis=0), 0.5 * (field[1:] + field[:-1])
-        return _Changes(start[chosen], end[chosen], change[chosen], mean[chosen], chosen, t, turned)
+        change, mean = field[stride:] - field[:-stride], 0.5 * (field[stride:] + field[:-stride])
+        return _Changes(start[chosen], end[chosen], change[chosen], mean[chosen], chosen, stride, t, turned)
 
     def turns(self, x: Array) -> Array:
         """Angle turned (K, 3) in the magnetometer's axes, by delay x[0] and turn x[1:]."""
@@ -154,11 +163,11 @@ class _Changes:
     def sigma(self, J: Array, residual: Array, used: BoolArray, x: Array, normal: Array) -> Array:
         """Sigmas (4,) when readings have white noise, which enters one change with plus and the next with minus."""
         turn, first = self.turns(x)[used], self.first[used]
-        weight = np.zeros((int(self.first[-1]) + 2, 3, 4))
+        weight = np.zeros((int(self.first[-1]) + self.stride + 1, 3, 4))
         for a in range(4):
             across = 0.5 * np.cross(J[:, :, a], turn)
             np.add.at(weight[:, :, a], first, across - J[:, :, a])
-            np.add.at(weight[:, :, a], first + 1, across + J[:, :, a])
+            np.add.at(weight[:, :, a], first + self.stride, across + J[:, :, a])
         noise = float(np.mean(residual**2)) / 2.0
         inverse = np.linalg.inv(normal)
         covariance = noise * inverse @ np.einsum("kia,kib->ab", weight, weight) @ inverse

@@ -20,7 +20,7 @@ from smoother.sim.scenario import ImuErrors, MagErrors
 from smoother.units import STANDARD_GRAVITY
 
 WARM_UP = 300.0  # s, time constant of a box that heats itself
-_FACES = np.concatenate([np.eye(3), -np.eye(3)])
+_FACES = np.concatenate([np.eye(3), -np.eye(3)])[[2, 0, 1, 5, 3, 4]]  # first as it stands on a bench
 _EDGES = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if abs(x) + abs(y) + abs(z) == 2]
 )
@@ -76,6 +76,8 @@ class BenchRecording:
     imu: RawImu
     mag: RawMag
     truth: BenchTruth
+    imu_errors: ImuErrors
+    errors: BenchErrors
     is_moved: np.ndarray
     gyro_bias: Array
     R_ns: Array
@@ -124,7 +126,8 @@ def simulate_bench(
         t, accel_counts, gyro_counts, accel_scale, gyro_scale, imu.accel_range, imu.gyro_range, np.round(temperature, 2)
     )
     truth = bench_truth(imu, mag, float(np.linalg.norm(field_n)))
-    return BenchRecording(raw, _field(path, mag, field_n, errors, mag_rng), truth, moved, bias, path.at(t))
+    field = _field(path, mag, field_n, errors, mag_rng)
+    return BenchRecording(raw, field, truth, imu, errors, moved, bias, path.at(t))
 
 
 def write_bench(recording: BenchRecording, directory: Path) -> None:

@@ -340,3 +340,22 @@ def test_real_recordings_give_their_published_ellipsoids(data_directory, folder,
     fit = fit_ellipsoid(np.stack([table[name] for name in ("mx", "my", "mz")], axis=1))
     np.testing.assert_allclose(fit.semi_axes, semi_axes, rtol=0.01)
     np.testing.assert_allclose(fit.centre, centre, atol=0.01 * np.mean(semi_axes))
+
+
+def test_a_box_at_rest_with_coarse_counts_is_no_huge_ellipsoid():
+    rng = np.random.default_rng(20)
+    points = np.round((np.array([1.2, -0.1, 9.8]) + 0.01 * rng.standard_normal((20000, 3))) / 0.01) * 0.01
+    points[:, 0] = np.round(1.2 + 0.001 * rng.standard_normal(20000), 2)
+    with pytest.raises(FitError):
+        fit_ellipsoid(points)
+
+
+def test_a_real_accelerometer_turned_slowly_gives_its_published_ellipsoid(data_directory):
+    path = data_directory / "calib_mpu6050_fullsphere" / "imu.csv"
+    if not path.exists():
+        pytest.skip("no calib_mpu6050_fullsphere")
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    fit = fit_ellipsoid(np.stack([table[name] for name in ("ax", "ay", "az")], axis=1) / 9.80665)
+    np.testing.assert_allclose(fit.semi_axes, (1.023, 1.012, 1.003), rtol=0.01)
+    # published for readings of gravity, which are minus the specific force in the file
+    np.testing.assert_allclose(-fit.centre, (0.016, 0.016, -0.021), atol=0.01)

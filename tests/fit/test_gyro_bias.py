@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import chi2
 
 from smoother.fit.ellipsoid import FitError
-from smoother.fit.gyro_bias import fit_gyro_bias, fit_gyro_bias_of_first
+from smoother.fit.gyro_bias import fit_gyro_bias, fit_gyro_bias_of_first, fit_temperature
 from smoother.units import DEG
 
 BIAS = np.array([3.0, -1.0, 58.0]) * DEG
@@ -61,3 +61,36 @@ def test_too_few_readings_at_rest_are_refused(at_rest):
     mask = np.arange(50) < at_rest
     with pytest.raises(FitError, match=f"{at_rest} gyro readings at rest are too few"):
         fit_gyro_bias(np.zeros((50, 3)), mask)
+
+
+def warming(rng, slope, count=100, sigma=1e-4):
+    temperature = 25.0 + 12.0 * (1.0 - np.exp(-np.arange(count) / 40.0))
+    rate = BIAS_AT_30 + (temperature - 30.0)[:, None] * slope + sigma * rng.standard_normal((count, 3))
+    return temperature, rate
+
+
+BIAS_AT_30 = np.array([0.02, -0.01, 0.005])
+
+
+def test_the_dependence_on_temperature_is_found_with_honest_sigmas():
+    rng, z = np.random.default_rng(7), []
+    for _ in range(40):
+        slope = rng.normal(0.0, 1e-3, 3)
+        fit = fit_temperature(*warming(rng, slope))
+        z.append(np.concatenate([(fit.slope - slope) / fit.slope_sigma, fit.at(np.array([30.0]))[0] - BIAS_AT_30]))
+        z[-1][3:] /= np.hypot(fit.bias_sigma, (30.0 - fit.temperature) * fit.slope_sigma)
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.2  # 240 values
+
+
+def test_a_temperature_that_was_not_seen_counts_as_the_nearest_that_was():
+    fit = fit_temperature(*warming(np.random.default_rng(8), np.full(3, 1e-3)))
+    np.testing.assert_array_equal(fit.at(np.array([80.0])), fit.at(np.array([fit.span[1]])))
+
+
+@pytest.mark.parametrize(
+    ("temperature", "says"),
+    [(np.full(100, 25.0), r"changed by only 0\.0 K"), (np.full(100, np.nan), "0 means at rest with a temperature")],
+)
+def test_without_a_change_of_temperature_nothing_is_said_of_it(temperature, says):
+    with pytest.raises(FitError, match=says):
+        fit_temperature(temperature, np.zeros((100, 3)))

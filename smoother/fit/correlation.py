@@ -1,0 +1,27 @@
+"""How much less a mean is worth because neighbouring residuals are alike."""
+
+import numpy as np
+
+from smoother.arrays import Array
+
+LONGEST_MEMORY = 200  # residuals
+SIGNIFICANT = 4.0  # sigmas of the autocorrelation of white noise
+
+
+def correlation_growth(residual: Array) -> float:
+    """Factor by which sigmas grow because neighbouring residuals (N,), in time order, are alike; 1 for white noise.
+
+    From the sum of autocorrelations up to the first that is not significant. Source: Geyer 1992, initial sequence.
+    """
+    n = len(residual)
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if n < 20 or power == 0.0:
+        return 1.0
+    total, limit = 0.0, SIGNIFICANT / np.sqrt(n)
+    for lag in range(1, min(LONGEST_MEMORY, n // 4)):
+        correlation = float(centred[lag:] @ centred[:-lag]) / power
+        if correlation < limit:
+            break
+        total += correlation
+    return float(np.sqrt(1.0 + 2.0 * total))
