@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import stack_usage
 
 HERE = Path(__file__).resolve().parent
+FATFS_CACHE = HERE.parent / "build" / "fatfs"
 FLASH_BYTES = 64 * 1024
 RAM_BYTES = 20 * 1024
 
@@ -87,9 +88,9 @@ def install(packages: list[str]) -> None:
             raise MissingError("cannot be installed here") from error
 
 
-def find_tools() -> None:
+def find_tools(tools: tuple[str, ...] = tuple(DEBIAN_PACKAGES)) -> None:
     """See to it that compiler and build tools are on the path."""
-    missing = [tool for tool in DEBIAN_PACKAGES if shutil.which(tool) is None]
+    missing = [tool for tool in tools if shutil.which(tool) is None]
     if not missing:
         return
     packages = [package for tool in missing for package in DEBIAN_PACKAGES[tool]]
@@ -181,7 +182,7 @@ def main() -> int:
     options = parser.parse_args()
     try:
         find_tools()
-        fatfs = options.fatfs or find_fatfs(options.out.parent / "fatfs")
+        fatfs = options.fatfs or find_fatfs(FATFS_CACHE)
         compile_image(options.out, Path(fatfs).resolve())
         is_kept = report(measure(options.out))
     except MissingError as error:

@@ -15,7 +15,7 @@
 #include "stream.h"
 
 enum {
-    APP_RING_BLOCKS = 27,            /* rides out 738 ms at 1 kHz: DESIGN.md section 3 */
+    APP_RING_BLOCKS = 28,            /* rides out 750 ms at 1 kHz: DESIGN.md section 3 */
     APP_SETUP_US = 5000000,          /* SETUP and CONFIG are repeated */
     APP_FLUSH_US = 1000000,          /* a block is written though not full */
     APP_IMU_SILENT_US = 200000,      /* no sample for so long: reset it */
@@ -62,6 +62,7 @@ typedef struct {
     /* card */
     uint64_t card_retry_us, card_lost_us, card_checked_us;
     uint8_t card_failures; /* in a row */
+    int card_lost_error;
     bool has_card_been_tried;
     uint16_t card_retries; /* of this recording */
 

@@ -11,17 +11,22 @@ void app_card_failed(app_t *app, uint64_t now_us)
         delay_us = (uint32_t)APP_CARD_RETRY_US << app->card_failures;
     if (app->card_failures == 0)
         app->card_lost_us = now_us;
-    if (app->card_failures == 1) /* not at the first: one that heals at once is a retry */
-        app_event(app, EVENT_CARD_LOST, (uint32_t)app->storage.card_error);
+    if (app->card_failures <= 1)
+        app->card_lost_error = app->storage.card_error;
     if (app->card_failures < UINT8_MAX)
         app->card_failures++;
     app->card_retry_us = now_us + delay_us;
 }
 
+/* The card takes blocks again. Only now is there room to say what happened: the ring was full meanwhile. */
 static void card_works(app_t *app, uint64_t now_us)
 {
-    if (app->card_failures > 1)
+    if (app->card_failures == 1)
+        app_event(app, EVENT_CARD_RETRY, (uint32_t)app->card_lost_error);
+    if (app->card_failures > 1) { /* one that heals at once is a retry */
+        app_event(app, EVENT_CARD_LOST, (uint32_t)app->card_lost_error);
         app_event(app, EVENT_CARD_BACK, (uint32_t)((now_us - app->card_lost_us) / 1000));
+    }
     app->card_failures = 0;
     app->card_checked_us = now_us;
 }
@@ -87,9 +92,7 @@ static void open_again(app_t *app, uint64_t now_us)
         if (app->storage.state != STORAGE_READY)
             return;
     }
-    if (storage_begin(&app->storage, app->session, app->is_calibration) == STORAGE_OK)
-        card_works(app, now_us);
-    else
+    if (storage_begin(&app->storage, app->session, app->is_calibration) != STORAGE_OK)
         app_card_failed(app, now_us);
 }
 
@@ -103,7 +106,6 @@ static void come_back(app_t *app, uint64_t now_us)
     const int result = storage_resume(&app->storage);
     if (app->card_retries < UINT16_MAX)
         app->card_retries++;
-    app_event(app, EVENT_CARD_RETRY, (uint32_t)app->storage.card_error);
     if (result == STORAGE_OK)
         return; /* card_failures is forgotten with the first block that is taken */
     if (result == STORAGE_OTHER)

@@ -12,7 +12,7 @@
 #include "records.h"
 
 enum {
-    SAMPLER_QUEUE = 16,          /* samples for the stream: 16 ms at 1 kHz; a power of two */
+    SAMPLER_QUEUE = 8,           /* samples for the stream: 8 ms at 1 kHz; a power of two */
     SAMPLER_MAG_STEP = 20        /* counts, 3 uT: the field must have turned so far for another point of calibration */
 };
 

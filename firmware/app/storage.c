@@ -263,6 +263,7 @@ int storage_begin(storage_t *storage, uint32_t session, bool is_calibration)
         return STORAGE_FULL;
     storage->session = session;
     storage->is_block_sent = false;
+    storage->next_block = 0;
     const int result = take_spare(storage, is_calibration);
     if (result == STORAGE_OK)
         storage->state = STORAGE_RECORDING;

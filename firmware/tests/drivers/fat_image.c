@@ -40,9 +40,8 @@ static layout_t find_layout(const sd_model_t *card)
 
 static uint32_t get_link(const sd_model_t *card, const layout_t *at, uint32_t copy, uint32_t cluster)
 {
-    uint8_t sector[S];
     const uint32_t byte = cluster * at->bits / 8;
-    sd_model_peek(card, at->fat + copy * at->fat_sectors + byte / S, sector);
+    const uint8_t *sector = sd_model_view(card, at->fat + copy * at->fat_sectors + byte / S);
     return at->bits == 32 ? u32(sector + byte % S) & 0x0FFFFFFF : u16(sector + byte % S);
 }
 
@@ -88,11 +87,14 @@ static void write_boot(sd_model_t *card, const fat_image_t *image, uint32_t fat_
         put32(boot + 36, fat_sectors);
         put32(boot + 44, 2);
         put16(boot + 48, 1);
+        put16(boot + 50, 6); /* and a copy of this sector there */
         boot[66] = 0x29;
         memcpy(boot + 71, "NO NAME    FAT32   ", 19);
     }
     put16(boot + 510, 0xAA55);
     sd_model_poke(card, PARTITION, boot);
+    if (image->bits == 32)
+        sd_model_poke(card, PARTITION + 6, boot);
 }
 
 static void write_fsinfo(sd_model_t *card, uint32_t free_clusters)
@@ -268,10 +270,9 @@ static void visit_for_check(void *context, const uint8_t *entry) { check_entry(c
 
 static void check_tables(check_t *check)
 {
-    uint8_t first[S], second[S];
     for (uint32_t i = 0; i < check->at.fat_sectors; i++) {
-        sd_model_peek(check->card, check->at.fat + i, first);
-        sd_model_peek(check->card, check->at.fat + check->at.fat_sectors + i, second);
+        const uint8_t *first = sd_model_view(check->card, check->at.fat + i);
+        const uint8_t *second = sd_model_view(check->card, check->at.fat + check->at.fat_sectors + i);
         if (memcmp(first, second, S) != 0)
             complain(check, "the two tables differ in sector", NULL, i);
     }

@@ -22,14 +22,31 @@ static uint8_t *sector_at(sd_model_t *card, uint32_t sector)
     return *page + at % SD_MODEL_PAGE;
 }
 
-void sd_model_peek(const sd_model_t *card, uint32_t sector, uint8_t *data)
+const uint8_t *sd_model_view(const sd_model_t *card, uint32_t sector)
 {
+    static const uint8_t empty[SD_MODEL_SECTOR];
     const size_t at = (size_t)sector * SD_MODEL_SECTOR;
     const uint8_t *page = card->pages[at / SD_MODEL_PAGE];
-    if (page)
-        memcpy(data, page + at % SD_MODEL_PAGE, SD_MODEL_SECTOR);
-    else
-        memset(data, 0, SD_MODEL_SECTOR);
+    return page ? page + at % SD_MODEL_PAGE : empty;
+}
+
+void sd_model_copy_medium(sd_model_t *card, const sd_model_t *from)
+{
+    for (size_t i = 0; i < page_count(card); i++) {
+        if (from->pages[i]) {
+            if (!card->pages[i])
+                card->pages[i] = malloc(SD_MODEL_PAGE);
+            memcpy(card->pages[i], from->pages[i], SD_MODEL_PAGE);
+        } else {
+            free(card->pages[i]);
+            card->pages[i] = NULL;
+        }
+    }
+}
+
+void sd_model_peek(const sd_model_t *card, uint32_t sector, uint8_t *data)
+{
+    memcpy(data, sd_model_view(card, sector), SD_MODEL_SECTOR);
 }
 
 void sd_model_poke(sd_model_t *card, uint32_t sector, const uint8_t *data)
@@ -104,16 +121,21 @@ static uint8_t sum7(const uint8_t *bytes, size_t length)
     return (uint8_t)(crc << 1 | 1);
 }
 
+/* A byte at a time, by a table that long division fills on first use. */
 static uint16_t sum16(const uint8_t *bytes, size_t length)
 {
-    uint32_t crc = 0;
-    for (size_t i = 0; i < 8 * length; i++) {
-        const uint32_t bit = (uint32_t)(bytes[i / 8] >> (7 - i % 8) & 1) ^ (crc >> 15 & 1);
-        crc = crc << 1 & 0xFFFF;
-        if (bit)
-            crc ^= 0x1021;
-    }
-    return (uint16_t)crc;
+    static uint16_t table[256];
+    if (!table[1])
+        for (uint32_t i = 0; i < 256; i++) {
+            uint32_t rest = i << 8;
+            for (int bit = 0; bit < 8; bit++)
+                rest = (rest << 1 ^ (rest & 0x8000 ? 0x1021 : 0)) & 0xFFFF;
+            table[i] = (uint16_t)rest;
+        }
+    uint16_t crc = 0;
+    for (size_t i = 0; i < length; i++)
+        crc = (uint16_t)(crc << 8 ^ table[crc >> 8 ^ bytes[i]]);
+    return crc;
 }
 
 /* ---- answers ---- */
@@ -206,6 +228,7 @@ static void go_idle(sd_model_t *card)
     card->is_ready = card->has_crc = false;
     card->start_polls = START_POLLS;
     card->busy_until_us = 0;
+    card->status = 0;
     card->is_waiting_for_token = card->is_receiving = false;
     say_byte(card, 0x01);
 }

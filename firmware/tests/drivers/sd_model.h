@@ -64,6 +64,8 @@ void sd_model_select(sd_model_t *card, bool is_selected);
 uint8_t sd_model_exchange(sd_model_t *card, uint8_t out);
 
 /* The medium, from outside. */
+const uint8_t *sd_model_view(const sd_model_t *card, uint32_t sector);
+void sd_model_copy_medium(sd_model_t *card, const sd_model_t *from); /* of the same size */
 void sd_model_peek(const sd_model_t *card, uint32_t sector, uint8_t *data);
 void sd_model_poke(sd_model_t *card, uint32_t sector, const uint8_t *data);
 int sd_model_save(const sd_model_t *card, const char *path);

@@ -133,7 +133,8 @@ static uint64_t now_us(void *context)
 
 static void sleep(void *context)
 {
-    sim_advance(context, 250);
+    sim_t *sim = context;
+    sim_advance(sim, sim->sleep_us);
 }
 
 static void wait(void *context)
@@ -325,6 +326,7 @@ void sim_init(sim_t *sim, sd_model_kind_t kind, uint32_t sectors)
     mpu_model_init(&sim->imu, &sim->now_us);
     neo_model_init(&sim->gps, &sim->now_us);
     sim->is_int_wired = true;
+    sim->sleep_us = 250;
     sim_reset(sim);
     sim->board = (board_t){
         .context = sim,

@@ -16,6 +16,7 @@ typedef struct {
     neo_model_t gps;
     board_t board;
 
+    uint32_t sleep_us; /* how long the board sleeps at most: 250 */
     bool is_int_wired;
     bool is_pressed, is_led_on;
     bool is_supply_low;

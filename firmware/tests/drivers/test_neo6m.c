@@ -1,0 +1,220 @@
+/* The receiver's driver against the model of the receiver. */
+#include <string.h>
+
+#include "check.h"
+#include "neo6m.h"
+#include "sim_board.h"
+
+static sim_t sim;
+static neo6m_t gps;
+static struct {
+    uint32_t sentences, intact, lost, configured, silent, baud, refused;
+    uint64_t last_us, worst_error_us;
+    char last[RECORD_GPS_LONGEST + 1];
+} seen;
+
+static void on_sentence(void *context, uint64_t time_us, const uint8_t *sentence, size_t length)
+{
+    (void)context;
+    seen.sentences++;
+    seen.intact += nmea_is_intact(sentence, length);
+    seen.last_us = time_us;
+    memcpy(seen.last, sentence, length);
+    seen.last[length] = '\0';
+}
+
+static void on_lost(void *context, uint64_t time_us, uint32_t sentences)
+{
+    (void)context;
+    (void)time_us;
+    seen.lost += sentences;
+}
+
+static void on_configured(void *context, uint32_t baud, uint32_t refused)
+{
+    (void)context;
+    seen.configured++;
+    seen.baud = baud;
+    seen.refused = refused;
+}
+
+static void on_silent(void *context, uint32_t silent_ms)
+{
+    (void)context;
+    CHECK(silent_ms >= 3000);
+    seen.silent++;
+}
+
+static const neo6m_events_t events = {
+    .on_sentence = on_sentence, .on_lost = on_lost, .on_configured = on_configured, .on_silent = on_silent};
+
+static void begin(void)
+{
+    sim_init(&sim, SD_MODEL_HC, 2048);
+    memset(&seen, 0, sizeof seen);
+}
+
+static void start(uint32_t baud)
+{
+    const neo6m_settings_t settings = {.baud = baud, .period_ms = 200};
+    neo6m_init(&gps, &sim.board.gps, &events, &settings, sim.now_us);
+}
+
+static void run(uint64_t duration_us)
+{
+    const uint64_t end_us = sim.now_us + duration_us;
+    while (sim.now_us < end_us) {
+        neo6m_step(&gps, sim.now_us);
+        sim_advance(&sim, 5000);
+    }
+}
+
+static void check_settings(uint32_t baud)
+{
+    static const bool wanted[8] = {[0] = true, [4] = true, [7] = true}; /* GGA, RMC, GST */
+    CHECK_EQUAL(gps.state, NEO6M_RUNNING);
+    CHECK_EQUAL(sim.gps.baud, baud);
+    CHECK_EQUAL(sim.gps.period_ms, 200);
+    CHECK_EQUAL(sim.gps.dynamic_model, 4);
+    CHECK_EQUAL(sim.gps.power_mode, 0);
+    CHECK(memcmp(sim.gps.messages, wanted, sizeof wanted) == 0);
+}
+
+static void test_receiver_is_configured_from_power_on_within_2_s(void)
+{
+    begin();
+    start(57600);
+    run(2000000);
+    check_settings(57600);
+    CHECK_EQUAL(seen.configured, 1);
+    CHECK_EQUAL(seen.refused, 0);
+    CHECK_EQUAL(seen.baud, 57600);
+    const uint32_t before = seen.sentences;
+    run(4000000);
+    CHECK(seen.sentences - before >= 58 && seen.sentences - before <= 62);
+    CHECK_EQUAL(seen.sentences, seen.intact);
+    CHECK_EQUAL(seen.lost, 0);
+    sim_free(&sim);
+}
+
+static void test_receiver_is_found_at_every_rate_it_may_have(void)
+{
+    static const uint32_t rates[] = {9600, 57600, 38400, 115200, 19200, 4800};
+    for (size_t i = 0; i < sizeof rates / sizeof *rates; i++) {
+        begin();
+        sim.gps.baud = rates[i];
+        start(115200);
+        run(20000000);
+        check_settings(115200);
+        sim_free(&sim);
+    }
+}
+
+/* A wire is missing: it talks, but nothing reaches it. */
+static void test_receiver_that_does_not_hear_is_logged_as_it_is(void)
+{
+    begin();
+    sim.gps.is_deaf = true;
+    start(57600);
+    run(10000000);
+    CHECK_EQUAL(gps.state, NEO6M_RUNNING);
+    CHECK_EQUAL(gps.baud, 9600);
+    CHECK_EQUAL(seen.refused, (1u << NEO6M_SETTINGS) - 1);
+    CHECK(seen.intact > 30);
+    CHECK(neo6m_is_working(&gps, sim.now_us));
+    sim_free(&sim);
+}
+
+static void test_refused_setting_is_told_and_the_rest_is_set(void)
+{
+    begin();
+    sim.gps.refuse_class_id = 0x0624; /* the dynamic model */
+    start(57600);
+    run(4000000);
+    CHECK_EQUAL(gps.state, NEO6M_RUNNING);
+    CHECK_EQUAL(seen.refused, 1u << 2);
+    CHECK_EQUAL(sim.gps.period_ms, 200);
+    CHECK(sim.gps.messages[7] && !sim.gps.messages[3]);
+    sim_free(&sim);
+}
+
+static void test_receiver_that_was_reset_alone_is_configured_again(void)
+{
+    begin();
+    start(57600);
+    run(3000000);
+    neo_model_power_cycle(&sim.gps);
+    run(8000000);
+    check_settings(57600);
+    CHECK_EQUAL(seen.silent, 1);
+    CHECK_EQUAL(seen.configured, 2);
+    sim_free(&sim);
+}
+
+static void test_absent_receiver_is_looked_for_without_end_or_waiting(void)
+{
+    begin();
+    sim.gps.is_absent = true;
+    start(57600);
+    for (int i = 0; i < 6000; i++) {
+        const uint64_t before_us = sim.now_us;
+        neo6m_step(&gps, sim.now_us);
+        CHECK_EQUAL(sim.now_us, before_us);
+        sim_advance(&sim, 5000);
+    }
+    CHECK(!neo6m_is_working(&gps, sim.now_us));
+    CHECK_EQUAL(seen.sentences, 0);
+    sim.gps.is_absent = false;
+    neo_model_power_cycle(&sim.gps);
+    run(25000000);
+    check_settings(57600);
+    sim_free(&sim);
+}
+
+static void test_noise_between_sentences_costs_none(void)
+{
+    begin();
+    sim.gps.chatter = 20;
+    start(57600);
+    run(3000000);
+    const uint32_t before = seen.intact;
+    run(4000000);
+    CHECK(seen.intact - before >= 58);
+    sim_free(&sim);
+}
+
+/* The epoch's first sentence begins when the model says so, to a byte time. */
+static void test_sentence_has_the_time_of_its_first_byte(void)
+{
+    begin();
+    start(57600);
+    run(3000000);
+    for (int i = 0; i < 20; i++) {
+        const uint64_t epoch_us = sim.gps.next_epoch_us;
+        while (sim.now_us < epoch_us + 100000)
+            run(5000);
+        /* GGA, RMC, GST: the last began after the two before, one byte time each */
+        const uint64_t bytes = (uint64_t)(2 * strlen(seen.last));
+        const uint64_t wanted_us = epoch_us + bytes * 10000000 / 57600;
+        CHECK(strncmp(seen.last, "$GPGST", 6) == 0);
+        CHECK(seen.last_us + 5200 > wanted_us && seen.last_us < wanted_us + 5200); /* the model begins when it is looked at */
+    }
+    sim_free(&sim);
+}
+
+#define TEST(name) {#name, test_##name}
+
+int main(int argc, char **argv)
+{
+    static const test_t tests[] = {
+        TEST(receiver_is_configured_from_power_on_within_2_s),
+        TEST(receiver_is_found_at_every_rate_it_may_have),
+        TEST(receiver_that_does_not_hear_is_logged_as_it_is),
+        TEST(refused_setting_is_told_and_the_rest_is_set),
+        TEST(receiver_that_was_reset_alone_is_configured_again),
+        TEST(absent_receiver_is_looked_for_without_end_or_waiting),
+        TEST(noise_between_sentences_costs_none),
+        TEST(sentence_has_the_time_of_its_first_byte),
+    };
+    return run_tests(tests, sizeof tests / sizeof *tests, argc, argv);
+}
