@@ -9,7 +9,7 @@ from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
 from smoother.laps.passages import Passage, find_passages, reasons
-from smoother.laps.path import PlanPath, plan_path
+from smoother.laps.path import PlanPath, in_gaps, plan_path
 from smoother.laps.reference import Curve
 from smoother.laps.results import (
     Corner,
@@ -69,10 +69,11 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
     errors, source = _errors(trajectory, fixes, options.drift)
     given = _Given(trajectory, plan_path(trajectory), fixes, options, errors)
-    circuit = find_circuit(given.path, options.lines, options.reference, options.shortest)
+    blind = in_gaps(given.path.t, fixes)
+    circuit = find_circuit(given.path, options.lines, options.reference, options.shortest, blind)
     if isinstance(circuit, Problem):
         return without_laps(trajectory, circuit)
-    passages = find_passages(given.path, circuit, fixes, _beside(trajectory))
+    passages = find_passages(given.path, circuit, blind, _beside(trajectory))
     if not any(passage.is_timed for passage in passages):
         none = Problem("no_laps", "no whole lap: the line was not passed twice")
         return _empty_circuit(without_laps(trajectory, *circuit.problems, none), circuit, passages, given)

@@ -37,19 +37,27 @@ class Circuit:
 
 
 def find_circuit(
-    path: PlanPath, lines: GivenLines | None, reference: ReferenceLine | None, shortest: float
+    path: PlanPath,
+    lines: GivenLines | None,
+    reference: ReferenceLine | None,
+    shortest: float,
+    blind: BoolArray | None = None,
 ) -> Circuit | Problem:
-    """Return the track, or the problem that says why there is none."""
+    """Return the track, or the problem that says why there is none.
+
+    shortest m: no lap is shorter. blind (N,): rows in holes of the fixes, which do not shape the line.
+    """
+    blind = np.zeros(len(path.t), dtype=np.bool_) if blind is None else blind
     if lines is not None and lines.finish is not None:
         return _point_to_point(path, lines, lines.finish, shortest)
     if reference is not None:
         curve = Curve(reference)
         followed = follow(path, curve)
     else:
-        first = _first_curve(path, lines, shortest)
+        first = _first_curve(path, lines, shortest, blind)
         if first is None:
             return _no_loop(lines)
-        curve, followed = _mean(path, first)
+        curve, followed = _mean(path, first, blind)
     if not followed.is_on.any():
         return Problem("no_loop", "the path never follows the reference line; no laps")
     return _with_lines(path, curve, followed, lines, keep_zero=reference is not None)
@@ -62,8 +70,8 @@ def _no_loop(lines: GivenLines | None) -> Problem:
     return Problem("no_laps", text)
 
 
-def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float) -> Curve | None:
-    loop = find_loop(path, shortest)
+def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float, blind: BoolArray) -> Curve | None:
+    loop = find_loop(path, shortest, blind)
     if loop is not None:
         return Curve(first_line(path, loop.start, loop.end))
     if lines is None:
@@ -93,11 +101,11 @@ def _both_ways(ends: Array) -> list[Array]:
     return [normal, -normal]
 
 
-def _mean(path: PlanPath, curve: Curve) -> tuple[Curve, Followed]:
+def _mean(path: PlanPath, curve: Curve, blind: BoolArray) -> tuple[Curve, Followed]:
     """Move the line to the mean of the laps."""
     followed = follow(path, curve)
     for _ in range(MEANS):
-        lateral, up = laps_on_line(path, curve, followed)
+        lateral, up = laps_on_line(path, curve, followed, blind)
         if len(lateral) < 2:
             break
         moved = Curve(mean_line(curve.line, lateral, up))
@@ -105,8 +113,11 @@ def _mean(path: PlanPath, curve: Curve) -> tuple[Curve, Followed]:
     return curve, followed
 
 
-def laps_on_line(path: PlanPath, curve: Curve, followed: Followed) -> tuple[Array, Array]:
-    """Offset to the left and height (L, P) m, at the line's points, of laps driven at a usual pace and in full."""
+def laps_on_line(path: PlanPath, curve: Curve, followed: Followed, blind: BoolArray) -> tuple[Array, Array]:
+    """Offset to the left and height (L, P) m, at the line's points, of laps driven at a usual pace and in full.
+
+    NaN in holes of the fixes, rows `blind` (N,), where the path is a guess.
+    """
     numbers, pace, rows = [], [], []
     lap = np.floor(followed.distance / curve.length)
     for number in np.unique(lap[followed.is_on]):
@@ -127,6 +138,7 @@ def laps_on_line(path: PlanPath, curve: Curve, followed: Followed) -> tuple[Arra
         inside = (at >= within[0]) & (at <= within[-1])
         lateral[i, inside] = np.interp(at[inside], within, followed.lateral[on])
         up[i, inside] = np.interp(at[inside], within, path.up[on])
+        lateral[i, np.interp(at, within, blind[on].astype(np.float64)) > 0.0] = np.nan
     kept = np.isfinite(lateral).any(axis=1)
     lateral, up = lateral[kept], up[kept]
     if len(lateral) > 2:
@@ -230,8 +242,3 @@ def _point_to_point(path: PlanPath, lines: GivenLines, finish: Array, shortest: 
     start = oriented("start", lines.start, ends[0], lines.source, 0.0)
     end = oriented("finish", finish, ends[1], lines.source, curve.length)
     return Circuit(curve, followed, start, _given_sectors(curve, lines, problems), end, tuple(problems))
-
-
-def on_track(followed: Followed, rows: np.ndarray) -> BoolArray:
-    """Whether the kart is on the line at these rows."""
-    return np.asarray(followed.is_on[rows])

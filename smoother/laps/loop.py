@@ -20,7 +20,7 @@ LONGEST_LAP = 30_000.0  # m
 BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
 SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
 REPEATING = 0.3  # least share of the path that must repeat for a loop to be one
-NEARLY_ALL = 0.7  # of the best share: a shorter loop that repeats as well is preferred to a multiple of it
+COMPARABLE = 0.5  # of the distance after which most repeats: a shorter one that repeats as well is the lap
 LEAST_REPEAT = 40.0  # m of path that must repeat
 
 
@@ -33,9 +33,14 @@ class Loop:
     end: float
 
 
-def find_loop(path: PlanPath, shortest: float) -> Loop | None:
-    """Return the loop that the path repeats, None where it does not come back. `shortest` m: no lap is shorter."""
+def find_loop(path: PlanPath, shortest: float, blind: BoolArray | None = None) -> Loop | None:
+    """Return the loop that the path repeats, None where it does not come back.
+
+    shortest m: no lap is shorter. blind (N,): rows in holes of the fixes, where the path is a guess.
+    """
+    blind = np.zeros(len(path.t), dtype=np.bool_) if blind is None else blind
     row = _places(path)
+    row = row[~blind[row]]
     if len(row) < 8:
         return None
     driven = path.driven[row]
@@ -43,7 +48,7 @@ def find_loop(path: PlanPath, shortest: float) -> Loop | None:
     if len(again[0]) == 0:
         return None
     length = _lap_length(driven, *again)
-    return None if length is None else _quickest(path, row, length, *again)
+    return None if length is None else _quickest(path, row, length, blind, *again)
 
 
 def _places(path: PlanPath) -> IntArray:
@@ -85,16 +90,17 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     hit = np.zeros((len(places), bins), dtype=np.bool_)
     hit[column, (apart / BIN).astype(np.int64)] = True
     step = driven[-1] / max(1, min(MOST_PLACES, len(driven)) - 1)
-    share = np.zeros(bins)
+    covered, share = np.zeros(bins), np.zeros(bins)
     for b in np.flatnonzero(hit.any(axis=0)):
         width = max(1, round(SLACK * b))
-        covered = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
-        possible = driven[-1] - (b + 0.5) * BIN
-        share[b] = covered / max(possible, covered, LEAST_REPEAT)
-    best = float(share.max())
-    if best < REPEATING:
+        covered[b] = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
+        possible = driven[-1] - driven[0] - (b + 0.5) * BIN
+        share[b] = covered[b] / max(possible, covered[b], LEAST_REPEAT)
+    usable = np.where(share >= REPEATING, covered, 0.0)
+    best = int(np.argmax(usable))
+    if usable[best] == 0.0:
         return None
-    first = int(np.flatnonzero(share >= NEARLY_ALL * best)[0])
+    first = int(np.flatnonzero((usable >= COMPARABLE * usable[best]) & (share >= COMPARABLE * share[best]))[0])
     near = _around(apart, first)
     return float(np.median(apart[near]))
 
@@ -104,15 +110,17 @@ def _around(apart: Array, b: int) -> BoolArray:
     return np.asarray(np.abs(apart - centre) < max(1.5 * BIN, 2.0 * SLACK * centre))
 
 
-def _quickest(path: PlanPath, row: IntArray, length: float, i: IntArray, j: IntArray) -> Loop | None:
-    """The quickest of the passages of about one lap: without stops, pits and excursions."""
+def _quickest(path: PlanPath, row: IntArray, length: float, blind: BoolArray, i: IntArray, j: IntArray) -> Loop | None:
+    """The quickest of the passages of about one lap with the fewest holes: without stops, pits and excursions."""
     apart = path.driven[row[j]] - path.driven[row[i]]
     one = np.abs(apart - length) < max(1.5 * BIN, 1.5 * SLACK * length)
     if not one.any():
         return None
     i, j, apart = i[one], j[one], apart[one]
     pace = (path.t[row[j]] - path.t[row[i]]) / apart  # per metre, as the ends of the pairs are metres apart
-    k = int(np.argmin(pace))
+    guessed = np.concatenate([[0.0], np.cumsum(blind[1:] * np.diff(path.t))])
+    hole = guessed[row[j]] - guessed[row[i]]
+    k = int(np.argmin(np.where(hole <= hole.min() + 1e-9, pace, np.inf)))
     start = row[i[k]]
     end = _nearest_return(path, int(start), int(row[j[k]]))
     return Loop(float(path.driven[end] - path.driven[start]), float(path.t[start]), float(path.t[end]))

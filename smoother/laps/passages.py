@@ -6,7 +6,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.laps.circuit import Circuit
-from smoother.laps.path import PlanPath
+from smoother.laps.path import PlanPath, in_gaps
 from smoother.laps.results import FixPath, Reason
 from smoother.laps.timing import Crossings, crossings, gate_crossings
 from smoother.trajectory import Trajectory
@@ -17,7 +17,6 @@ OFF_FOR = 1.0  # s away from the line
 PIT_FOR = 15.0  # s away from the line: longer than any excursion that one drives back from at once
 PIT_SPEED = 0.5  # of the usual speed: who is off the track and slower is in the pits or the gravel
 RUN_OFF = 8.0  # m beside the mean line, beyond what the GPS may be wrong: the track is not wider
-GAP = 2.0  # s without fixes
 BRIDGED = 3.0  # m, sigma of the line up to which the inertial sensor has bridged a gap
 SHORTER = 0.93  # of the lap's length, driven: less is a short cut
 
@@ -40,14 +39,13 @@ class Passage:
         return self.starts_at_line and self.ends_at_line
 
 
-def find_passages(path: PlanPath, circuit: Circuit, fixes: FixPath, beside: float) -> tuple[Passage, ...]:
+def find_passages(path: PlanPath, circuit: Circuit, blind: BoolArray, beside: float) -> tuple[Passage, ...]:
     """Return all laps in time order, with what was driven before the first crossing and after the last.
 
-    beside m: how far beyond the ends of a line its passage may seem to lie.
+    blind (N,): rows in holes of the fixes. beside m: how far beyond the ends of a line its passage may seem to lie.
     """
     if circuit.finish_line is not None:
         return _runs(path, circuit, beside)
-    blind = in_gaps(path.t, fixes)
     found = crossings(path, circuit.followed, circuit.curve.length, circuit.start_line, beside, blind)
     return _laps(path, found, circuit.curve.length)
 
@@ -137,15 +135,6 @@ def _runs_of(mask: BoolArray, t: Array, shortest: float) -> list[tuple[int, int]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     pairs = zip(edges[::2], edges[1::2] - 1, strict=True)
     return [(int(a), int(b)) for a, b in pairs if t[b] - t[a] >= shortest]
-
-
-def in_gaps(t: Array, fixes: FixPath) -> BoolArray:
-    """Mask (N,) of times t (N,) s in a hole of the fixes."""
-    before = np.flatnonzero(np.diff(fixes.t) > GAP)
-    inside = np.zeros(len(t), dtype=np.bool_)
-    for i in before:
-        inside |= (t > fixes.t[i]) & (t < fixes.t[i + 1])
-    return inside
 
 
 def _is_blind(trajectory: Trajectory, rows: np.ndarray, in_gap: BoolArray) -> bool:

@@ -5,10 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray, frozen
+from smoother.arrays import Array, BoolArray, IntArray, frozen
 from smoother.fit.running import local_polynomial
+from smoother.laps.results import FixPath
 from smoother.trajectory import Trajectory
 
+GAP = 2.0  # s without fixes, after which nobody knows where a kart is that has no inertial sensor
 STANDING = 1.0  # m/s; below, distance is the wander of the GPS and not counted
 SMOOTHED_OVER = 0.5  # s, of the cubics that give acceleration where there is no inertial sensor
 
@@ -84,3 +86,12 @@ def _from_velocity(path: PlanPath) -> Array:
     if len(path.t) < window:
         return np.gradient(path.velocity_n, path.t, axis=0) if len(path.t) > 1 else np.zeros((len(path.t), 2))
     return local_polynomial(path.velocity_n, window, 3, derivative=1, step=step)
+
+
+def in_gaps(t: Array, fixes: FixPath) -> BoolArray:
+    """Mask (N,) of times t (N,) s in a hole of the fixes."""
+    before = np.flatnonzero(np.diff(fixes.t) > GAP)
+    inside = np.zeros(len(t), dtype=np.bool_)
+    for i in before:
+        inside |= (t > fixes.t[i]) & (t < fixes.t[i + 1])
+    return inside
