@@ -13,7 +13,17 @@ EXCEPTION_FRAME = 8 * 4 + 4  # eight words, and one more where the stack has to 
 
 # Functions called through pointers, by the file the call stands in. Functions are named "file.c:function".
 CARD_BUS = ["port/card.c:" + name for name in ("select_card", "set_fast", "exchange", "start", "is_done", "now_us")]
-BOARD_ITSELF = ["now_us", "lock", "unlock", "is_supply_low", "feed_watchdog", "sleep", "restart", "set_mark"]
+BOARD_ITSELF = [
+    "now_us",
+    "lock",
+    "unlock",
+    "is_supply_low",
+    "feed_watchdog",
+    "sleep",
+    "restart",
+    "set_mark",
+    "stack_free",
+]
 BOARD_IMU = ["start_sampling", "stop_sampling", "is_sampling_on_pin"]
 BOARD = ["port/board.c:" + name for name in (*BOARD_ITSELF, "set_idle")]
 BOARD += ["port/imu.c:" + name for name in BOARD_IMU] + ["port/uart.c:set_baud"]

@@ -140,10 +140,11 @@ static void report(app_t *app, uint64_t now_us)
     if (now_us - app->report_us < REPORT_US)
         return;
     app->report_us = now_us;
-    (void)serial_print(app->board->serial, "%u s: state %u, %u samples, %u lost, block %u, busy %u us\n",
+    (void)serial_print(app->board->serial, "%u s: state %u, %u samples, %u lost, block %u, busy %u us, stack %u free\n",
                        (unsigned)(now_us / 1000000), (unsigned)app->logger.state, (unsigned)app->sampler.samples,
                        (unsigned)app->writer.imu_lost, (unsigned)app->storage.next_block,
-                       (unsigned)app->storage.card.longest_busy_us);
+                       (unsigned)app->storage.card.longest_busy_us,
+                       (unsigned)app->board->stack_free(app->board->context));
 }
 
 void app_init(app_t *app, const board_t *board)

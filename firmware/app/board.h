@@ -44,6 +44,7 @@ typedef struct {
     void (*restart)(void *context);
     /* A number that survives a reset, for finding out where the watchdog bit. */
     void (*set_mark)(void *context, uint16_t mark);
+    uint32_t (*stack_free)(void *context); /* bytes never used since reset */
 
     uint16_t mark_before_reset;
     uint8_t reset_cause; /* bits 31:24 of RCC_CSR */

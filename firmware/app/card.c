@@ -1,8 +1,6 @@
 /* The card: opening, moving blocks, coming back after errors. */
 #include "app.h"
 
-#include <string.h>
-
 /* What is done with a failure depends on how many there were in a row. */
 void app_card_failed(app_t *app, uint64_t now_us)
 {
@@ -52,12 +50,11 @@ static void read_config(app_t *app)
     const int result = storage_read_file(&app->storage, "CONFIG.TXT", text, CONFIG_FILE_LONGEST + 1, &length);
     if (result != STORAGE_OK)
         return;
-    const config_t before = app->config;
     app->has_config_file = true;
     app->config_result = config_parse(&app->config, text, length);
     (void)serial_print(app->board->serial, "CONFIG.TXT: flaw %u in line %u\n", (unsigned)app->config_result.flaw,
                        (unsigned)app->config_result.line);
-    if (memcmp(&before, &app->config, sizeof before) != 0)
+    if (app->config_result.flaw == CONFIG_FINE)
         apply_config(app);
 }
 

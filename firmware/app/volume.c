@@ -300,9 +300,9 @@ static bool read_entry(const uint8_t *entry, file_t *file)
 /* Look at the entries of the loaded sector. VOLUME_NOT_FOUND: the directory ends here. */
 static int visit_sector(volume_t *volume, uint32_t sector, int (*visit)(void *, const file_t *), void *context)
 {
-    for (uint16_t offset = 0; offset < SD_SECTOR; offset += ENTRY) {
+    for (uint32_t offset = 0; offset < SD_SECTOR; offset += ENTRY) {
         const uint8_t *entry = volume->fs.win + offset;
-        file_t file = {.sector = sector, .offset = offset};
+        file_t file = {.sector = sector, .offset = (uint16_t)offset};
         if (entry[0] == FREE_FROM_HERE)
             return VOLUME_NOT_FOUND;
         if (entry[0] == FREE_ENTRY || !read_entry(entry, &file))

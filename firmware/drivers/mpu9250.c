@@ -288,7 +288,7 @@ void mpu9250_decode(const uint8_t burst[MPU9250_BURST], mpu9250_sample_t *sample
     const uint8_t *status = burst + 1, *accel = burst + 2, *gyro = burst + 10, *mag = burst + 16;
     sample->has_data = (*status & INT_RAW_READY) != 0 && *status != 0xFF; /* FF: nobody drives the line */
     sample->temperature = big_endian(burst + 8);
-    for (int i = 0; i < 3; i++) {
+    for (size_t i = 0; i < 3; i++) {
         sample->accel[i] = big_endian(accel + 2 * i);
         sample->gyro[i] = big_endian(gyro + 2 * i);
         sample->mag[i] = little_endian(mag + 1 + 2 * i); /* the AK8963 sends the low byte first */
@@ -301,7 +301,7 @@ void mpu9250_decode(const uint8_t burst[MPU9250_BURST], mpu9250_sample_t *sample
 bool mpu9250_is_frozen(mpu9250_watch_t *watch, const mpu9250_sample_t *sample)
 {
     bool is_equal = true;
-    for (int i = 0; i < 3; i++) {
+    for (size_t i = 0; i < 3; i++) {
         is_equal = is_equal && watch->last[i] == sample->accel[i] && watch->last[3 + i] == sample->gyro[i];
         watch->last[i] = sample->accel[i];
         watch->last[3 + i] = sample->gyro[i];
@@ -331,12 +331,12 @@ static int average(const mpu9250_bus_t *bus, int32_t means[6])
         const int result = read_registers(bus, REG_INT_STATUS + 1, bytes, sizeof bytes);
         if (result != MPU9250_OK)
             return result;
-        for (int i = 0; i < 3; i++) {
+        for (size_t i = 0; i < 3; i++) {
             sums[i] += big_endian(bytes + 2 * i);
             sums[3 + i] += big_endian(bytes + 8 + 2 * i);
         }
     }
-    for (int i = 0; i < 6; i++)
+    for (size_t i = 0; i < 6; i++)
         means[i] = sums[i] / TEST_SAMPLES;
     return MPU9250_OK;
 }
@@ -350,7 +350,7 @@ static int32_t factory_response(uint8_t code)
     return (int32_t)(response >> 10);
 }
 
-static bool has_axis_passed(int axis, int32_t response, uint8_t code)
+static bool has_axis_passed(size_t axis, int32_t response, uint8_t code)
 {
     const bool is_gyro = axis >= 3;
     const int32_t size = response < 0 ? -response : response;
@@ -382,7 +382,7 @@ int mpu9250_self_test(const mpu9250_bus_t *bus, mpu9250_self_test_t *test)
     if (result == MPU9250_OK)
         result = read_registers(bus, REG_SELF_TEST_GYRO, test->factory_code + 3, 3);
     test->passed = 0;
-    for (int i = 0; i < 6 && result == MPU9250_OK; i++) {
+    for (size_t i = 0; i < 6 && result == MPU9250_OK; i++) {
         const int32_t response = pushed[i] - rest[i];
         test->response[i] = (int16_t)(response > 32767 ? 32767 : response < -32768 ? -32768 : response);
         if (has_axis_passed(i, response, test->factory_code[i]))

@@ -41,7 +41,7 @@ static void put_char(line_t *line, char c)
 {
     /* FORMAT.md 7: text between frames is ASCII */
     if (line->length < sizeof line->text)
-        line->text[line->length++] = (unsigned char)c < 0x80 ? c : '?';
+        line->text[line->length++] = (char)((unsigned char)c < 0x80 ? c : '?');
 }
 
 static void put_text(line_t *line, const char *text)

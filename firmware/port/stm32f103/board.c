@@ -113,6 +113,17 @@ static void set_mark(void *context, uint16_t mark)
     BKP->DR[MARK] = mark;
 }
 
+extern const uint32_t _stack_bottom[], _stack_top[];
+
+static uint32_t stack_free(void *context)
+{
+    (void)context;
+    const uint32_t *word = _stack_bottom;
+    while (word < _stack_top && *word == STACK_PAINT)
+        word++;
+    return (uint32_t)(word - _stack_bottom) * sizeof *word;
+}
+
 static void panel_pins_init(void)
 {
     GPIOC->BSRR = 1u << LED_PIN;
@@ -166,6 +177,7 @@ const board_t *board_init(void)
     board.sleep = sleep;
     board.restart = restart;
     board.set_mark = set_mark;
+    board.stack_free = stack_free;
     board.set_idle = set_idle;
     card_init(&board);
     board.card.wait = wait;
@@ -177,14 +189,4 @@ const board_t *board_init(void)
     if (!clocks.has_crystal)
         (void)serial_print(board.serial, "crystal does not start: internal oscillator\n");
     return &board;
-}
-
-extern const uint32_t _stack_bottom[], _stack_top[];
-
-uint32_t board_stack_free(void)
-{
-    const uint32_t *word = _stack_bottom;
-    while (word < _stack_top && *word == 0xC0FFEE11u)
-        word++;
-    return (uint32_t)(word - _stack_bottom) * 4;
 }

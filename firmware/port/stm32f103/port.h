@@ -12,7 +12,6 @@
 enum {
     PRIORITY_SAMPLING = 1, /* timer, IMU pin, IMU DMA: one level, so that they never run within each other */
     PRIORITY_GPS = 2,
-    PRIORITY_SUPPLY = 2,
     PRIORITY_CARD = 3,
     PRIORITY_SERIAL = 5,
 };
@@ -56,6 +55,8 @@ void uart_init(board_t *board, uint32_t apb2_hz);
 
 /* board.c: everything. Never fails: what does not work says so when it is used. */
 const board_t *board_init(void);
-uint32_t board_stack_free(void); /* bytes of stack never used since reset */
+
+/* startup.c writes this over the stack; what is still there was never used. */
+#define STACK_PAINT 0xC0FFEE11u
 
 #endif

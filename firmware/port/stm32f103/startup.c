@@ -1,5 +1,5 @@
 /* Vector table, and what happens before main(): .data is copied, .bss cleared, the free stack painted. */
-#include "stm32f103.h"
+#include "port.h"
 
 extern uint32_t _stack_bottom[], _stack_top[], _data_start[], _data_end[], _bss_start[], _bss_end[];
 extern const uint32_t _data_load[];
@@ -7,9 +7,6 @@ extern const uint32_t _data_load[];
 int main(void);
 void Reset_Handler(void);
 void Fault_Handler(void);
-
-/* Written over the stack at reset; what is still there at the end was never used (board_stack_free). */
-#define STACK_PAINT 0xC0FFEE11u
 
 void Reset_Handler(void)
 {
@@ -35,23 +32,37 @@ void Fault_Handler(void)
     }
 }
 
-#define WEAK __attribute__((weak, alias("Fault_Handler")))
-void PVD_IRQHandler(void) WEAK;
-void EXTI0_IRQHandler(void) WEAK;
-void DMA1_Channel2_IRQHandler(void) WEAK;
-void DMA1_Channel4_IRQHandler(void) WEAK;
-void DMA1_Channel6_IRQHandler(void) WEAK;
-void TIM2_IRQHandler(void) WEAK;
-void USART1_IRQHandler(void) WEAK;
-void USART2_IRQHandler(void) WEAK;
+void EXTI0_IRQHandler(void);
+void DMA1_Channel2_IRQHandler(void);
+void DMA1_Channel4_IRQHandler(void);
+void DMA1_Channel6_IRQHandler(void);
+void TIM2_IRQHandler(void);
+void USART1_IRQHandler(void);
+void USART2_IRQHandler(void);
 
 typedef union {
     void (*handler)(void);
     const void *stack;
 } vector_t;
 
-__attribute__((section(".vectors"), used)) static const vector_t vectors[16 + IRQ_COUNT] = {
+enum { AT = 16 }; /* the core's own exceptions come first */
+#define UNUSED {.handler = Fault_Handler}
+
+__attribute__((section(".vectors"), used)) static const vector_t vectors[AT + IRQ_COUNT] = {
     [0] = {.stack = _stack_top},
     [1] = {.handler = Reset_Handler},
-    [2 ... 15 + IRQ_COUNT] = {.handler = Fault_Handler},
+    [2 ... AT + IRQ_EXTI0 - 1] = UNUSED,
+    [AT + IRQ_EXTI0] = {.handler = EXTI0_IRQHandler},
+    [AT + IRQ_EXTI0 + 1 ... AT + IRQ_DMA1_CHANNEL2 - 1] = UNUSED,
+    [AT + IRQ_DMA1_CHANNEL2] = {.handler = DMA1_Channel2_IRQHandler},
+    [AT + IRQ_DMA1_CHANNEL2 + 1] = UNUSED,
+    [AT + IRQ_DMA1_CHANNEL4] = {.handler = DMA1_Channel4_IRQHandler},
+    [AT + IRQ_DMA1_CHANNEL4 + 1] = UNUSED,
+    [AT + IRQ_DMA1_CHANNEL6] = {.handler = DMA1_Channel6_IRQHandler},
+    [AT + IRQ_DMA1_CHANNEL6 + 1 ... AT + IRQ_TIM2 - 1] = UNUSED,
+    [AT + IRQ_TIM2] = {.handler = TIM2_IRQHandler},
+    [AT + IRQ_TIM2 + 1 ... AT + IRQ_USART1 - 1] = UNUSED,
+    [AT + IRQ_USART1] = {.handler = USART1_IRQHandler},
+    [AT + IRQ_USART2] = {.handler = USART2_IRQHandler},
+    [AT + IRQ_USART2 + 1 ... AT + IRQ_COUNT - 1] = UNUSED,
 };

@@ -88,7 +88,6 @@ typedef struct {
 } exti_t;
 #define EXTI ((exti_t *)0x40010400u)
 #define EXTI_LINE0 (1u << 0)
-#define EXTI_LINE_PVD (1u << 16)
 
 /* ---- DMA, RM0008 section 13 ---- */
 typedef struct {
@@ -193,7 +192,6 @@ typedef struct {
 
 /* interrupt numbers, RM0008 table 63 */
 enum {
-    IRQ_PVD = 1,
     IRQ_EXTI0 = 6,
     IRQ_DMA1_CHANNEL2 = 12,
     IRQ_DMA1_CHANNEL4 = 14,

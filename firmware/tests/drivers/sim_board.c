@@ -286,6 +286,12 @@ static void set_mark(void *context, uint16_t mark)
     sim->mark = mark;
 }
 
+static uint32_t stack_free(void *context)
+{
+    (void)context;
+    return 0;
+}
+
 static void kick(void *context)
 {
     (void)context;
@@ -355,6 +361,7 @@ void sim_init(sim_t *sim, sd_model_kind_t kind, uint32_t sectors)
         .sleep = sleep,
         .restart = restart,
         .set_mark = set_mark,
+        .stack_free = stack_free,
         .boot_number = 1,
         .device = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12},
     };
