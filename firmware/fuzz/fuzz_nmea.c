@@ -5,7 +5,7 @@
 #include "nmea.h"
 #include "ubx.h"
 
-static const char good[] = "$GPTXT,fuzz*07\r\n";
+static const char good[] = "$GPTXT,fuzz*70\r\n";
 
 static void check_sentence(const nmea_framer_t *framer, size_t length)
 {

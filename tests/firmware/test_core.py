@@ -33,7 +33,7 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 DATA = Path(__file__).resolve().parents[1] / "data"
 SUITES = sorted(path.stem.removeprefix("test_") for path in (FIRMWARE / "tests" / "core").glob("test_*.c"))
 SUITES += ["led"]  # beside the button in one file
-WARNINGS = ("-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+WARNINGS = ("-std=c11", "-g", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wstrict-prototypes", "-Werror")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 FUZZ_RUNS = 30_000
 SESSION = 4711

@@ -32,7 +32,9 @@ static void presses(void)
     CHECK_EQUAL(hold(&button, false, &now_us, 1000000, &count), GESTURE_DOUBLE);
     CHECK_EQUAL(hold(&button, true, &now_us, 5000000, &count), GESTURE_LONG);
     CHECK_EQUAL(hold(&button, false, &now_us, 1000000, &count), GESTURE_NONE);
-    CHECK_EQUAL(count, 3);
+    CHECK_EQUAL(hold(&button, true, &now_us, 200000, &count), GESTURE_NONE);
+    CHECK_EQUAL(hold(&button, false, &now_us, 1000000, &count), GESTURE_SHORT);
+    CHECK_EQUAL(count, 4);
 }
 
 static void bouncing(void)

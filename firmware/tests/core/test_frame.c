@@ -86,7 +86,7 @@ static void any_cut(void)
     put_samples(&frame, 1, 2);
     const size_t length = frame_finish(&frame);
     for (size_t there = 0; there < length; there++) {
-        frame_find(frame.bytes, there, &view);
+        CHECK_EQUAL(frame_find(frame.bytes, there, &view), 0); /* more is needed, and nothing is dropped */
         CHECK_EQUAL(view.length, 0);
     }
     for (size_t i = 0; i < length; i++) {
@@ -97,9 +97,21 @@ static void any_cut(void)
     }
 }
 
+static void impossible_lengths(void)
+{
+    uint8_t bytes[FRAME_LONGEST] = {FRAME_SYNC_0, FRAME_SYNC_1};
+    frame_view_t view;
+    for (unsigned records = 0; records < 256; records++) {
+        bytes[2] = (uint8_t)records;
+        const bool is_possible = records > 0 && records <= FRAME_CAPACITY;
+        CHECK_EQUAL(frame_find(bytes, 3, &view), is_possible ? 0 : 1);
+    }
+}
+
 const suite_t frame_suite = {"frame",
                              (const test_t[]){{"a frame comes back from its bytes", round_trip},
                                               {"what does not fit is refused", limits},
                                               {"frames are found between text", resynchronise},
                                               {"a cut or damaged frame is none", any_cut},
+                                              {"a length no frame has is no frame", impossible_lengths},
                                               {0}}};

@@ -86,7 +86,12 @@ static bool is_intact(const char *text)
 static void checksums(void)
 {
     CHECK(is_intact(good));
-    CHECK(is_intact("$GPTXT,a*1b\n") == is_intact("$GPTXT,a*1B\n"));
+    CHECK(is_intact("$GPTXT,fuzz*70\r\n"));
+    const char *const digits[] = {"$GPTXT,I*2A", "$GPTXT,I*2a", "$GPTXT,M*2E", "$GPTXT,M*2e", "$GPTXT,L*2F", "$GPTXT,L*2f"};
+    for (size_t i = 0; i < sizeof digits / sizeof *digits; i++) {
+        CHECK(is_intact(digits[i]));
+    }
+    CHECK(!is_intact("$GPTXT,D*2G") && !is_intact("$GPTXT,D*2g") && !is_intact("$GPTXT,I*2:") && !is_intact("$GPTXT,I*2@"));
     char text[sizeof good];
     for (size_t i = 0; i < strlen(good) - 2; i++) {
         memcpy(text, good, sizeof good);
