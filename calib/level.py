@@ -188,7 +188,7 @@ def _remarks(
 
 def _drawing(recording: Recording, calibration: Calibration, R_ns: Array, rest: RestingPosition) -> dict[str, Any]:
     assert recording.imu is not None
-    i, j = np.searchsorted(recording.imu.t, [rest.start - 2.0, rest.end + 2.0])
+    i, j = np.searchsorted(recording.imu.t, [rest.start, rest.end])
     rows = slice(int(i), int(j), max(1, int(j - i) // DRAWN))
     force = recording.calibrated(calibration)[0][rows]
     before = recording.force[rows]
