@@ -189,7 +189,7 @@ def _corner(
         radius=1.0 / abs(bend.curvature),
         segment=(float(bounds[i]), float(bounds[i + 1])),
         entry_speed=ends[:, 0],
-        min_speed=lowest,
+        min_speed=np.minimum(lowest, ends.min(axis=1)),
         exit_speed=ends[:, 1],
         speed_sigma=_speed_sigma(traces, trajectory, inside),
         braking_point=braking,

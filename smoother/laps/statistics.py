@@ -12,6 +12,7 @@ from smoother.laps.sigma import sigma_of, time_covariance
 from smoother.trajectory import JointPosition
 
 TENTH = 0.1  # s
+ALIKE = 0.1  # s of difference that two times of one lap may well have
 SAME_LAP = 1.5  # s of difference at most between an official time and ours
 BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
 
@@ -120,20 +121,12 @@ def _rolling(
 def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[OfficialTime, ...]:
     """Return official times, in driving order, each beside the lap it belongs to.
 
-    The lists may begin and end at different laps: the shift with most agreement counts, and of these the closest.
+    The lists may begin and end at different laps: the shift in which most times agree counts.
     """
     timed = [i for i, lap in enumerate(laps) if lap.is_timed]
-    ours = np.array([laps[i].time for i in timed])
-    theirs = np.array(times)
-    best_shift, best_key = 0, (-1, np.inf)
-    for shift in range(-len(theirs) + 1, len(ours)):
-        k = np.arange(len(theirs)) + shift
-        inside = (k >= 0) & (k < len(ours))
-        away = np.abs(theirs[inside] - ours[k[inside]])
-        near = away[away < SAME_LAP]
-        key = (len(near), -float(np.median(near)) if near.size else -np.inf)
-        if key > (best_key[0], -best_key[1]):
-            best_shift, best_key = shift, (key[0], -key[1])
+    ours, theirs = np.array([laps[i].time for i in timed]), np.array(times)
+    shifts = range(1 - len(theirs), len(ours))
+    best_shift = max(shifts, key=lambda shift: _agreement(ours, theirs, shift), default=0)
     out = []
     for number, time in enumerate(times):
         place = number + best_shift
@@ -142,3 +135,11 @@ def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[Off
         difference = np.nan if lap is None else laps[lap].time - time
         out.append(OfficialTime(number + 1, time, lap, difference, np.nan if lap is None else laps[lap].sigma))
     return tuple(out)
+
+
+def _agreement(ours: Array, theirs: Array, shift: int) -> float:
+    """How many official times agree with ours `shift` laps later; one that is off by ALIKE counts half."""
+    k = np.arange(len(theirs)) + shift
+    inside = (k >= 0) & (k < len(ours))
+    away = theirs[inside] - ours[k[inside]]
+    return float(np.sum(1.0 / (1.0 + (away / ALIKE) ** 2)))
