@@ -112,8 +112,11 @@ def foreign_kind(path: Path) -> Foreign | None:
         return "gpx"
     if not name.endswith(".csv"):
         return None
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES).lower()
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES).lower()
+    except OSError:
+        return None  # whoever needs the file will say so
     first = head.lstrip(b"\xef\xbb\xbf \r\n").partition(b"\n")[0]
     if first.startswith(b"this file is created using") or b"\nformat,3" in head:
         return "racechrono"

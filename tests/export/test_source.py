@@ -11,9 +11,11 @@ import pytest
 
 from smoother.errors import SessionError
 from smoother.export import rows as rows_module
+from smoother.export import vbo
 from smoother.export.gates import timing_gates
 from smoother.export.rows import Rows
 from smoother.export.source import Source, open_source
+from smoother.session.vbo import read_vbo
 
 Factory = Callable[[Any, Path], Path]
 
@@ -105,6 +107,24 @@ def test_the_start_line_lies_across_the_track_where_laps_begin(results: Factory,
     assert start.lon1_deg == pytest.approx(start.lon2_deg, abs=1e-6)  # the kart goes west there: the line runs north
     assert start.lat1_deg < start.lat2_deg  # its left end first
     assert abs(start.lat1_deg - sector.lat1_deg) + abs(start.lon1_deg - sector.lon1_deg) > 1e-5
+
+
+def test_a_program_that_times_the_vbo_by_its_own_line_finds_the_same_laps(
+    results: Factory, scene: Any, tmp_path: Path
+) -> None:
+    circle = scene(radius=20.0, count=900)
+    vbo.write(open_source(results(circle, tmp_path)), tmp_path / "x.vbo")
+    reading = read_vbo(tmp_path / "x.vbo")
+    assert [line.kind for line in reading.timing_lines] == ["start", "split"]
+    line, gnss = reading.timing_lines[0], reading.gnss
+    scale = np.array([1.0, np.cos(np.radians(gnss.lat_deg[0]))])
+    left, right = np.array(line.first_deg) * scale, np.array(line.second_deg) * scale
+    away = np.stack([gnss.lat_deg, gnss.lon_deg], axis=-1) * scale - left
+    side = (right - left)[0] * away[:, 1] - (right - left)[1] * away[:, 0]
+    near = np.hypot(*(away - 0.5 * (right - left)).T) < 1e-4  # 11 m: not the other side of the circle
+    before = np.flatnonzero((side[:-1] * side[1:] < 0.0) & near[:-1])
+    crossed = gnss.t[before] + np.diff(gnss.t)[before] * side[before] / (side[before] - side[before + 1])
+    np.testing.assert_allclose(np.diff(crossed), circle.lap_time, atol=2e-3)
 
 
 def test_results_without_laps_or_with_an_empty_table_have_none(results: Factory, scene: Any, tmp_path: Path) -> None:
