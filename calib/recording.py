@@ -21,9 +21,12 @@ from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.files import SessionFiles, list_files
+from smoother.session.log import LogFiles, imu_samples, list_recordings, mag_samples, read_records
+from smoother.session.nmea import fixes_from_sentences
 from smoother.session.settings import load_settings
 from smoother.session.tables import read_header, read_table
 from smoother.session.thesis import read_magcalib, read_out
+from smoother.units import MICROSECOND
 
 DRIVING_SPEED = 3.0  # m/s, exceeded for a twentieth of the time: somebody drove
 FEWEST_ROWS = 32
@@ -125,6 +128,38 @@ class Recording:
         assert self.imu is not None
         samples = calibration.apply_to_imu(self.imu)
         return samples.specific_force_s, samples.angular_rate_s
+
+
+def load_recordings(path: Path) -> list[Recording]:
+    """Read what lies in a directory, or what a file belongs to: one recording, or all on a card of the logger.
+
+    Raises SessionError if no sensor is in it.
+    """
+    files = list_files(path)
+    if not files.logs():
+        return [load_recording(path)]
+    found = [_read_log(recording) for recording in list_recordings(files.logs())]
+    settings = files.find("session.toml")
+    config = SessionConfig() if settings is None else load_settings(settings)
+    usable = [replace(one, config=config) for one in found if one.imu is not None or one.mag is not None]
+    if not usable:
+        raise SessionError(f"{path}: no sensor delivered anything; was the logger switched on for long enough?")
+    return [_evened(one) for one in usable]
+
+
+def _read_log(files: LogFiles) -> Recording:
+    """One recording of the logger; a bench has no fixes, so the sentences may hold none."""
+    name = files.paths[0].name
+    records, _ = read_records(files)
+    imu, imu_problems = imu_samples(records, name)
+    mag, mag_problems = mag_samples(records, name)
+    try:
+        fixes = fixes_from_sentences(((t * MICROSECOND, text) for t, text in records.sentences), name).gnss
+    except SessionError:  # a receiver without a view of the sky says nothing
+        fixes = None
+    inputs = tuple(path.name for path in files.paths)
+    problems = (*imu_problems, *mag_problems)
+    return Recording(files.paths[0].stem, imu, mag, fixes=fixes, inputs=inputs, problems=problems)
 
 
 def load_recording(path: Path) -> Recording:

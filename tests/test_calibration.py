@@ -1,11 +1,12 @@
 """Calibration: what it does to samples, and the file it is read from."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from smoother.calibration import Calibration, load_calibration
+from smoother.calibration import Calibration, load_calibration, merged, save_calibration
 from smoother.errors import ConfigError
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
@@ -143,3 +144,68 @@ def test_a_file_that_is_not_text_is_not_valid(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="not valid TOML"):
         load_calibration(path)
+
+
+def test_a_temperature_moves_the_bias_within_what_was_seen() -> None:
+    slope = np.array([0.001, 0.0, -0.002])
+    calibration = Calibration(
+        gyro_bias=np.ones(3), gyro_bias_slope=slope, gyro_temperature=30.0, gyro_temperature_span=(25.0, 35.0)
+    )
+    temperature = np.array([30.0, 32.0, 50.0, np.nan, 25.0])
+    raw = RawImu(T, COUNTS, np.zeros((5, 3)), temperature=temperature)
+    rate = calibration.apply_to_imu(raw).angular_rate_s
+    expected = -1.0 - np.array([0.0, 2.0, 5.0, 0.0, -5.0])[:, None] * slope
+    np.testing.assert_allclose(rate, expected)
+    np.testing.assert_allclose(calibration.apply_to_imu(RawImu(T, COUNTS, np.zeros((5, 3)))).angular_rate_s, -1.0)
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
+    made = Calibration(
+        accel_offset=np.array([0.1, 0.2, 1e-7]),
+        gyro_bias=np.array([1.0, 2.0, 3.0]),
+        gyro_bias_slope=np.array([1e-5, 0.0, 0.0]),
+        gyro_temperature=31.0,
+        gyro_temperature_span=(20.0, 40.0),
+        sigmas={"accel_offset": np.full(3, 1e-3)},
+    )
+    path = tmp_path / "calibration.toml"
+    save_calibration(path, made, {"imu": {"comment": "# at rest", "gyro_noise": 1e-4}, "names": {"box": 'a "b"\\'}})
+    found = load_calibration(path)
+    for name in ("accel_offset", "gyro_bias", "gyro_bias_slope", "gyro_temperature", "gyro_temperature_span"):
+        np.testing.assert_allclose(getattr(found, name), getattr(made, name))
+    np.testing.assert_allclose(found.sigmas["accel_offset"], 1e-3)
+    assert found.hard_iron is None
+    assert tomllib.loads(path.read_text())["names"]["box"] == 'a "b"\\'
+
+
+def test_a_newer_calibration_replaces_only_what_it_determines() -> None:
+    older = Calibration(accel_offset=np.ones(3), gyro_bias=np.ones(3), sigmas={"gyro_bias": np.ones(3)})
+    both = merged(older, Calibration(gyro_bias=np.full(3, 2.0)))
+    np.testing.assert_array_equal(both.accel_offset, 1.0)
+    np.testing.assert_array_equal(both.gyro_bias, 2.0)
+    assert "gyro_bias" not in both.sigmas
+
+
+def test_only_what_changes_a_sensor_that_is_there_was_applied() -> None:
+    calibration = Calibration(accel_offset=np.ones(3), source="calibration.toml").with_magnetometer(
+        np.zeros(3), np.eye(3)
+    )
+    assert [value.quantity for value in calibration.applied()] == ["accel_offset", "hard_iron", "soft_iron"]
+    assert [value.quantity for value in calibration.applied(has_mag=False)] == ["accel_offset"]
+    assert calibration.applied(has_imu=False, has_mag=False) == ()
+    assert calibration.applied()[0].source == "calibration.toml"
+    assert Calibration().applied() == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]", "needs the temperature"),
+        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 'hot'", "temperature must be a finite number"),
+        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 5\ntemperature_span = 3", "two numbers"),
+        ("[accelerometer]\noffset = [0, 0, 1]\noffset_sigma = [0.1]", "offset_sigma must be 3 finite numbers"),
+    ],
+)
+def test_flawed_temperatures_and_sigmas_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_calibration(written(tmp_path, text))

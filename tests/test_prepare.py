@@ -8,7 +8,7 @@ import pytest
 from smoother.errors import ConfigError, SessionError
 from smoother.frames import Origin
 from smoother.prepare import choose_origin, prepare
-from smoother.samples import GnssFixes, RawMag, RawSession
+from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
 
 N = 20
 LAT, LON = 45.0 + 1e-5 * np.arange(N), 12.0 - 1e-5 * np.arange(N)
@@ -98,3 +98,28 @@ def test_a_flawed_calibration_file_is_an_error(tmp_path: Path) -> None:
     path.write_text("[gyroscope]\nbias = 3\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"calibration\.toml"):
         prepare(RawSession("s", fixes()), path)
+
+
+def test_a_session_says_what_calibrated_it(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text("[gyroscope]\nbias = [0.1, 0.2, 0.3]\n", encoding="utf-8")
+    readings = ball(np.array([20.0, -5.0, 8.0]), 50.0 * np.eye(3))
+    mag = RawMag(np.arange(len(readings)) * 0.1, readings)
+    imu = RawImu(np.arange(5.0), np.zeros((5, 3)), np.zeros((5, 3)))
+    session = prepare(RawSession("s", fixes(), imu=imu, mag=mag, mag_calibration_field=readings), path)
+    sources = {value.quantity: value.source for value in session.calibration}
+    assert sources == {
+        "gyro_bias": "calibration.toml",
+        "hard_iron": "magcalib.txt",
+        "soft_iron": "magcalib.txt",
+    }
+
+
+def test_a_calibration_of_another_box_is_doubted(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    path.write_text(
+        "[magnetometer]\nhard_iron = [0.0, 0.0, 0.0]\nsoft_iron = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", encoding="utf-8"
+    )
+    readings = ball(np.array([20.0, -5.0, 8.0]), 50.0 * np.eye(3))
+    session = prepare(RawSession("s", fixes(), mag=RawMag(np.arange(len(readings)) * 0.1, readings)), path)
+    assert [p.code for p in session.problems] == ["mag_calibration_misfit"]

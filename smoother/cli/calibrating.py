@@ -76,11 +76,11 @@ def calibrate(
 def _run(
     paths: tuple[Path, ...], first_samples: bool, place: Origin | None, date: dt.date | None, progress: Progress
 ) -> Results:
-    from calib.recording import load_recording
+    from calib.recording import load_recordings
     from calib.run import RunOptions, run
 
     progress("reading", 0.0)
-    recordings = [load_recording(path) for path in paths]
+    recordings = [recording for path in paths for recording in load_recordings(path)]
     for recording in recordings:
         for problem in recording.problems:
             warn(problem.text)
