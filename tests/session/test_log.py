@@ -199,3 +199,16 @@ def test_a_damaged_head_does_not_hide_the_recording(tmp_path, make_records):
 def test_a_log_of_any_name_is_known_by_its_content(tmp_path, make_records):
     save(tmp_path, "backup.bin", make_records(duration=10.0))
     assert len(load_raw(tmp_path / "backup.bin").imu.t) == 2000
+
+
+def test_every_cut_of_a_file_gives_a_session_or_one_line(tmp_path, make_records):
+    image = encode(make_records(duration=3.0), 1)
+    loaded = 0
+    for size in range(0, len(image) + 1, 499):  # no divisor of a block: every part of one is cut
+        (tmp_path / "LOG.KLG").write_bytes(image[:size])
+        try:
+            load_raw(tmp_path)
+            loaded += 1
+        except SessionError as error:
+            assert "\n" not in str(error)
+    assert loaded > 20
