@@ -200,8 +200,11 @@ def _read_log(files: SessionFiles) -> Recording:
     log = read_log(chosen)
     field, calibration = read_mag_calibration(chosen, present)
     inputs = tuple(path.name for path in (*chosen.paths, *(() if calibration is None else (calibration,))))
-    file = chosen.paths[0].name
-    return Recording(log.gnss, file, inputs, tuple(log.problems), log.imu, file, log.mag, field)
+    file, problems = chosen.paths[0].name, list(log.problems)
+    known = {path for recording in present for path in recording.paths}
+    for path in (path for path in files.logs() if path not in known):
+        problems.append(Problem("log_unusable", f"{path.name}: no whole block of a recording; left out"))
+    return Recording(log.gnss, file, inputs, tuple(problems), log.imu, file, log.mag, field)
 
 
 def _choose(files: SessionFiles, present: list[LogFiles]) -> LogFiles:

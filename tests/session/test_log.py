@@ -181,6 +181,13 @@ def test_a_file_without_a_block_is_one_clear_line(tmp_path, content, said):
             load_raw(path)
 
 
+def test_a_file_without_a_block_beside_a_recording_is_said(tmp_path, make_records):
+    save(tmp_path, "LOG00001.KLG", make_records(duration=10.0))
+    (tmp_path / "LOG00002.KLG").write_bytes(bytes(4096))
+    texts = [problem.text for problem in load_raw(tmp_path).problems if problem.code == "log_unusable"]
+    assert texts == ["LOG00002.KLG: no whole block of a recording; left out"]
+
+
 def test_a_log_without_sentences_is_one_clear_line(tmp_path, make_records):
     save(tmp_path, "LOG.KLG", replace(make_records(), sentences=()))
     with pytest.raises(SessionError, match=r"LOG.KLG: no NMEA sentence"):
