@@ -1,5 +1,8 @@
 /* The whole logger on the board of models: what is on the card afterwards is read block by block and compared with what
- * the sensors measured. */
+ * the sensors measured.
+ *
+ *   test_app NAME    one test; without a name: what there is
+ *   test_app sweep   the longest stall that each size of the ring rides out */
 #include <string.h>
 
 #include "app.h"
@@ -665,10 +668,56 @@ static void test_any_stalls_leave_samples_or_gaps(void)
     CHECK(with_gaps > 0 && with_gaps < ROUNDS);
 }
 
+/* ---- a table for DESIGN.md: `test_app sweep` ---- */
+
+static bool survives(uint32_t ring_blocks, uint32_t stall_us)
+{
+    begin(1300);
+    sim.imu.is_mag_absent = false;
+    boot();
+    app.logger.was_offered = true;
+    while (app.logger.state != LOGGER_RECORDING)
+        run(1000);
+    app.ring.size = ring_blocks; /* nothing is in it yet */
+    run(2000000);
+    for (int i = 0; i < 20; i++) { /* stalls that begin at different fills of the block */
+        sim.card.stall_every = 1;
+        sim.card.stall_us = stall_us;
+        const uint32_t writes = sim.card.writes;
+        while (sim.card.writes == writes)
+            run(1000);
+        sim.card.stall_every = SD_MODEL_INFINITE;
+        run(stall_us + 1100000);
+    }
+    const bool has_survived = app.writer.imu_lost == 0;
+    sim_free(&sim);
+    return has_survived;
+}
+
+static void print_sweep(void)
+{
+    static const uint32_t sizes[] = {8, 16, 24, 26, 27, 28};
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        uint32_t good = 0, bad = 1000000;
+        while (bad - good > 2000) {
+            const uint32_t middle = (good + bad) / 2;
+            if (survives(sizes[i], middle))
+                good = middle;
+            else
+                bad = middle;
+        }
+        printf("%u blocks: %u ms\n", sizes[i], good / 1000);
+    }
+}
+
 #define TEST(name) {#name, test_##name}
 
 int main(int argc, char **argv)
 {
+    if (argc == 2 && strcmp(argv[1], "sweep") == 0) {
+        print_sweep();
+        return 0;
+    }
     static const test_t tests[] = {
         TEST(every_sample_is_recorded),
         TEST(calibration_is_offered_once_and_ends_by_itself),
