@@ -18,6 +18,8 @@ from smoother.arrays import Array, BoolArray
 from smoother.errors import SessionError
 
 HEAD_BYTES = 65536
+LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
+ROW_BYTES = 4096  # a row is mostly shorter
 _ISO_FORMATS = ("%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%dT%H:%M:%S%.f%:z", "%Y-%m-%dT%H:%M:%S%.f%z")
 
 
@@ -163,7 +165,22 @@ def _source(path: Path) -> Path | bytes:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     plain = not head.startswith((b"\x1f\x8b", b"\xff\xfe", b"\xfe\xff")) and (b"\n" in head or b"\r" not in head)
+    if plain:
+        _require_lines(path)
     return path if plain else _plain_bytes(path.read_bytes())
+
+
+def _require_lines(path: Path) -> None:
+    """Raise SessionError where a megabyte holds no end of a line; looks at a few bytes of each."""
+    with path.open("rb") as file:
+        for start in range(0, path.stat().st_size, LONGEST_LINE):
+            file.seek(start)
+            if b"\n" not in file.read(ROW_BYTES):
+                rest = file.read(LONGEST_LINE - ROW_BYTES)
+                if len(rest) == LONGEST_LINE - ROW_BYTES and b"\n" not in rest:
+                    raise SessionError(
+                        f"{path.name}: a line of more than {LONGEST_LINE} characters; this is no CSV table"
+                    )
 
 
 def _text_head(path: Path) -> str:
