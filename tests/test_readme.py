@@ -7,7 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from smoother.sim.bench import BenchPlan, simulate_bench, write_bench
+from smoother.sim.scenario import ImuErrors, MagErrors
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -30,12 +34,22 @@ def test_its_smooth_commands_run(tmp_path: Path) -> None:
     subprocess.run(
         [scripts / "smooth", "simulate", tmp_path / "session", "--duration", "30"], check=True, capture_output=True
     )
+    _record_bench(tmp_path / "bench")
     for command in SMOOTH:
         done = subprocess.run(
             command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{command}: {done.stderr}"
     assert (tmp_path / "session" / "smoothed" / "figures" / "overview.png").exists()
+
+
+def _record_bench(directory: Path) -> None:
+    """The calibration recording a reader has made, in a shorter form."""
+    plan = BenchPlan(still=62.0, positions=10, rest=5.0, waving=20.0)
+    imu = ImuErrors(rate=50.0, accel_noise=0.004, gyro_noise=2e-4)
+    mag = MagErrors(rate=25.0, noise=0.01)
+    field_n = np.array([22.0, -1.0, -42.0])
+    write_bench(simulate_bench(imu, mag, field_n, np.random.default_rng(1), plan), directory)
 
 
 def test_its_make_commands_exist() -> None:
