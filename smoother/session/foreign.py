@@ -26,7 +26,11 @@ RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
 
 @dataclass(frozen=True, eq=False)
 class TimingLine:
-    """A timing line a file brings along: "start", "finish" or "split", its name, two points (lat, lon) in degrees."""
+    """A timing line a file brings along: "start", "finish" or "split", its name, two points (lat, lon) in degrees.
+
+    As written: RaceBox and this program give the ends of the line, RaceChrono a point on the track and one some 30 m
+    along it.
+    """
 
     kind: str
     name: str
