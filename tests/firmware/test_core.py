@@ -3,6 +3,7 @@
 import shutil
 import struct
 import subprocess
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from smoother.session.log_decode import decode, find_blocks
+from smoother.session.log_decode import decode, find_blocks, walk
 from smoother.session.log_encode import encode
 from smoother.session.log_format import (
     BLOCK_BYTES,
@@ -69,6 +70,12 @@ def core_tests(compiler, tmp_path_factory):
 def log_tool(compiler, tmp_path_factory):
     sources = [*CORE, FIRMWARE / "tests/core/log_tool.c"]
     return build(compiler, tmp_path_factory.mktemp("tool") / "log_tool", sources, *SANITIZERS)
+
+
+@pytest.fixture(scope="session")
+def walk_tool(compiler, tmp_path_factory):
+    sources = [*CORE, FIRMWARE / "tests/core/walk_tool.c"]
+    return build(compiler, tmp_path_factory.mktemp("walk") / "walk_tool", sources, *SANITIZERS)
 
 
 @pytest.mark.parametrize("suite", SUITES)
@@ -175,6 +182,49 @@ def test_python_reads_the_frames_that_c_writes(log_tool):
     records = decode_frames(frames)
     assert done == len(stream) and lost_frames(frames) == 0
     assert [f"imu {t} {' '.join(map(str, row))}" for t, row in zip(records.imu_t, records.imu, strict=True)] == orders
+
+
+kinds = st.sampled_from([1, 2, 3, 0x80, 0x81, 0x83, 0x88, 0xFF]) | st.integers(0, 255)
+pieces = st.lists(st.tuples(kinds, st.integers(0, 40), st.binary(min_size=2, max_size=30)), max_size=20)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(contents=st.lists(st.tuples(pieces, st.integers(0, 2**48 - 1), st.booleans()), min_size=1, max_size=5))
+def test_both_readers_find_the_same_records_in_any_block(walk_tool, contents):
+    """Records of known and unknown types, right and wrong lengths, in blocks with a right CRC, or a wrong one."""
+    image = b"".join(make_block(i, *content) for i, content in enumerate(contents))
+    done = subprocess.run([walk_tool], input=image, capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+    lines = done.stdout.decode().split("\n")[:-1]
+    blocks, _ = find_blocks(image)
+    position, unreadable = walk(blocks)
+    assert sum(line.endswith("unreadable") for line in lines) == unreadable
+    assert [line for line in lines if not line.endswith("unreadable")] == [
+        describe(blocks, at) for at in position.tolist()
+    ]
+
+
+def make_block(sequence, records, base, is_whole):
+    """A block of records, each a type, the length it claims if it is long, and other bytes."""
+    text = b"".join(
+        bytes([kind]) + (bytes([length]) if kind >= 0x80 else b"") + rest for kind, length, rest in records
+    )[:484]
+    head = struct.pack("<4sIIIHHI", b"KLG\x01", 1, sequence, base & 0xFFFFFFFF, base >> 32, len(text), 0)
+    block = (head + text).ljust(508, b"\0")
+    return block + struct.pack("<I", zlib.crc32(block) ^ (not is_whole))
+
+
+def describe(blocks, at):
+    """What walk_tool prints of the record at a position in the joined blocks."""
+    octets, block = blocks.content.reshape(-1), at // BLOCK_BYTES
+    kind, is_long = int(octets[at]), octets[at] >= 0x80
+    since = (
+        int.from_bytes(octets[at + 2 : at + 6].tobytes(), "little", signed=True)
+        if is_long
+        else (int.from_bytes(octets[at + 1 : at + 3].tobytes(), "little"))
+    )
+    length = int(octets[at + 1]) if is_long else {1: 12, 2: 7, 3: 2}[kind]
+    return f"{blocks.head['sequence'][block]} {kind} {blocks.base_us[block] + since} {length}"
 
 
 def test_times_of_a_race_of_24_hours_come_back(log_tool):

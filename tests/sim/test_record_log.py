@@ -42,6 +42,14 @@ def test_the_session_is_that_of_the_simulation(kart):
     assert (directory / "truth.csv").exists() and (directory / "truth_laps.csv").exists()
 
 
+@pytest.mark.parametrize(("preset", "accel", "gyro"), [("white", 16, 2000), ("kart", 16, 1000), ("kart_harsh", 8, 500)])
+def test_ranges_are_the_smallest_of_the_sensor_that_hold_the_simulation(tmp_path, preset, accel, gyro):
+    write_klg(simulate_preset(preset, 1, duration=6.0), tmp_path)
+    setup = records_of(tmp_path / DRIVE_FILE)[0].setup
+    assert (setup.accel_range_g, setup.gyro_range_dps) == (accel, gyro)
+    assert (setup.gyro_lowpass_hz, setup.imu_period_us, setup.gps_period_us) == (92, 5000, 200000)
+
+
 def test_the_same_simulation_writes_the_same_bytes(kart, tmp_path):
     _, directory = kart
     write_klg(simulate_preset("kart", 4, track="tinbarn", duration=60.0), tmp_path)
