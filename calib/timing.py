@@ -25,20 +25,27 @@ def calibrate(recording: Recording) -> Outcome:
     values = [*_timing_values("motion sensor", timing), *_clipping(recording.imu)]
     if recording.mag_stamps is not None and len(recording.mag_stamps) > 32:
         values += _timing_values("magnetometer", sample_timing(recording.mag_stamps))
-    t, force, rate = _longest_piece(recording)
-    drawing: dict[str, object] = {}
     remarks: list[str] = []
-    hz = recording.imu_rate
-    spectra = {"accelerometer": vibration_spectrum(force, hz), "gyroscope": vibration_spectrum(rate, hz)}
-    fast = spectra["accelerometer"].rms(2.0), spectra["gyroscope"].rms(2.0) / DEG
-    values.append(Value("vibration above 2 Hz, acceleration", fast[0], None, "m/s²"))
-    values.append(Value("vibration above 2 Hz, turning", fast[1], None, "deg/s"))
-    line = engine_line(t, np.hstack([force, rate]), hz)
-    drawing = {"spectra": spectra, "line": line, "rate": hz, "is_driven": recording.is_driven}
-    values += _line_values(line, hz, recording.is_driven, remarks)
+    drawing: dict[str, object] = {}
+    try:
+        drawing = _vibration(recording, values, remarks)
+    except FitError as error:
+        remarks.append(str(error))
     if recording.is_thesis:
         remarks.append("the thesis' format stamps whole milliseconds")
     return Outcome(PROCEDURE, recording.name, tuple(values), remarks=tuple(remarks), drawing=drawing)
+
+
+def _vibration(recording: Recording, values: list[Value], remarks: list[str]) -> dict[str, object]:
+    """Add what the vibration shows to values and remarks; return what its figure needs. Raises FitError."""
+    t, force, rate = _longest_piece(recording)
+    hz = recording.imu_rate
+    spectra = {"accelerometer": vibration_spectrum(force, hz), "gyroscope": vibration_spectrum(rate, hz)}
+    values.append(Value("vibration above 2 Hz, acceleration", spectra["accelerometer"].rms(2.0), None, "m/s²"))
+    values.append(Value("vibration above 2 Hz, turning", spectra["gyroscope"].rms(2.0) / DEG, None, "deg/s"))
+    line = engine_line(t, np.hstack([force, rate]), hz)
+    values += _line_values(line, hz, recording.is_driven, remarks)
+    return {"spectra": spectra, "line": line, "rate": hz, "is_driven": recording.is_driven}
 
 
 def _timing_values(sensor: str, timing: Timing) -> list[Value]:

@@ -19,6 +19,7 @@ from smoother.errors import SessionError, UsageError
 if TYPE_CHECKING:
     from calib.outcome import Comparison, Outcome, Value
     from calib.run import Results
+    from smoother.calibration import Calibration
     from smoother.cli.output import Progress
     from smoother.frames import Origin
     from smoother.report.calibration_page import Section
@@ -85,7 +86,7 @@ def _run(
         for problem in recording.problems:
             warn(problem.text)
     results = run(recordings, RunOptions(first_samples, place, date), progress)
-    if not results.calibration.applied() and len(results.outcomes) <= len(recordings):
+    if not results.outcomes:
         reasons = "; ".join(f"{refusal.procedure}: {refusal.reason}" for refusal in results.refusals)
         raise SessionError(f"{', '.join(map(str, paths))}: nothing could be calibrated ({reasons})")
     return results
@@ -117,7 +118,7 @@ def _date(text: str | None) -> dt.date | None:
 
 def _write(results: Results, directory: Path, with_figures: bool) -> Path:
     """Write calibration.toml and the page; return what a person opens first."""
-    from smoother.calibration import FILE_NAME, load_calibration, load_notes, merged, save_calibration
+    from smoother.calibration import FILE_NAME, load_calibration, load_notes, merged
 
     directory.mkdir(parents=True, exist_ok=True)
     target = directory / FILE_NAME
@@ -125,13 +126,23 @@ def _write(results: Results, directory: Path, with_figures: bool) -> Path:
     if target.is_file():
         calibration = merged(load_calibration(target), calibration)
         notes = {**load_notes(target, calibration, results.calibration), **notes}
+    if calibration.applied() or notes:
+        _save(target, calibration, notes)
+    else:
+        warn("nothing was found that a session could be calibrated by, so no calibration.toml is written")
+    if with_figures:
+        return _write_page(results, directory)
+    return target if target.is_file() else directory
+
+
+def _save(target: Path, calibration: Calibration, notes: Mapping[str, Mapping[str, object]]) -> None:
+    """Write calibration.toml, never half of it."""
+    from smoother.calibration import save_calibration
+
     # Written beside it first, so that a full disk does not leave half a calibration.
     temporary = target.with_suffix(".tmp")
     save_calibration(temporary, calibration, notes)
     temporary.replace(target)
-    if not with_figures:
-        return target
-    return _write_page(results, directory)
 
 
 def _write_page(results: Results, directory: Path) -> Path:

@@ -114,6 +114,19 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
     assert len(said.strip().splitlines()) == 1
 
 
+def test_a_drive_without_a_stop_is_still_checked_for_timing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(6)
+    values = rng.normal([0.0, 0.0, 9.8, 0.0, 0.0, 0.0], [3.0, 3.0, 3.0, 1.0, 1.0, 1.0], (3000, 6))
+    lines = [f"{i / 25:.3f}," + ",".join(f"{value:.5f}" for value in row) for i, row in enumerate(values)]
+    (tmp_path / "imu.csv").write_text("t_s,ax,ay,az,gx,gy,gz\n" + "\n".join(lines) + "\n")
+    assert run(["calibrate", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert "motion sensor, rate" in said.out
+    assert "the samples are too few or too slow to follow an engine's line" in " ".join(said.out.split())
+    assert "no calibration.toml is written" in said.err
+    assert not (tmp_path / "calibration.toml").exists()
+
+
 def test_a_recording_that_tells_nothing_is_refused_with_the_reasons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
