@@ -38,7 +38,10 @@ DEBIAN_PACKAGES = {
     "arm-none-eabi-gcc": ["gcc-arm-none-eabi", "libnewlib-arm-none-eabi", "binutils-arm-none-eabi"],
     "cmake": ["cmake"],
     "make": ["make"],
+    "cppcheck": ["cppcheck"],
+    "fsck.fat": ["dosfstools"],
 }
+TO_BUILD = ("arm-none-eabi-gcc", "cmake", "make")
 
 
 class MissingError(Exception):
@@ -88,9 +91,14 @@ def install(packages: list[str]) -> None:
             raise MissingError("cannot be installed here") from error
 
 
-def find_tools(tools: tuple[str, ...] = tuple(DEBIAN_PACKAGES)) -> None:
-    """See to it that compiler and build tools are on the path."""
-    missing = [tool for tool in tools if shutil.which(tool) is None]
+def find_tool(tool: str) -> str | None:
+    """Path of a program, also where only root has it on the path."""
+    return shutil.which(tool) or shutil.which(tool, path="/usr/sbin:/sbin")
+
+
+def find_tools(tools: tuple[str, ...] = TO_BUILD) -> None:
+    """See to it that programs are there, by installing their Debian packages if need be."""
+    missing = [tool for tool in tools if find_tool(tool) is None]
     if not missing:
         return
     packages = [package for tool in missing for package in DEBIAN_PACKAGES[tool]]

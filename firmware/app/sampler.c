@@ -7,7 +7,7 @@ enum { TEMPERATURES_PER_S = 10 };
 void sampler_init(sampler_t *sampler, log_writer_t *writer, uint32_t period_us)
 {
     sampler->writer = writer;
-    sampler->is_frozen = false;
+    sampler->is_frozen = sampler->has_begun = false;
     sampler->period_us = period_us;
     sampler->temperature_every = 1000000 / TEMPERATURES_PER_S / period_us;
     sampler->watch = (mpu9250_watch_t){.repeats = 0};
@@ -85,6 +85,10 @@ void sampler_on_burst(void *context, uint64_t time_us, const uint8_t *burst)
     mpu9250_decode(burst, &sample);
     if (!sample.has_data)
         return;
+    if (!sampler->has_begun) { /* nobody knows how long it lay there */
+        sampler->has_begun = true;
+        return;
+    }
     record_imu_t imu;
     record_mag_t mag = {.flags = (uint8_t)((sample.has_mag_overflow ? MAG_OVERFLOW : 0) |
                                            (sample.has_mag_missed ? MAG_MISSED : 0))};

@@ -27,6 +27,7 @@ typedef struct {
     log_writer_t *writer;
     volatile bool is_recording;
     volatile bool is_frozen;
+    bool has_begun;                /* the sample that lay there when sampling began has been read */
     volatile uint32_t samples;     /* since the start */
     volatile uint32_t last_ms;     /* of the newest sample; a word, so that it is read whole */
     volatile uint16_t points;      /* of the magnetometer, since the calibration began */

@@ -2,7 +2,6 @@
 
 import fcntl
 import re
-import shutil
 import struct
 import subprocess
 import sys
@@ -217,13 +216,20 @@ def test_memory_agrees(device):
 
 
 def test_cppcheck_has_nothing_to_say(image):
-    cppcheck = shutil.which("cppcheck")
-    if cppcheck is None:
+    try:
+        build.find_tools(("cppcheck",))
+    except build.MissingError:
         pytest.skip("needs system package cppcheck")
     includes = ["core", "drivers", "app", "port/stm32f103", str(image / "generated"), str(image / "fatfs")]
     # pointers to the linker's symbols are compared, and the vector table's members are read by the core
     silent = ["*:*/fatfs/*", "comparePointers", "unusedStructMember", "toomanyconfigs", "normalCheckLevelMaxBranches"]
-    command = [cppcheck, "--std=c11", "--enable=warning,performance,portability,style", "--error-exitcode=1", "--quiet"]
+    command = [
+        "cppcheck",
+        "--std=c11",
+        "--enable=warning,performance,portability,style",
+        "--error-exitcode=1",
+        "--quiet",
+    ]
     command += [f"-I{folder}" for folder in includes] + [f"--suppress={name}" for name in silent]
     done = subprocess.run([*command, "core", "drivers", "app", "port"], cwd=FIRMWARE, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -2,6 +2,7 @@
  * the sensors measured.
  *
  *   test_app NAME    one test; without a name: what there is
+ *   test_app save FILE   a recording
  *   test_app sweep   the longest stall that each size of the ring rides out */
 #include <string.h>
 
@@ -81,7 +82,7 @@ static void end(void)
 
 typedef struct {
     uint32_t files, blocks, sessions, repeated;
-    uint32_t imu, mag, gps, gaps, gap_imu, setups, configs, stops, temperatures, pulses;
+    uint32_t imu, mag, gps, gaps, gap_imu, setups, configs, stops, temperatures, pulses, self_tests;
     uint32_t first_number, last_number; /* of the samples, recognised by their values */
     uint32_t strange;                   /* samples that are not the next one, without a gap before them */
     uint32_t events;                    /* bit set of codes */
@@ -156,6 +157,9 @@ static void read_record(log_t *log, const block_record_t *record)
         break;
     case RECORD_EVENT:
         log->events |= 1u << bytes_get_u16(record->data);
+        break;
+    case RECORD_SELF_TEST:
+        log->self_tests++;
         break;
     case RECORD_STOP:
         log->stops++;
@@ -530,6 +534,21 @@ static void test_bad_settings_are_rejected_whole_and_said(void)
     end();
 }
 
+static void test_self_test_stands_in_the_recording(void)
+{
+    begin(1300);
+    fat_add_file(&sim.card, "CONFIG  TXT", "self_test=yes\n");
+    boot();
+    run(5000000);
+    stop();
+    const log_t log = read_log();
+    CHECK_EQUAL(log.self_tests, 1);
+    CHECK(log.imu > 3000);
+    CHECK_EQUAL(log.strange, 0);
+    CHECK_EQUAL(app.self_test.passed, 0x1F);
+    end();
+}
+
 static void test_low_supply_ends_the_recording_and_its_return_begins_another(void)
 {
     begin(1300);
@@ -668,6 +687,37 @@ static void test_any_stalls_leave_samples_or_gaps(void)
     CHECK(with_gaps > 0 && with_gaps < ROUNDS);
 }
 
+/* ---- a recording for the reader in Python: `test_app save FILE` ---- */
+
+/* Drive for 20 s, with one stall too long; say what is to be found. */
+static int save_recording(const char *path)
+{
+    fat_file_t files[MOST_FILES];
+    begin(1300);
+    sim.imu.is_mag_absent = false;
+    sim.pulse_every_us = 1000000;
+    boot();
+    app.logger.was_offered = true;
+    run(12000000);
+    sim.card.stall_every = 30;
+    sim.card.stall_us = 950000;
+    run(2000000);
+    sim.card.stall_every = SD_MODEL_INFINITE;
+    run(6000000);
+    stop();
+    const log_t log = read_log();
+    printf("imu %u mag %u gps %u gap %u pulses %u first %u\n", log.imu, log.mag, log.gps, log.gap_imu, log.pulses, log.first_number);
+    FILE *file = fopen(path, "wb");
+    CHECK(file != NULL);
+    const size_t count = fat_list(&sim.card, files, MOST_FILES);
+    for (size_t i = 0; i < count; i++)
+        for (uint32_t block = 0; memcmp(files[i].name, "LOG00001KLG", 11) == 0 && block < files[i].bytes / BLOCK_BYTES; block++)
+            CHECK_EQUAL(fwrite(sd_model_view(&sim.card, files[i].first_sector + block), BLOCK_BYTES, 1, file), 1);
+    CHECK_EQUAL(fclose(file), 0);
+    end();
+    return 0;
+}
+
 /* ---- a table for DESIGN.md: `test_app sweep` ---- */
 
 static bool survives(uint32_t ring_blocks, uint32_t stall_us)
@@ -718,6 +768,8 @@ int main(int argc, char **argv)
         print_sweep();
         return 0;
     }
+    if (argc == 3 && strcmp(argv[1], "save") == 0)
+        return save_recording(argv[2]);
     static const test_t tests[] = {
         TEST(every_sample_is_recorded),
         TEST(calibration_is_offered_once_and_ends_by_itself),
@@ -735,6 +787,7 @@ int main(int argc, char **argv)
         TEST(imu_that_freezes_or_falls_silent_is_reset),
         TEST(settings_come_from_the_card),
         TEST(bad_settings_are_rejected_whole_and_said),
+        TEST(self_test_stands_in_the_recording),
         TEST(low_supply_ends_the_recording_and_its_return_begins_another),
         TEST(long_press_makes_it_safe_to_switch_off),
         TEST(reset_by_the_watchdog_recovers_the_recording_and_is_told),
