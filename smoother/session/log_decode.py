@@ -3,7 +3,6 @@
 Nothing here raises on any bytes: a block that fails its CRC is lost, the others need nothing from it.
 """
 
-import mmap
 import struct
 import zlib
 from collections.abc import Callable, Sequence
@@ -86,23 +85,19 @@ class Losses:
     duplicates: int = 0
 
 
-def find_blocks(data: bytes | mmap.mmap) -> tuple[Blocks, int]:
+def find_blocks(data: bytes) -> tuple[Blocks, int]:
     """Return the blocks in `data` that are whole, wherever they begin, and how many damaged ones show their magic."""
-    positions, damaged = [], 0
-    view = memoryview(data)
-    try:
-        at = data.find(MAGIC)
-        while at >= 0:
-            if _is_whole(view, at):
-                positions.append(at)
-                at += BLOCK_BYTES
-            else:
-                damaged += 1
-                at += 1
-            at = data.find(MAGIC, at)
-        return Blocks.of(_gather(view, np.array(positions, dtype=np.int64))), damaged
-    finally:
-        view.release()
+    positions, damaged, view = [], 0, memoryview(data)
+    at = data.find(MAGIC)
+    while at >= 0:
+        if _is_whole(view, at):
+            positions.append(at)
+            at += BLOCK_BYTES
+        else:
+            damaged += 1
+            at += 1
+        at = data.find(MAGIC, at)
+    return Blocks.of(_blocks_at(np.frombuffer(data, dtype=np.uint8), np.array(positions, dtype=np.int64))), damaged
 
 
 def _is_whole(view: memoryview, at: int) -> bool:
@@ -112,11 +107,13 @@ def _is_whole(view: memoryview, at: int) -> bool:
     return zlib.crc32(block[:CRC_AT]) == int.from_bytes(block[CRC_AT:], "little")
 
 
-def _gather(view: memoryview, positions: IntArray) -> Bytes:
-    """Blocks (K, 512), copied out of the file."""
+def _blocks_at(octets: Bytes, positions: IntArray) -> Bytes:
+    """Blocks (K, 512): the bytes of the file themselves where no damage lies between, to spare a day of them a copy."""
     if positions.size == 0:
         return np.zeros((0, BLOCK_BYTES), dtype=np.uint8)
-    octets = np.frombuffer(view, dtype=np.uint8)
+    start, end = positions[0], positions[-1] + BLOCK_BYTES
+    if end - start == positions.size * BLOCK_BYTES:
+        return octets[start:end].reshape(-1, BLOCK_BYTES)
     return np.asarray(np.lib.stride_tricks.sliding_window_view(octets, BLOCK_BYTES)[positions])
 
 
