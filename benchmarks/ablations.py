@@ -46,6 +46,7 @@ from smoother.trajectory import Trajectory
 
 CHANCE = 200  # once in so many: of the some hundred cells of all tables, two are bold by chance
 OFF = 1e-6  # a sigma that leaves nothing to find
+TINY = 1e-3  # m, likewise of an offset, of which there is one at every keyframe: less spoils the arithmetic
 EQUAL = 1e-5  # s, sigma of the difference of latencies that are to be one
 BLOCKS = 8  # of a recording, in place of seeds
 RECORDINGS = ("kart_adria_first_half", "kart_lignano_racebox")
@@ -188,7 +189,7 @@ def _plain_halves(binned: BinnedImu, _: Array) -> BinnedImu:
     return replace(binned, dt=2.0 * binned.dt, specific_force_s=force, angular_rate_s=rate)
 
 
-_NO_OFFSET = {"offset_sigma": (OFF, OFF, OFF)}
+_NO_OFFSET = {"offset_sigma": (TINY, TINY, TINY)}
 EFFECTS = (
     Effect("velocity latency of its own", patches=_one_latency()),
     Effect("latencies at all", session=_timing),
@@ -245,7 +246,10 @@ class Thinned:
 
 @dataclass(frozen=True)
 class Result:
-    """One case with one effect off. errors: by quantity, or by block of a recording; scaled: rms error over sigma."""
+    """One case with one effect off. errors: by quantity, or by block of a recording; scaled: rms error over sigma.
+
+    Both are empty when the estimate had no solution.
+    """
 
     group: str
     case: str
@@ -257,7 +261,11 @@ class Result:
 def run(work: tuple[Case | Thinned, str]) -> Result:
     """Estimate one case without one effect."""
     case, name = work
-    return _run_recording(case, BY_NAME[name]) if isinstance(case, Thinned) else _run_simulated(case, BY_NAME[name])
+    try:
+        return _run_recording(case, BY_NAME[name]) if isinstance(case, Thinned) else _run_simulated(case, BY_NAME[name])
+    except np.linalg.LinAlgError as error:  # what is left of the model may have no solution: that is a result as well
+        print(f"{case}, {name}: {error}", file=sys.stderr)
+        return Result(*_key(case, name), {}, {})
 
 
 def _run_simulated(case: Case, effect: Effect) -> Result:
@@ -336,12 +344,14 @@ def report(results: Sequence[Result]) -> str:
     """Return all tables as Markdown, and which effects nothing shows to be worth having."""
     by_key = {(r.group, r.case, r.effect): r for r in results}
     groups = list(dict.fromkeys(r.group for r in results))
-    simulated = [g for g in groups if "velocity" in next(r for r in results if r.group == g).errors]
+    simulated = [g for g in groups if any("velocity" in r.errors for r in results if r.group == g)]
     changes: dict[str, dict[str, Change]] = {}
     out = []
     for group in simulated:
         names = sorted({r.case for r in results if r.group == group and r.effect == FULL.name})
         out += [f"\n### {group}: {len(names)} sessions\n", *_simulated_table(group, names, by_key, changes)]
+    if len(simulated) > 1:
+        out += ["\n### All simulated sessions together\n", *_pooled_table(simulated, results, by_key, changes)]
     if rest := [g for g in groups if g not in simulated]:
         out += ["\n### Recordings\n", *_recordings_table(rest, by_key, changes)]
     out += ["\n### What is earned\n", *_verdicts(changes)]
@@ -362,7 +372,7 @@ def _simulated_table(group: str, names: Sequence[str], by_key: dict[Key, Result]
     ]
     for effect in EFFECTS:
         pairs = [(by_key.get((group, n, effect.name)), f) for n, f in zip(names, full, strict=True)]
-        known = [(off, on) for off, on in pairs if off is not None]
+        known = [(off, on) for off, on in pairs if off is not None and off.errors]
         if not known:
             continue
         row = []
@@ -375,6 +385,25 @@ def _simulated_table(group: str, names: Sequence[str], by_key: dict[Key, Result]
             changes.setdefault(effect.name, {})[f"{group}: {heading}"] = change
             row.append(str(change))
         lines.append(f"| {effect.name} | {' | '.join(row)} | {_scaled([o for o, _ in known])} |")
+    return lines
+
+
+def _pooled_table(
+    groups: Sequence[str], results: Sequence[Result], by_key: dict[Key, Result], changes: Changes
+) -> list[str]:
+    lines = [f"| without | {' | '.join(HEADINGS)} | sessions |", f"|---|{'---:|' * (len(HORIZONTAL) + 1)}"]
+    for effect in EFFECTS:
+        offs = [r for r in results if r.effect == effect.name and r.group in groups and r.errors]
+        pairs = [(off, by_key[off.group, off.case, FULL.name]) for off in offs]
+        row = []
+        for q, heading in zip(HORIZONTAL, HEADINGS, strict=True):
+            both = [(o.errors[q], f.errors[q]) for o, f in pairs if np.isfinite(o.errors[q] * f.errors[q])]
+            if both:
+                change = Change.of(*zip(*both, strict=True))
+                changes.setdefault(effect.name, {})[f"all: {heading}"] = change
+            row.append(str(change) if both else "no value")
+        if pairs:
+            lines.append(f"| {effect.name} | {' | '.join(row)} | {len(pairs)} |")
     return lines
 
 
@@ -394,8 +423,9 @@ def _recordings_table(groups: Sequence[str], by_key: dict[Key, Result], changes:
     for effect in EFFECTS:
         row = []
         for group, on in full.items():
-            if (off := result(group, effect.name)) is None:
-                row.append("")
+            off = result(group, effect.name)
+            if off is None or not off.errors:
+                row.append("" if off is None else "no solution")
                 continue
             change = Change.of(list(off.errors.values()), list(on.errors.values()))
             changes.setdefault(effect.name, {})[group] = change
@@ -465,13 +495,13 @@ def _wanted(arguments: argparse.Namespace) -> list[tuple[Case | Thinned, str]]:
 
 def _missing(wanted: list[tuple[Case | Thinned, str]], done: list[Result]) -> list[tuple[Case | Thinned, str]]:
     known = {(r.group, r.case, r.effect) for r in done}
+    return [work for work in wanted if _key(*work) not in known]
 
-    def key(case: Case | Thinned, effect: str) -> Key:
-        if isinstance(case, Thinned):
-            return case.group, case.recording, effect
-        return case.preset, case.name, effect
 
-    return [work for work in wanted if key(*work) not in known]
+def _key(case: Case | Thinned, effect: str) -> Key:
+    if isinstance(case, Thinned):
+        return case.group, case.recording, effect
+    return case.preset, case.name, effect
 
 
 def _load(path: Path) -> list[Result]:

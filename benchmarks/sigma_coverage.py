@@ -4,8 +4,9 @@
 
 Each seed is one session, on the three tracks in turn, standing and rolling starts in turn. Errors are correlated - in
 position for minutes, in attitude by what the mounting is off for the whole session -, so that a share of many rows is
-known from far fewer independent ones. Their number is estimated from the autocorrelation of being within the sigma, and
-printed; `may be` is where an honest share then lies, all shares of the table together with 95 % (Bonferroni).
+known from far fewer independent ones. Their number is estimated from the autocorrelation of being within the sigma and
+from the scatter of the sessions, and printed; `may be` is where an honest share then lies, all shares of the table
+together with 95 % (Bonferroni).
 
 NEES is that of the keyframes nearest to fixed times, the mean over the sessions, which are independent, with chi-square
 bounds for all times and parts together. It is 1 per degree of freedom when the covariance is honest.
@@ -35,6 +36,7 @@ from smoother.estimate.graph.smoother import GraphSmoother
 RATE = 5.0  # Hz; errors change more slowly
 WITHIN = (1.0, 2.0)  # sigmas
 WANTED = {1.0: (0.63, 0.73), 2.0: (0.93, 0.97)}
+FEWEST_SESSIONS = 8  # whose scatter says anything
 CONFIDENCE = 0.95  # with which all shares of a table are inside their bounds together, when all are honest
 PARTS = (("full", 9), ("attitude", 3), ("velocity", 3), ("position", 3))
 
@@ -124,24 +126,27 @@ def _correlated(series: Array) -> Array:
 def effective_count(series: Sequence[Array]) -> float:
     """Number of independent rows that tell as much of the mean as all rows of series (N,) of separate sessions.
 
-    NaN is unknown. The autocovariance is about the mean of all sessions, so that what stays the same through a session
-    counts as correlated; it is summed as long as sums of neighbouring pairs stay positive. Source: Geyer 1992, initial
-    positive sequence.
+    NaN is unknown. Two estimates, of which the smaller counts: from the autocovariance about the mean of all, summed as
+    long as sums of neighbouring pairs stay positive (Geyer 1992, initial positive sequence), which sees what lasts for
+    seconds; and from the scatter of the sessions' own means, which sees what stays the same through a session, but is
+    itself known to no better than one over the root of twice their number.
     """
-    mean = float(np.nanmean(np.concatenate(series)))
-    sums = _Sums()
+    mean, sums = float(np.nanmean(np.concatenate(series))), _Sums()
     for values in series:
         known = np.isfinite(values)
         sums.add(np.where(known, values - mean, 0.0), known.astype(np.float64))
-    total = float(sums.pairs[0])
-    if sums.products[0] <= 1e-12 * total:
+    total, variance = float(sums.pairs[0]), float(sums.products[0] / sums.pairs[0])
+    if variance <= 1e-12:
         return float(len(series))  # all alike: nothing shows a row to be more than its session
-    # weighted by pairs, not divided by them: variance of the mean, long lags having few pairs
+    # products are not divided by their pairs: long lags, of which there are few, count for as little in the mean
     paired = sums.products[: len(sums.products) // 2 * 2].reshape(-1, 2).sum(axis=1)
     stop = np.flatnonzero(paired <= 0.0)
-    positive = paired[: stop[0]] if stop.size else paired
-    inflation = max((2.0 * float(positive.sum()) - float(sums.products[0])) / float(sums.products[0]), 1.0)
-    return total / inflation
+    positive = float((paired[: stop[0]] if stop.size else paired).sum())
+    lasting = total / max(2.0 * positive / float(sums.products[0]) - 1.0, 1.0)
+    means = np.array([np.nanmean(values) for values in series if np.any(np.isfinite(values))])
+    if len(means) < FEWEST_SESSIONS:
+        return lasting
+    return min(lasting, len(means) * variance / max(float(np.var(means, ddof=1)), 1e-12))
 
 
 def shares(sessions: Sequence[SessionErrors]) -> list[Share]:
