@@ -2,7 +2,7 @@
 
 import datetime as dt
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,10 @@ class RunOptions:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What was found: one outcome per procedure that succeeded (timing: one per recording), and why others did not."""
+    """What was found: one outcome per procedure that succeeded (timing: one per recording), and why others did not.
+
+    `calibration` is what sessions are to be calibrated by; a magnetometer known from laps alone is only in `notes`.
+    """
 
     outcomes: tuple[Outcome, ...]
     refusals: tuple[Refusal, ...]
@@ -67,7 +70,11 @@ def run(
     for outcome in state.outcomes:
         for table, keys in outcome.notes.items():
             notes.setdefault(table, {}).update(keys)
-    return Results(tuple(state.outcomes), tuple(state.refusals), state.calibration, notes)
+    calibration = state.calibration
+    if in_kart.TABLE in notes:
+        of_imu = {name: sigma for name, sigma in calibration.sigmas.items() if name not in ("hard_iron", "soft_iron")}
+        calibration = replace(calibration, hard_iron=None, soft_iron=None, sigmas=of_imu)
+    return Results(tuple(state.outcomes), tuple(state.refusals), calibration, notes)
 
 
 @dataclass

@@ -191,8 +191,9 @@ def _line(axes: Axes, line: EngineLine, rate: float) -> None:
     axes.set_title("the strongest line" if line.is_there else "no line stands out of the noise")
     seen = line.is_seen
     if np.any(seen):
-        size = 4.0 + 40.0 * np.sqrt(line.amplitude[seen] / np.max(line.amplitude[seen]))
-        points = axes.scatter(line.t[seen], line.frequency[seen], s=size, c=line.amplitude[seen], cmap="viridis_r")
+        amplitude = np.linalg.norm(line.amplitude[seen, :3], axis=1)
+        size = 4.0 + 40.0 * np.sqrt(amplitude / max(float(np.max(amplitude)), 1e-300))
+        points = axes.scatter(line.t[seen], line.frequency[seen], s=size, c=amplitude, cmap="viridis_r")
         axes.figure.colorbar(points, ax=axes, label="amplitude (m/s²)", pad=0.01)
     axes.set_ylim(0.0, 0.5 * rate)
     axes.set_xlim(float(line.t[0]), float(line.t[-1]))

@@ -92,7 +92,8 @@ def test_laps_alone_say_what_they_do_not_show(tmp_path: Path):
     write_csv(simulate_preset("kart", 2, duration=90.0), tmp_path)
     results = run([load_recording(tmp_path)])
     outcomes = {outcome.procedure: outcome for outcome in results.outcomes}
-    assert results.calibration.hard_iron is not None
+    assert results.calibration.hard_iron is None  # the smoother does better by itself
+    assert len(results.notes["magnetometer_in_kart"]["hard_iron"]) == 3
     notes = [value.note for value in outcomes["magnetometer, in the kart"].values]
     assert sum("not observable" in note for note in notes) == 3
     assert "accelerometer" not in outcomes
