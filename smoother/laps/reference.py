@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array
 from smoother.fit.running import gaussian_mean
 from smoother.fit.spline import CubicSpline
 from smoother.laps.path import PlanPath
@@ -180,16 +180,3 @@ def _difference(values: Array, is_closed: bool, is_angle: bool = False) -> Array
             change = np.mod(change + 0.5 * np.pi, np.pi) - 0.5 * np.pi
         return np.asarray(change)
     return np.asarray(np.gradient(values, axis=0))
-
-
-def is_near(curve: Curve, distance: float, apart: float) -> BoolArray:
-    """Mask (P,) of the line's points within `apart` m of `distance` along the line, around the end too."""
-    along = np.abs(curve.line.distance - distance)
-    return np.asarray(np.minimum(along, curve.length - along) < apart if curve.line.is_closed else along < apart)
-
-
-def nearest_points(curve: Curve, position_n: Array) -> IntArray:
-    """Index (K,) of the line's point nearest to each position (K, 2)."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(curve.line.position_n).query(position_n)[1], dtype=np.int64)

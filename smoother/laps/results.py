@@ -115,8 +115,9 @@ class Traces:
     slower, with delta_sigma; lateral m left of the reference line, with lateral_sigma, of the difference between the
     lap and the line, the GPS offset of both counted; is_off_line: where |lateral| is above two of its sigma (draw the
     rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level; yaw_rate rad/s of the kart.
-    zone: -1 braking, +1 driving, 0 neither. sideslip rad, course minus heading (positive: the kart slides to its left),
-    with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more to the left than the path.
+    zone: -1 braking, +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the kart
+    slides to its left), with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more to
+    the left than the path.
     Both all NaN where not observable (no inertial sensor, or attitude too unsure).
     """
 
