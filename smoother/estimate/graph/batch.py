@@ -14,13 +14,12 @@ from smoother.arrays import Array
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.imu import (
-    YAW_JERK_RATE,
     BinnedImu,
     DensePath,
     InertialNoise,
-    averaged,
     corrected,
     dense_path,
+    expected,
     interval_noise,
     reading_path,
 )
@@ -223,7 +222,7 @@ def session_rows(
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
     path = reading_path(binned, path, noise.inertial.accel)
-    rate_s = averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE)
+    rate_s = expected(path, path.angular_rate_s, noise.inertial.gyro)
     position = rw.position_rows(
         state, path, rate_s, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )

@@ -31,7 +31,14 @@ from smoother.estimate.graph.batch import (
 )
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import heading_from_field
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
+from smoother.estimate.graph.imu import (
+    BinnedImu,
+    InertialNoise,
+    bin_imu,
+    halved,
+    keyframe_times,
+    start_in_step,
+)
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
@@ -100,6 +107,7 @@ class _Start:
     """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output."""
 
     path: GnssPath
+    driven: PathMotion
     alignment: Alignment
     state: ChainState
     fine: BinnedImu
@@ -146,7 +154,9 @@ class GraphSmoother:
             text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
             return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
-            state, noise = _identify(start, options, watch)
+            constants, biases, noise = _identify(start, options, watch)
+            start = _on_grid(session, start, constants, biases, options)
+            state = start.state
             batch = Batch(start.data, start.binned, start.priors)
             graph = batch.graph(state, noise)
             state = batch.approach(graph, state, noise, NEAR, options.approaches)
@@ -212,36 +222,64 @@ def _start(session: Session, options: GraphOptions) -> _Start:
     times = session.gnss.t
     driven = PathMotion(times, path.at(times).velocity_n)
     alignment = align(session.imu, driven)
-    t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
     priors = _priors(session, alignment, path, options)
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    grid = _grid(session, path, driven, alignment, constants, (np.zeros(3), alignment.gyro_bias_s), options)
+    return _Start(
+        path,
+        driven,
+        alignment,
+        *grid,
+        _first_noise(session, path, alignment, grid[2], options),
+        _data(session, path, grid[0].t),
+        priors,
+        _receiver(session, options),
+        session.config.imu,
+    )
+
+
+def _on_grid(
+    session: Session, start: _Start, constants: Constants, biases: tuple[Array, Array], options: GraphOptions
+) -> _Start:
+    """Return the start with keyframes in step with fixes of better known latency, and with better known biases."""
+    state, fine, binned = _grid(session, start.path, start.driven, start.alignment, constants, biases, options)
+    return replace(start, state=state, fine=fine, binned=binned, data=_data(session, start.path, state.t))
+
+
+def _grid(
+    session: Session,
+    path: GnssPath,
+    driven: PathMotion,
+    alignment: Alignment,
+    constants: Constants,
+    biases: tuple[Array, Array],
+    options: GraphOptions,
+) -> tuple[ChainState, BinnedImu, BinnedImu]:
+    """First guess of the keyframes, and the inertial samples between them in fine bins and in those to solve with.
+
+    Keyframes stand where Doppler velocities are read. A reading between two keyframes is an average of both and
+    disturbs the path less than one at a keyframe does, so that a moving latency would be drawn to where its readings
+    fit for no other reason; at the keyframe the pull is the same to both sides.
+    """
+    assert session.imu is not None
+    fixes, interval = session.gnss.t, options.keyframe_interval
+    first = start_in_step(fixes[0] - MAX_LATENCY, interval, fixes - constants.velocity_latency)
+    t = keyframe_times(first, fixes[-1] + interval, interval)
     at = path.at(t + constants.position_latency)
-    zeros = np.zeros((len(t), 3))
+    accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
     state = ChainState(
         t,
         initial_attitude(t, session.imu, driven, alignment),
         at.position_n,
         at.velocity_n,
-        zeros,
-        np.tile(alignment.gyro_bias_s, (len(t), 1)),
+        accel_bias,
+        gyro_bias,
         at.offset_n,
         constants,
     )
-    n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
+    n_bins = max(1, round(interval / options.bin_interval))
     fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
-    binned = halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
-    return _Start(
-        path,
-        alignment,
-        state,
-        fine,
-        binned,
-        _first_noise(session, path, alignment, binned, options),
-        _data(session, path, t),
-        priors,
-        _receiver(session, options),
-        session.config.imu,
-    )
+    return state, fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
 def _data(session: Session, path: GnssPath, t: Array) -> Data:
@@ -330,18 +368,14 @@ def _density(bins: Array, dt: float, floor: float) -> float:
     return max(floor, sigma * math.sqrt(dt / 6.0))
 
 
-def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[ChainState, Noise]:
-    """Find noise and constants, turn by turn, on a part of a long session. Returns the whole with these constants.
+def _identify(start: _Start, options: GraphOptions, watch: _Stopwatch) -> tuple[Constants, tuple[Array, Array], Noise]:
+    """Find constants, mean biases of force and rate and noise, turn by turn, on a part of a long session.
 
     Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
     """
     part = _part(start, options.identification_span)
     state, noise = _settle(part, part.state, start.noise, _scatter(start), options, watch)
-    if part is start:
-        return state, noise
-    n = len(start.state.t)
-    accel_bias, gyro_bias = (np.tile(b.mean(axis=0), (n, 1)) for b in (state.accel_bias_s, state.gyro_bias_s))
-    return replace(start.state, accel_bias_s=accel_bias, gyro_bias_s=gyro_bias, constants=state.constants), noise
+    return state.constants, (state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)), noise
 
 
 def _settle(

@@ -25,7 +25,7 @@ from smoother.estimate.graph.batch import (
     update_noise,
 )
 from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.imu import YAW_JERK_RATE, BinnedImu, InertialNoise, averaged, bin_imu, preintegrate
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, expected, preintegrate
 from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
@@ -158,7 +158,7 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.No
     """The same session in GTSAM alone."""
     state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
     path = batch.path(state)
-    rates = averaged(path, path.angular_rate_s, p.noise.inertial.gyro, YAW_JERK_RATE)[::N_BINS]
+    rates = expected(path, path.angular_rate_s, p.noise.inertial.gyro)[::N_BINS]
     for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
         k = round((t - state.t[0]) / T)
         graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))
@@ -206,7 +206,8 @@ class TestAgainstGtsam:
             pose, bias = values.atPose3(X(k)), values.atConstantBias(B(k))
             turn = so3.log(pose.rotation().matrix().T @ state.R_ns[k])
             np.testing.assert_allclose(turn, 0.0, atol=2e-6)
-            np.testing.assert_allclose(pose.translation(), state.position_n[k], atol=1e-5)
+            # the filter of the yaw rate follows the path, which GTSAM's factor takes as it is: hundredths of a millimetre
+            np.testing.assert_allclose(pose.translation(), state.position_n[k], atol=5e-5)
             np.testing.assert_allclose(values.atVector(V(k)), state.velocity_n[k], atol=1e-5)
             np.testing.assert_allclose(bias.accelerometer(), state.accel_bias_s[k], atol=1e-5)
             np.testing.assert_allclose(bias.gyroscope(), state.gyro_bias_s[k], atol=1e-6)

@@ -312,7 +312,8 @@ class TestVarianceComponents:
         true_root = _root_information(state, inertial_graph(state, binned, real).linearize(state, real), ALL)
         root, rng, sums = _root_information(state, linear, ALL), np.random.default_rng(0), np.zeros((2, 2))
         _, solution = random_covariance()
-        solution = replace(solution, **{name: 0.0 * getattr(solution, name) for name in vars(solution)})
+        blocks = {name: 0.0 * value for name, value in vars(solution).items() if value is not None}
+        solution = replace(solution, **blocks)
         for _ in range(500):
             noise = np.linalg.solve(true_root, rng.normal(size=(K - 1, INERTIAL, 1)))
             drawn = replace(linear, residual=(root @ noise)[:, :, 0])
