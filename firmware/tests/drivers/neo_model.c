@@ -72,7 +72,10 @@ static void epoch(neo_model_t *receiver)
 static void step(neo_model_t *receiver)
 {
     while (!receiver->is_absent && receiver->next_epoch_us <= *receiver->now_us) {
+        const bool is_line_free = receiver->out_put == receiver->out_taken;
         epoch(receiver);
+        if (is_line_free)
+            receiver->out_us = receiver->next_epoch_us;
         receiver->next_epoch_us += (uint64_t)receiver->period_ms * 1000;
     }
 }

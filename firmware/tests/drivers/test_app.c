@@ -81,7 +81,7 @@ static void end(void)
 /* ---- reading the card ---- */
 
 typedef struct {
-    uint32_t files, blocks, sessions, repeated;
+    uint32_t files, blocks, sessions, repeated, damaged;
     uint32_t imu, mag, gps, gaps, gap_imu, setups, configs, stops, temperatures, pulses, self_tests;
     uint32_t first_number, last_number; /* of the samples, recognised by their values */
     uint32_t strange;                   /* samples that are not the next one, without a gap before them */
@@ -176,8 +176,10 @@ static void read_block(log_t *log, const uint8_t *block)
     block_record_t record;
     size_t at = 0;
     int result;
-    if (block_read_head(block, &head) != CORE_OK)
+    if (block_read_head(block, &head) != CORE_OK) {
+        log->damaged++;
         return;
+    }
     if (head.session != log->session) {
         log->sessions++;
         log->session = head.session;
@@ -235,6 +237,7 @@ static void test_every_sample_is_recorded(void)
         CHECK_EQUAL(log.strange, 0);
         CHECK_EQUAL(log.gaps, 0);
         CHECK_EQUAL(log.last_number - log.first_number + 1, log.imu);
+        CHECK_EQUAL(log.damaged, 0); /* the file ends with its last block */
         CHECK(log.gps > 140);
         CHECK(log.pulses >= 11);
         CHECK(log.temperatures > 110);

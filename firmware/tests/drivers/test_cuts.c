@@ -111,7 +111,7 @@ static bool is_kept(const promise_t *wanted, const fat_file_t *files, size_t cou
     if (wanted->blocks == 0)
         return true;
     for (size_t i = 0; i < count; i++) {
-        uint32_t session;
+        uint32_t session = 0;
         const bool is_recording = memcmp(files[i].name + 8, "KLG", 3) == 0;
         const uint32_t blocks = is_recording ? count_blocks(&files[i], &session) : 0;
         if (blocks >= wanted->blocks && session == wanted->session)
