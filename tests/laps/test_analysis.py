@@ -128,11 +128,21 @@ def test_time_lost_in_all_corners_adds_up_to_the_lap(found: LapAnalysis) -> None
             assert lost == pytest.approx(lap.time - found.laps[found.reference_lap].time, abs=2e-3)
 
 
-def test_a_loss_is_real_only_beyond_two_of_its_sigma(found: LapAnalysis) -> None:
-    for corner in found.corners:
-        expected = np.abs(corner.time_lost) > 2.0 * corner.time_lost_sigma
+@pytest.mark.parametrize("metres", [0.1, 0.3, 1.0])
+def test_a_loss_is_real_only_beyond_two_of_its_sigma(driven: Trajectory, fixes: Fixes, metres: float) -> None:
+    class Independent:
+        def covariance(self, t: Array, direction_n: Array) -> Array:
+            return metres**2 * np.where(t[:, None] == t[None, :], 1.0, 0.0) * (direction_n @ direction_n.T)
+
+    analysis = analyse(Trajectory(**{**vars(driven), "joint": Independent()}), fixes(driven))
+    times_sigma = []
+    for corner in analysis.corners:
         known = np.isfinite(corner.time_lost) & (corner.time_lost_sigma > 0.0)
+        times_sigma += (np.abs(corner.time_lost[known]) / corner.time_lost_sigma[known]).tolist()
+        expected = np.abs(corner.time_lost) > 2.0 * corner.time_lost_sigma
         np.testing.assert_array_equal(corner.is_real[known], expected[known])
+    assert min(times_sigma) < 2.0 or metres < 0.3
+    assert max(times_sigma) > 1.0 or metres > 0.3
 
 
 def test_zones_have_hysteresis() -> None:

@@ -126,6 +126,15 @@ def test_a_straight_drive_and_a_stand_are_no_laps(make: Made, fixes: Fixes) -> N
         assert not analyse(make(t, position), fixes(make(t, position))).laps
 
 
+def test_the_way_back_on_the_same_road_is_no_lap(make: Made, fixes: Fixes) -> None:
+    out = np.stack([np.arange(0.0, 600.0, 0.3), 3.0 * np.sin(np.arange(0.0, 600.0, 0.3) / 50.0)], axis=1)
+    angle = np.linspace(0.0, np.pi, 200)
+    turn = out[-1] + 10.0 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+    position = np.concatenate([out, turn[1:], out[::-1] + np.array([0.0, 5.0])])
+    t = 0.02 * np.arange(len(position))
+    assert find_loop(plan_path(make(t, position)), 100.0) is None
+
+
 def test_laps_in_the_other_direction_are_not_mixed_in(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
     t, position = round_trip(PAPERCLIP, 14.0, 3.0)
     there_and_back = np.concatenate([position, position[::-1][1:]])
