@@ -32,6 +32,7 @@ AVERAGED = 1.0  # s over which white noise is averaged out of the radius
 DISTURBANCE_MEAN = 2.0  # engine currents go with the throttle: their mean, which no fit sees, per scatter of the radius
 UPRIGHT = 3.0  # least ratio of turning about the vertical to turning about any other axis
 LARGEST_SCATTER = 0.35  # of single readings, relative to the radius; a cloud of noise gives 0.4 and more
+FARTHEST = 1e9  # of the readings' unit; a trial step may pass a degenerate ellipse
 LARGEST_RMS = 0.3  # of the radius; beyond, engine or iron outweigh the Earth
 
 
@@ -144,7 +145,8 @@ def _distance(parameters: Array, points: Array) -> Array:
     A = _shape(parameters)
     unit = (points - parameters[:2]) @ A
     radius = np.maximum(np.linalg.norm(unit, axis=1), 1e-12)
-    return np.asarray((radius - 1.0) * radius / np.maximum(np.linalg.norm(unit @ A, axis=1), 1e-300))
+    distance = (radius - 1.0) * radius / np.maximum(np.linalg.norm(unit @ A, axis=1), 1e-300)
+    return np.asarray(np.clip(distance, -FARTHEST, FARTHEST))
 
 
 def _ellipse(points: Array) -> Array:
@@ -174,8 +176,9 @@ def _covariance(t: Array, points: Array, parameters: Array) -> Array:
     """Covariance (5, 5) from the scores summed over blocks of time (sandwich), because disturbances last."""
     J = so3.numerical_jacobian(lambda x: _distance(x, points), parameters, 1e-6 * float(np.max(np.abs(parameters))))
     residual = _distance(parameters, points)
-    limit = 4.0 * 1.4826 * float(np.median(np.abs(residual)))
-    weight = 1.0 / (1.0 + (residual / max(limit / 2.0, 1e-300)) ** 2)
+    exact = 1e-6 / float(np.max(parameters[2:]))  # of the radius; data without noise have no scatter to go by
+    limit = 4.0 * 1.4826 * max(float(np.median(np.abs(residual))), exact)
+    weight = 1.0 / (1.0 + (2.0 * residual / limit) ** 2)
     block = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     score = np.stack([np.bincount(block, J[:, i] * weight * residual) for i in range(5)], axis=1)
     normal = np.linalg.inv((J * weight[:, None]).T @ J)

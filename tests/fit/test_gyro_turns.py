@@ -1,5 +1,7 @@
 """Gyroscope scale and misalignment from the turns between resting positions, on simulated handling."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,13 @@ def test_few_turns_are_refused():
     _, t, rate, positions, accel = handled(3)
     with pytest.raises(FitError, match="turns between resting positions are too few"):
         fit_gyro_matrix(t, rate, positions[:5], accel, DENSITY)
+
+
+def test_a_bias_that_is_hardly_known_makes_the_matrix_hardly_known():
+    _, t, rate, positions, accel = handled(4)
+    sure = fit_gyro_matrix(t, rate, positions, accel, DENSITY)
+    unsure = [replace(p, rate_covariance=(0.05 * DEG) ** 2 * np.eye(3)) for p in positions]
+    fit = fit_gyro_matrix(t, rate, unsure, accel, DENSITY)
+    # a turn of 90 deg in 2 s: 0.05 deg/s over it, averaged over two rests, is 0.07 deg of 90
+    assert np.median(fit.sigma) > 2.0 * np.median(sure.sigma)
+    assert 2e-4 < np.median(fit.sigma) < 2e-3

@@ -84,3 +84,17 @@ def test_a_box_that_never_turned_shows_no_up():
     t = np.arange(1000) / 100.0
     with pytest.raises(FitError, match="no turning about one axis"):
         up_from_turning(t, np.tile(UP, (1000, 1)), 0.01 * np.random.default_rng(2).standard_normal((1000, 3)))
+
+
+def test_soft_iron_that_tilts_the_ellipse_is_undone():
+    turn = np.linspace(0.0, 2.0 * np.pi, 2000)
+    dip = np.radians(60.0)
+    level = np.cos(dip) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    unit = np.column_stack([level, np.full(2000, -np.sin(dip))])
+    iron = np.array([[1.1, 0.03, 0.1], [0.03, 0.95, -0.08], [0.1, -0.08, 1.0]])
+    fit = fit_level_field(np.arange(2000) * 0.1, 48.0 * unit @ iron + [5.0, -9.0, 20.0], UP, dip)
+    calibrated = (48.0 * unit @ iron + [5.0, -9.0, 20.0] - fit.hard_iron) @ fit.matrix
+    np.testing.assert_allclose(calibrated[:, 2], -np.sin(dip), atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(calibrated[:, :2], axis=1), np.cos(dip), rtol=1e-3)
+    off = np.degrees(np.arctan2(calibrated[:, 1], calibrated[:, 0])) - np.degrees(turn)
+    assert np.max(np.abs((off + 180.0) % 360.0 - 180.0)) < 2.0  # the turn that a symmetric matrix assumes away
