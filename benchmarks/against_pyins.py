@@ -7,11 +7,13 @@ the time at which it was true), lever arm, mounting, the effective noise densiti
 them, sizes of the biases, their walks, scale and misalignment, the noise of fixes and Doppler, the attitude at the
 start to half a degree, velocity and position likewise; jumps are taken out of its fixes. It has no model of the slow
 GPS offset, so every session is filtered with several sigmas of a fix, from the white noise alone to one that allows for
-the correlation, and in every column the best of them counts, chosen with the truth. Its estimate at each time knows
+the correlation, and in every column the best of them counts, chosen with the truth; where it diverges (inf), it is run
+again without the states of scale and misalignment. Its estimate at each time knows
 only what came before; the smoother's knows all of the session. That difference is the point of smoothing afterwards.
 """
 
 import argparse
+import contextlib
 import os
 import sys
 import time
@@ -40,6 +42,7 @@ NED_FROM_NWU = np.diag([1.0, -1.0, -1.0])  # and forward, right, down from forwa
 START = 1.0  # s after the first fix: all data are there
 START_SIGMA = {"position_sd": 0.5, "velocity_sd": 0.2, "level_sd": 0.5, "azimuth_sd": 0.5}  # m, m/s, deg, deg
 TIME_STEP = 0.2  # s; the covariance is propagated to every measurement, ten a second, so this is never reached
+RUNAWAY = 1e3  # m/s; a filter that is there has diverged, though it may still count
 MIN_BIAS, MIN_MATRIX = 1e-4, 1e-5  # what it takes for a state to be there at all
 SIGMAS = ("white", "total", "correlated")  # of a fix: its white noise; with the offset; that, allowing for correlation
 COLUMNS = ("velocity", "relative", "position", "roll", "pitch", "yaw")
@@ -73,9 +76,22 @@ def fix_sigmas(simulation: Simulation, names: Sequence[str]) -> dict[str, float]
     return {k: v for k, v in zip(SIGMAS, (errors.white_horizontal, total, correlated), strict=True) if k in names}
 
 
-def run_filter(simulation: Simulation, session: Session, fix_sigma: float) -> Trajectory:
-    """Return what the library's feedback filter makes of `session`, antenna and kart like every estimator."""
-    models = _sensor_models(simulation)
+def run_best(simulation: Simulation, session: Session, fix_sigma: float) -> Trajectory | None:
+    """Return what the filter makes of `session`; where it diverges, without scale factors; None if it does so again."""
+    for with_matrix in (True, False):
+        with contextlib.suppress(ValueError, np.linalg.LinAlgError), np.errstate(all="ignore"):
+            found = run_filter(simulation, session, fix_sigma, with_matrix=with_matrix)
+            if np.abs(found.velocity_n).max() < RUNAWAY:
+                return found
+    return None
+
+
+def run_filter(simulation: Simulation, session: Session, fix_sigma: float, *, with_matrix: bool = True) -> Trajectory:
+    """Return what the library's feedback filter makes of `session`, antenna and kart like every estimator.
+
+    Raises ValueError or LinAlgError, from the library, when it diverges.
+    """
+    models = _sensor_models(simulation, with_matrix=with_matrix)
     imu = _imu_table(simulation, session)
     start = float(session.gnss.t[0]) + START
     before = imu[imu.index < start]
@@ -93,7 +109,7 @@ def run_filter(simulation: Simulation, session: Session, fix_sigma: float) -> Tr
     return _trajectory(result.trajectory, simulation, session)
 
 
-def _sensor_models(simulation: Simulation) -> tuple[Any, Any]:
+def _sensor_models(simulation: Simulation, *, with_matrix: bool) -> tuple[Any, Any]:
     """Models of gyro and accelerometer with the true sizes of everything; densities with what folds of the engine."""
     errors = simulation.scenario.imu
     assert errors is not None
@@ -106,7 +122,7 @@ def _sensor_models(simulation: Simulation) -> tuple[Any, Any]:
         size = max(float(np.sqrt(np.mean(bias**2))), MIN_BIAS)
         crooked = simulation.scenario.R_bs @ (matrix - np.eye(3)) @ simulation.scenario.R_bs.T
         spread = np.full((3, 3), float(np.sqrt(np.mean(crooked**2))))
-        modelled = spread if spread[0, 0] > MIN_MATRIX else None
+        modelled = spread if with_matrix and spread[0, 0] > MIN_MATRIX else None
         out.append(
             inertial_sensor.EstimationModel(bias_sd=size, noise=noise, bias_walk=walk or None, scale_misal_sd=modelled)
         )
@@ -197,13 +213,15 @@ def run(case: Case, names: Sequence[str] = SIGMAS) -> Comparison:
     since = time.process_time()
     ours = GraphSmoother().estimate(session)
     between = time.process_time()
-    theirs = {name: run_filter(simulation, session, sigma) for name, sigma in fix_sigmas(simulation, names).items()}
+    theirs = {name: run_best(simulation, session, sigma) for name, sigma in fix_sigmas(simulation, names).items()}
     seconds = between - since, (time.process_time() - between) / len(theirs)
     errors = partial(_errors, simulation, session)
     return Comparison(case, errors(ours), {name: errors(trajectory) for name, trajectory in theirs.items()}, seconds)
 
 
-def _errors(simulation: Simulation, session: Session, estimate: Trajectory) -> dict[str, float]:
+def _errors(simulation: Simulation, session: Session, estimate: Trajectory | None) -> dict[str, float]:
+    if estimate is None:
+        return dict.fromkeys(COLUMNS, np.inf)
     return rms_errors(simulation, compare(simulation, session, estimate, SCORED_RATE))
 
 
