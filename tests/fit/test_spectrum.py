@@ -25,7 +25,7 @@ def test_the_rms_of_a_band_is_that_of_the_tone_in_it():
 
 def test_a_line_that_sweeps_and_folds_is_followed():
     rng = np.random.default_rng(2)
-    frequency = 125.0 + 18.0 * np.sin(2.0 * np.pi * T / 20.0)  # up to 8 Hz/s, above half the sampling rate
+    frequency = 125.0 + 18.0 * np.sin(2.0 * np.pi * T / 2.0)  # up to 57 Hz/s, above half the sampling rate
     phase = 2.0 * np.pi * np.cumsum(frequency) / RATE
     values = 0.5 * rng.standard_normal((len(T), 3)) + np.sin(phase)[:, None] * [1.0, 2.0, 0.5]
     found = engine_line(T, values, RATE)
