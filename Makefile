@@ -4,6 +4,7 @@
 #   make lint    style and types
 #   make bench   the measurements behind the README's tables (minutes)
 #   make picture the README's picture, from the demo
+#   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
 
 VENV := .venv
@@ -14,7 +15,7 @@ JOBS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench picture firmware clean
+.PHONY: demo test lint bench picture notebooks firmware clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -37,6 +38,10 @@ bench: $(VENV)/for-benchmarks
 picture: demo
 	mkdir -p docs/figures
 	cp $(DEMO)/smoothed/figures/overview.png docs/figures/demo.png
+
+notebooks: $(VENV)/for-testing
+	rm -rf docs/notebooks
+	env -u SMOOTH_DATA $(BIN)/jupyter nbconvert --log-level=ERROR --to markdown --execute --output-dir docs/notebooks notebooks/*.ipynb
 
 firmware: $(BIN)/python
 	@$(BIN)/python firmware/build.py
