@@ -38,6 +38,7 @@ from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
     GYRO_BIAS,
     GYRO_ERROR,
+    LEVER_ARM,
     POSITION_LATENCY,
     ROTATION,
     ROW_CONSTANTS_SIZE,
@@ -58,6 +59,7 @@ OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path 
 ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
 USUAL_COUNT = 20.0
+HELD = 1e-4  # m; what is held does not move by a digit
 USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
 USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
@@ -98,13 +100,18 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,)."""
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,).
+
+    holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
+    known than that: a height fitted to it is drawn to zero and seems to be known.
+    """
 
     accel_bias: float
     gyro_bias: float
     gyro_bias_mean: Array
     constants: Array
     constants_sigma: Array
+    holds_height: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +218,9 @@ class Batch:
         prior = self._priors
         difference = state.constants.as_vector() - prior.constants
         rw.add_constants_prior(system, difference, constants_sigma(prior, noise))
+        if prior.holds_height:
+            up_s = state.constants.level_axes_s[2]
+            system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
         return system, inertial, rows
 
     def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:

@@ -241,7 +241,10 @@ def _identified(
         i = latency.index
         observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
         out[latency.key] = _value(constants[i], sigma[i], "s", observable, latency.configured is not None)
-    arm_b, arm_covariance = mounting.R_bs @ arm_s, mounting.R_bs @ S[LEVER_ARM, LEVER_ARM] @ mounting.R_bs.T
+    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], solved.state.constants.level_axes_s[2]
+    if priors.holds_height:
+        arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
+    arm_b, arm_covariance = mounting.R_bs @ arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
     sigma_b = np.sqrt(np.diag(arm_covariance))
     stated = config.mounting.lever_arm_b is not None
     out["lever_arm_b"] = Identified(

@@ -330,7 +330,14 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     if mounting.lever_arm_b is not None:
         R_bs = alignment.R_bs if mounting.R_bs is None else mounting.R_bs
         mean[2:5], sigma[2:5] = R_bs.T @ mounting.lever_arm_b, 1e-4
-    return Priors(options.accel_bias_sigma, options.gyro_bias_sigma, alignment.gyro_bias_s, mean, sigma)
+    return Priors(
+        options.accel_bias_sigma,
+        options.gyro_bias_sigma,
+        alignment.gyro_bias_s,
+        mean,
+        sigma,
+        holds_height=mounting.lever_arm_b is None,
+    )
 
 
 def _first_noise(
