@@ -45,6 +45,7 @@ from smoother.session.load import load_raw
 from smoother.trajectory import Trajectory
 
 CHANCE = 200  # once in so many: of the some hundred cells of all tables, two are bold by chance
+WORTH_A_WORD = 0.02  # of the logarithm of an error
 OFF = 1e-6  # a sigma that leaves nothing to find
 TINY = 1e-3  # m, likewise of an offset, of which there is one at every keyframe: less spoils the arithmetic
 EQUAL = 1e-5  # s, sigma of the difference of latencies that are to be one
@@ -326,6 +327,11 @@ class Change:
         return self.count > 2 and self.mean > max(student.ppf(1.0 - 1.0 / CHANCE, self.count - 1) * self.error, 0.002)
 
     @property
+    def leans(self) -> bool:
+        """Whether being without seems to cost something, though not more than chance may do."""
+        return self.count > 2 and self.mean > max(2.0 * self.error, WORTH_A_WORD)
+
+    @property
     def gains(self) -> bool:
         """Whether being without is better than chance."""
         return Change(-self.mean, self.error, self.count).costs
@@ -349,7 +355,7 @@ def report(results: Sequence[Result]) -> str:
     out = []
     for group in simulated:
         names = sorted({r.case for r in results if r.group == group and r.effect == FULL.name})
-        out += [f"\n### {group}: {len(names)} sessions\n", *_simulated_table(group, names, by_key, changes)]
+        out += [f"\n### {group}\n", *_simulated_table(group, names, by_key, changes)]
     if len(simulated) > 1:
         out += ["\n### All simulated sessions together\n", *_pooled_table(simulated, results, by_key, changes)]
     if rest := [g for g in groups if g not in simulated]:
@@ -366,9 +372,9 @@ def _simulated_table(group: str, names: Sequence[str], by_key: dict[Key, Result]
     full = [by_key[group, name, FULL.name] for name in names]
     cells = [f"{np.sqrt(np.mean([r.errors[q] ** 2 for r in full])):.3g}" for q in HORIZONTAL]
     lines = [
-        f"| without | {' | '.join(HEADINGS)} | error over sigma: {', '.join(SIGMAS)} |",
-        f"|---|{'---:|' * (len(HORIZONTAL) + 1)}",
-        f"| everything on: rms, m/s, m, deg | {' | '.join(cells)} | {_scaled(full)} |",
+        f"| without | {' | '.join(HEADINGS)} | error over sigma: {', '.join(SIGMAS)} | sessions |",
+        f"|---|{'---:|' * (len(HORIZONTAL) + 2)}",
+        f"| everything on: rms, m/s, m, deg | {' | '.join(cells)} | {_scaled(full)} | {len(full)} |",
     ]
     for effect in EFFECTS:
         pairs = [(by_key.get((group, n, effect.name)), f) for n, f in zip(names, full, strict=True)]
@@ -384,7 +390,7 @@ def _simulated_table(group: str, names: Sequence[str], by_key: dict[Key, Result]
             change = Change.of(*zip(*both, strict=True))
             changes.setdefault(effect.name, {})[f"{group}: {heading}"] = change
             row.append(str(change))
-        lines.append(f"| {effect.name} | {' | '.join(row)} | {_scaled([o for o, _ in known])} |")
+        lines.append(f"| {effect.name} | {' | '.join(row)} | {_scaled([o for o, _ in known])} | {len(known)} |")
     return lines
 
 
@@ -440,9 +446,11 @@ def _verdicts(changes: Changes) -> list[str]:
     for effect, found in changes.items():
         costs = sorted((c.mean, where) for where, c in found.items() if c.costs)
         gains = sorted((c.mean, where) for where, c in found.items() if c.gains)
+        leans = sorted((c.mean, where) for where, c in found.items() if c.leans and not c.costs)
         if costs:
-            worst, where = costs[-1]
-            verdict = f"earned: without, {_percent(worst)} % at {where}, and {len(costs) - 1} more"
+            verdict = f"earned: without, {_percent(costs[-1][0])} % at {costs[-1][1]}; {len(costs)} cells"
+        elif leans:
+            verdict = f"likely, on too few cases to be sure: without, {_percent(leans[-1][0])} % at {leans[-1][1]}"
         else:
             verdict = "**not shown to be earned**"
         if gains:
