@@ -61,7 +61,6 @@ class _Level:
     inverse: Array  # (M, n, n)
     to_left: Array  # (M, n, n): D^-1 A(odd, left)
     to_right: Array  # (M, n, n), zero where there is no right neighbour
-    offset: Array  # (M, n, m + 1): D^-1 rhs
     n_nodes: int
 
 
@@ -113,12 +112,12 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSo
     square, beside = scale[:, :, None] * scale[:, None, :], scale[:-1, :, None] * scale[1:, None, :]
     rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2) * scale[:, :, None]
 
-    levels, root, log_determinant = _reduce(system.diagonal * square, system.upper * beside, rhs)
-    x = _substitute(levels, root[1])
+    levels, offsets, root, log_determinant = _reduce(system.diagonal * square, system.upper * beside, rhs)
+    x = _substitute(levels, offsets, root[1])
     K, n, m = system.border.shape
-    influence, solution = np.ascontiguousarray(x[:, :, :m]), x[:, :, m]
-
     inner = rhs.reshape(K * n, m + 1)[:, :m].T @ x.reshape(K * n, m + 1)
+    influence, solution = np.ascontiguousarray(x[:, :, :m]), x[:, :, m].copy()
+    del rhs, x, offsets  # a long session needs the room for its covariance
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
     if m:
         factor = _cholesky((system.corner - inner[:, :m])[None])[0]
@@ -151,9 +150,13 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSo
     )
 
 
-def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], tuple[Array, Array], float]:
-    """Eliminate odd nodes until one is left. Returns the levels, (inverse, solution) of the last node, log det."""
+def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array], float]:
+    """Eliminate odd nodes until one is left.
+
+    Returns the levels, D^-1 rhs (M, n, m + 1) of each, (inverse, solution) of the last node, and log det.
+    """
     levels: list[_Level] = []
+    offsets: list[Array] = []
     log_determinant = 0.0
     while diagonal.shape[0] > 1:
         n_nodes = diagonal.shape[0]
@@ -167,7 +170,8 @@ def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], tu
         log_determinant += 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
         inverse = _inverse_from_cholesky(factor)
         to_left, to_right, offset = inverse @ left, inverse @ right, inverse @ rhs[1::2]
-        levels.append(_Level(inverse, to_left, to_right, offset, n_nodes))
+        levels.append(_Level(inverse, to_left, to_right, n_nodes))
+        offsets.append(offset)
 
         next_diagonal, next_rhs = diagonal[0::2].copy(), rhs[0::2].copy()
         n_right = next_diagonal.shape[0] - 1  # odd nodes that have a right neighbour
@@ -180,17 +184,17 @@ def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], tu
     factor = _cholesky(diagonal)
     log_determinant += 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
     inverse = _inverse_from_cholesky(factor)
-    return levels, (inverse, inverse @ rhs), log_determinant
+    return levels, offsets, (inverse, inverse @ rhs), log_determinant
 
 
-def _substitute(levels: list[_Level], root: Array) -> Array:
+def _substitute(levels: list[_Level], offsets: list[Array], root: Array) -> Array:
     x = root
-    for level in reversed(levels):
+    for level, offset in zip(reversed(levels), reversed(offsets), strict=True):
         n_odd = level.inverse.shape[0]
         right = _right_neighbours(x, n_odd)
         fine = np.empty((level.n_nodes, *x.shape[1:]))
         fine[0::2] = x
-        fine[1::2] = level.offset - level.to_left @ x[:n_odd] - level.to_right @ right
+        fine[1::2] = offset - level.to_left @ x[:n_odd] - level.to_right @ right
         x = fine
     return x
 

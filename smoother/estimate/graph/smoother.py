@@ -418,8 +418,10 @@ def _finish(
 ) -> tuple[Solved, Noise]:
     """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
     scatter, before = _scatter(start), np.zeros(CONSTANTS_SIZE)
+    solved: Solved | None = None
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        solved = None  # gone before the next one: of a long session, two do not fit
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
@@ -427,6 +429,7 @@ def _finish(
         if turn + 1 == options.final_rounds or (turn > 0 and moved(solved.solution) < WELL_KNOWN):
             break
         noise = _reestimated(solved, noise, start, scatter)
+    assert solved is not None
     return solved, noise
 
 
