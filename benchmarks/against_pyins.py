@@ -4,12 +4,12 @@
 
 The filter gets everything that the smoother has to find out, as the truth has it: both latencies (each fix is put to
 the time at which it was true), lever arm, mounting, the effective noise densities of force and rate with the engine in
-them, sizes of the biases, their walks, scale and misalignment, the noise of fixes and Doppler, the attitude at the
-start to half a degree, velocity and position likewise; jumps are taken out of its fixes. It has no model of the slow
-GPS offset, so every session is filtered with several sigmas of a fix, from the white noise alone to one that allows for
-the correlation, and in every column the best of them counts, chosen with the truth; where it diverges (inf), it is run
-again without the states of scale and misalignment. Its estimate at each time knows
-only what came before; the smoother's knows all of the session. That difference is the point of smoothing afterwards.
+them, the biases of the start, sizes of their walks, of scale and misalignment, the noise of fixes and Doppler, the
+attitude at the start to half a degree, velocity and position likewise; jumps are taken out of its fixes. It has no
+model of the slow GPS offset, so every session is filtered with several sigmas of a fix, from the white noise alone to
+one that allows for the correlation, and in every column the best of them counts, chosen with the truth; where it
+diverges (inf), it is run again without the states of scale and misalignment. Its estimate at each time knows only what
+came before; the smoother's knows all of the session. That difference is the point of smoothing afterwards.
 """
 
 import argparse
@@ -43,6 +43,7 @@ START = 1.0  # s after the first fix: all data are there
 START_SIGMA = {"position_sd": 0.5, "velocity_sd": 0.2, "level_sd": 0.5, "azimuth_sd": 0.5}  # m, m/s, deg, deg
 TIME_STEP = 0.2  # s; the covariance is propagated to every measurement, ten a second, so this is never reached
 RUNAWAY = 1e3  # m/s; a filter that is there has diverged, though it may still count
+LEFT_OF_BIAS = 0.1  # what the filter thinks of the biases after the true ones of the start were taken off
 MIN_BIAS, MIN_MATRIX = 1e-4, 1e-5  # what it takes for a state to be there at all
 SIGMAS = ("white", "total", "correlated")  # of a fix: its white noise; with the offset; that, allowing for correlation
 COLUMNS = ("velocity", "relative", "position", "roll", "pitch", "yaw")
@@ -119,7 +120,7 @@ def _sensor_models(simulation: Simulation, *, with_matrix: bool) -> tuple[Any, A
         (density[1], errors.gyro_bias, errors.gyro_bias_walk, errors.gyro_matrix),
         (density[0], errors.accel_bias, errors.accel_bias_walk, errors.accel_matrix),
     ):
-        size = max(float(np.sqrt(np.mean(bias**2))), MIN_BIAS)
+        size = max(LEFT_OF_BIAS * float(np.sqrt(np.mean(bias**2))), MIN_BIAS)
         crooked = simulation.scenario.R_bs @ (matrix - np.eye(3)) @ simulation.scenario.R_bs.T
         spread = np.full((3, 3), float(np.sqrt(np.mean(crooked**2))))
         modelled = spread if with_matrix and spread[0, 0] > MIN_MATRIX else None
@@ -130,11 +131,17 @@ def _sensor_models(simulation: Simulation, *, with_matrix: bool) -> tuple[Any, A
 
 
 def _imu_table(simulation: Simulation, session: Session) -> pd.DataFrame:
-    """Increments of each sample in forward, right, down: a sample is the mean over the step that ends at its time."""
+    """Increments of each sample in forward, right, down, without the biases of the start.
+
+    A sample is the mean over the step that ends at its time.
+    """
     assert session.imu is not None
+    errors = simulation.scenario.imu
+    assert errors is not None
     imu, R = session.imu, NED_FROM_NWU @ simulation.scenario.R_bs
+    rate, force = imu.angular_rate_s - errors.gyro_bias, imu.specific_force_s - errors.accel_bias
     step = np.diff(imu.t, prepend=imu.t[0] - float(np.median(np.diff(imu.t))))[:, None]
-    values = np.concatenate([imu.angular_rate_s @ R.T * step, imu.specific_force_s @ R.T * step], axis=1)
+    values = np.concatenate([rate @ R.T * step, force @ R.T * step], axis=1)
     names = ["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
     return pd.DataFrame(values, index=imu.t, columns=names)
 
