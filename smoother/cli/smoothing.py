@@ -23,6 +23,7 @@ from smoother.cli.demo import demo
 from smoother.cli.evaluating import evaluate
 from smoother.cli.exporting import export
 from smoother.cli.lapping import laps
+from smoother.cli.living import live
 from smoother.cli.output import progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.simulating import simulate
@@ -49,6 +50,7 @@ NAMED_COMMANDS: dict[str, click.Command] = {
     "export": export,
     "laps": laps,
     "compare": compare,
+    "live": live,
 }
 EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "

@@ -1,0 +1,151 @@
+"""`smooth live PORT|FILE`: the box in your hand, on the screen."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from smoother.cli.arguments import EXIT_DONE
+from smoother.cli.output import say_json, warn
+from smoother.errors import UsageError
+
+if TYPE_CHECKING:
+    from smoother.live.engine import Snapshot
+    from smoother.live.receiver import LinkStatus
+    from smoother.live.running import View
+
+
+@click.command(short_help="The box in your hand, on the screen, while it records.")
+@click.argument("target", metavar="PORT|FILE|-")
+@click.option("--baud", type=click.IntRange(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
+@click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
+@click.option("--record", metavar="DIR", type=click.Path(path_type=Path), help="Write a session that smooth accepts.")
+@click.option("--headless", is_flag=True, help="Show nothing.")
+@click.option("--json", "as_json", is_flag=True, help="One line of JSON a second on stdout; implies --headless.")
+@click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
+@click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
+@click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found after two laps].")
+@click.option("--seconds", metavar="S", type=click.FloatRange(0.1), help="Stop after this time.")
+def live(
+    target: str,
+    baud: int,
+    speed: str,
+    record: Path | None,
+    headless: bool,
+    as_json: bool,
+    view: str,
+    calibration: Path | None,
+    line: str | None,
+    seconds: float | None,
+) -> int:
+    """Show what the logger sends over its serial line: attitude, forces, GPS, laps, and what got lost on the way.
+
+    PORT is a serial port (/dev/ttyUSB0), FILE a recording (.KLG, or bytes of the line), - standard input. A cable that
+    is pulled may be plugged in again. Attitude is there at once; once the kart has driven for some seconds, mounting
+    and delays are found and the smoother starts. Ctrl-C or closing the window ends it.
+    """
+    import numpy as np
+
+    from smoother.calibration import load_calibration
+    from smoother.laps.tracks import line_from_text
+    from smoother.live.engine import Engine
+    from smoother.live.identify import Background
+    from smoother.live.receiver import Receiver
+    from smoother.live.recording import SessionWriter
+    from smoother.live.running import run
+    from smoother.live.sources import source_for
+
+    source = source_for(target, baud, _speed(speed))
+    values = None if calibration is None else load_calibration(calibration)
+    tracks = () if line is None else (line_from_text(line),)
+    writer = None if record is None else SessionWriter(record, np.random.default_rng())
+    with (
+        Background() as worker,
+        Receiver(source, waits=not source.can_return) as receiver,
+        _view(view, headless or as_json, as_json, source.name) as shown,
+        _stopping(seconds) as stop,
+    ):
+        try:
+            run(receiver, Engine(worker, values, tracks), shown, writer, stop)
+        finally:
+            if writer is not None:
+                writer.close()
+    if writer is not None and not as_json:
+        _say_recorded(writer)
+    return EXIT_DONE
+
+
+def _say_recorded(writer: object) -> None:
+    path = getattr(writer, "path", None)
+    warn(f"recorded {path}" if path is not None else "nothing came, so nothing was recorded")
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float("inf") if text == "max" else float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0.0:
+        raise UsageError(f"--speed {text}: a number above 0, or max")
+    return value
+
+
+@contextlib.contextmanager
+def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
+    """Give a function that says when to stop: after `seconds`, on Ctrl-C, or when asked to terminate."""
+    import time
+
+    asked: list[int] = []
+    end = None if seconds is None else time.monotonic() + seconds
+    before = {s: signal.signal(s, lambda number, _: asked.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked) or (end is not None and time.monotonic() >= end)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _Lines:
+    """The view without one: a line of JSON a second, or nothing at all."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self.frames_a_second = 1.0
+
+    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
+        from smoother.live.document import line_of
+
+        if self._as_json:
+            say_json(line_of(s, link, delay))
+            sys.stdout.flush()
+        return True
+
+
+@contextlib.contextmanager
+def _view(kind: str, headless: bool, as_json: bool, name: str) -> Iterator[View]:
+    if headless:
+        yield _Lines(as_json)
+        return
+    if kind == "window" or (kind == "auto" and _has_display()):
+        from smoother.live.window import WindowView
+
+        with WindowView(name) as window:
+            yield window
+        return
+    from smoother.live.terminal import TerminalView
+
+    with TerminalView(name) as terminal:
+        yield terminal
+
+
+def _has_display() -> bool:
+    if not sys.stdout.isatty():
+        return False
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,78 @@
+"""A snapshot as one line of JSON, for scripts: degrees and SI, null for what is not known."""
+
+import json
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from smoother.frames import euler_from_rotation
+from smoother.live.engine import Snapshot
+from smoother.live.receiver import LinkStatus
+from smoother.units import DEG
+
+
+def document_of(s: Snapshot, link: LinkStatus, delay: float) -> dict[str, object]:
+    """Return what is shown as plain values. delay s from the newest bytes to now; keys end in their units."""
+    lag = s.lag
+    return {
+        "t_s": s.t,
+        "stage": s.stage,
+        "delay_s": delay,
+        "madgwick": None if s.madgwick is None else _angles(s.madgwick),
+        "smoother": None
+        if lag is None
+        else {
+            **_angles(lag.R_nb),
+            "sigma_attitude_deg": (lag.attitude_sigma / DEG).tolist(),
+            "position_n_m": lag.position_n.tolist(),
+            "velocity_n_mps": lag.velocity_n.tolist(),
+            "sigma_velocity_mps": lag.velocity_sigma.tolist(),
+            "behind_fix_s": lag.delay,
+        },
+        "specific_force_s_mps2": s.force.tolist(),
+        "angular_rate_s_dps": (s.rate / DEG).tolist(),
+        "rates_hz": s.rates,
+        "gps": {
+            "fix": s.reception.fix,
+            "satellites": None if s.reception.satellites < 0 else s.reception.satellites,
+            "hdop": s.reception.hdop,
+            "age_s": s.fix_age,
+            "speed_mps": s.speed,
+            "lat_deg": s.lat_deg,
+            "lon_deg": s.lon_deg,
+        },
+        "laps": {"lap": s.laps.lap, "running_s": s.laps.running, "last_s": s.laps.last, "best_s": s.laps.best},
+        "compass": {"coverage": s.coverage, "rms_ut": s.field_rms, "is_calibrating": s.is_calibrating},
+        "losses": {
+            "lost_frames": s.losses.lost_frames,
+            "lost_share": s.losses.lost_share,
+            "damaged_frames": s.losses.damaged,
+            "noise_bytes": s.losses.noise_bytes,
+            "restarts": s.losses.restarts,
+            "disconnects": link.disconnects,
+            "dropped_bytes": link.dropped_bytes,
+        },
+        "connected": link.is_open,
+    }
+
+
+def line_of(s: Snapshot, link: LinkStatus, delay: float) -> str:
+    """Return :func:`document_of` as one line."""
+    return json.dumps(_plain(document_of(s, link, delay)), allow_nan=False)
+
+
+def _angles(R: np.ndarray) -> dict[str, object]:
+    roll, pitch, yaw = euler_from_rotation(R)
+    return {"roll_deg": float(roll / DEG), "pitch_deg": float(pitch / DEG), "yaw_deg": float(yaw / DEG)}
+
+
+def _plain(value: object) -> object:
+    """Numbers with six digits, null where there is none: JSON knows no NaN."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,134 @@
+"""What a live stream cannot find by itself while it runs: mounting, delays, noise. Done on what has come so far.
+
+The batch smoother runs over the window in a process of its own; the stream then starts again from the head of the
+window with those values, its priors as wide as ever, so that no fix counts twice.
+"""
+
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.errors import SmootherError
+from smoother.estimate.graph.imu import InertialNoise
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.frames import Origin
+from smoother.laps.circuit import find_circuit
+from smoother.laps.path import PlanPath
+from smoother.laps.results import GivenLines, Line
+from smoother.live.lag import LagStart
+from smoother.samples import GnssFixes, ImuSamples, Problem, Session
+
+OUTPUT_RATE = 5.0  # Hz; only the start of the window is read
+SHORTEST_LAP = 100.0  # m, as for recorded laps
+MOVED = 5.0  # m/s; slower fixes say little about the mounting
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """What has come, oldest first. Fixes as in a session; n placed at `origin`."""
+
+    imu: ImuSamples
+    fixes: GnssFixes
+    origin: Origin
+
+
+def identify(window: Window) -> LagStart | str:
+    """Return where and with which values a stream over the window begins, or why it cannot."""
+    session = Session("live", window.fixes, window.origin, window.imu)
+    try:
+        trajectory = GraphSmoother(replace(GraphOptions(), rate=OUTPUT_RATE)).estimate(session)
+    except (SmootherError, ValueError, np.linalg.LinAlgError) as error:
+        return str(error)
+    report, keyframes = trajectory.report, trajectory.report.keyframes
+    if report.mode != "full" or keyframes is None:
+        return "; ".join(problem.text for problem in report.problems) or "the fixes alone"
+    found = report.identified
+    R_bs = np.array(found["R_bs"].value)
+    velocity_latency = _number(found["gps_velocity_latency"].value)
+    inside = np.flatnonzero(keyframes.t >= window.imu.t[0] + 0.05)
+    if inside.size < 10:
+        return "the window is too short"
+    k = int(inside[0])
+    arm_b = np.array(found["lever_arm_b"].value)
+    return LagStart(
+        float(keyframes.t[k]),
+        keyframes.R_nb[k] @ R_bs,
+        keyframes.position_n[k] - keyframes.R_nb[k] @ arm_b,
+        keyframes.velocity_n[k],
+        keyframes.accel_bias_s[k],
+        keyframes.gyro_bias_s[k],
+        R_bs,
+        _number(found["gps_position_latency"].value),
+        velocity_latency,
+        R_bs.T @ arm_b,
+        InertialNoise(
+            _number(found["accel_noise"].value),
+            _number(found["gyro_noise"].value),
+            GraphOptions().accel_bias_walk,
+            GraphOptions().gyro_bias_walk,
+        ),
+        np.array(found["gps_position_noise"].value),
+        np.array(found["gps_velocity_noise"].value),
+        np.array(found["gps_offset_sigma"].value),
+        _number(found["gps_offset_tau"].value),
+    )
+
+
+def find_line(t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None) -> Line | None:
+    """Return the start line of the laps driven, None without a loop. t (N,) s; position_n, velocity_n (N, 3)."""
+    path = PlanPath(t, position_n[:, :2], velocity_n[:, :2], position_n[:, 2])
+    try:
+        circuit = find_circuit(path, given, None, SHORTEST_LAP, np.zeros(len(t), dtype=np.bool_))
+    except (SmootherError, ValueError, IndexError):
+        return None
+    return None if isinstance(circuit, Problem) else circuit.start_line
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, float)
+    return value
+
+
+class Background:
+    """One process for slow work. A job that is asked for while another runs waits for the next time."""
+
+    def __init__(self) -> None:
+        # spawned, not forked: threads run here, and a copy of their locks would hang
+        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+
+    def __enter__(self) -> "Background":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def identify(self, window: Window) -> "Future[LagStart | str]":
+        """Start :func:`identify`."""
+        return self._pool.submit(identify, window)
+
+    def find_line(
+        self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None
+    ) -> "Future[Line | None]":
+        """Start :func:`find_line`."""
+        return self._pool.submit(find_line, t, position_n, velocity_n, given)
+
+
+class Foreground:
+    """The same work done at once: for tests and for playing a file as fast as it goes."""
+
+    def identify(self, window: Window) -> "Future[LagStart | str]":
+        """Run :func:`identify`."""
+        future: Future[LagStart | str] = Future()
+        future.set_result(identify(window))
+        return future
+
+    def find_line(
+        self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None
+    ) -> "Future[Line | None]":
+        """Run :func:`find_line`."""
+        future: Future[Line | None] = Future()
+        future.set_result(find_line(t, position_n, velocity_n, given))
+        return future

@@ -1,0 +1,88 @@
+"""Laps while driving: the path since the last few laps, the line across it, and the time since it was crossed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.laps.path import PlanPath
+from smoother.laps.results import Line
+from smoother.laps.timing import BESIDE, gate_crossings
+
+KEPT = 600.0  # s of path, enough for three laps of a long circuit
+STEP = 0.1  # s between rows
+
+
+@dataclass(frozen=True)
+class LapTimes:
+    """Times in s, NaN where there is none: since the line, of the last lap, of the best. lap: how many were begun."""
+
+    lap: int = 0
+    running: float = float("nan")
+    last: float = float("nan")
+    best: float = float("nan")
+    has_line: bool = False
+
+
+class LapClock:
+    """Rows of the path go in; where the start line is, is found elsewhere and given."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, Array, Array]] = []
+        self._line: Line | None = None
+        self._crossed: list[float] = []
+        self._lap, self._best = 0, float("nan")
+
+    @property
+    def has_line(self) -> bool:
+        """Whether the start line is known."""
+        return self._line is not None
+
+    def add(self, t: float, position_n: Array, velocity_n: Array) -> None:
+        """Take in a row: t s, position_n, velocity_n (3,) of the antenna."""
+        if self._rows and t - self._rows[-1][0] < STEP:
+            return
+        self._rows.append((t, position_n, velocity_n))
+        if self._rows[0][0] < t - KEPT:
+            del self._rows[: len(self._rows) // 10]
+        if self._line is not None and len(self._rows) > 1:
+            self._cross(self._path(2))
+
+    def path(self) -> tuple[Array, Array, Array]:
+        """Times (N,) s, positions and velocities (N, 3) in n."""
+        t, position, velocity = zip(*self._rows, strict=True)
+        return np.array(t), np.array(position), np.array(velocity)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the path, s."""
+        return self._rows[-1][0] - self._rows[0][0] if self._rows else 0.0
+
+    def set_line(self, line: Line) -> None:
+        """Take a start line; what was driven before it was known counts."""
+        self._line, self._crossed, self._lap, self._best = line, [], 0, float("nan")
+        if len(self._rows) > 1:
+            self._cross(self._path(len(self._rows)))
+
+    def times(self, now: float) -> LapTimes:
+        """Return the times at `now` s."""
+        crossed = self._crossed
+        running = now - crossed[-1] if crossed else float("nan")
+        last = crossed[-1] - crossed[-2] if len(crossed) > 1 else float("nan")
+        return LapTimes(self._lap, running, last, self._best, self._line is not None)
+
+    def _path(self, count: int) -> PlanPath:
+        t, position, velocity = zip(*self._rows[-count:], strict=True)
+        rows, speeds = np.array(position), np.array(velocity)
+        return PlanPath(np.array(t), rows[:, :2], speeds[:, :2], rows[:, 2])
+
+    def _cross(self, path: PlanPath) -> None:
+        assert self._line is not None
+        for at in gate_crossings(path, self._line, BESIDE).tolist():
+            if self._crossed:
+                lap = at - self._crossed[-1]
+                if lap < 5.0:
+                    continue  # rolled back and forth over the line
+                self._best = float(np.fmin(self._best, lap))
+            self._crossed = [*self._crossed[-1:], at]
+            self._lap += 1

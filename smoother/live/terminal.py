@@ -1,0 +1,82 @@
+"""The view where there is no display: a panel on the terminal, drawn by rich."""
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from smoother.live import words
+from smoother.live.engine import Snapshot
+from smoother.live.receiver import LinkStatus
+from smoother.units import DEG, STANDARD_GRAVITY
+
+BAR = 21  # characters
+FORCE_RANGE, RATE_RANGE = 3.0, 180.0  # g, deg/s
+FRAMES = 10.0  # a second: what a terminal over a network takes without falling behind
+
+
+def bar(value: float, limit: float) -> str:
+    """Return a bar of :data:`BAR` characters from the middle to value / limit."""
+    half = BAR // 2
+    n = round(half * float(np.clip(value / limit, -1.0, 1.0)))
+    cells = ["·"] * BAR
+    for i in range(min(half, half + n), max(half, half + n) + 1):
+        cells[i] = "█"
+    cells[half] = "│" if n == 0 else "█"
+    return "".join(cells)
+
+
+def panel(s: Snapshot, link: LinkStatus, name: str, delay: float) -> Panel:
+    """Return everything that is known, as one panel."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", min_width=10)
+    table.add_column()
+    gps_style = "green" if words.is_gps_good(s) else "bold red"
+    lag = s.lag
+    rows: list[tuple[str, Text]] = [
+        ("attitude", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (Madgwick)".format(*words.angles(s.madgwick)))),
+        ("", Text("roll {:>8}  pitch {:>8}  yaw {:>6}   (smoother)".format(*words.angles(lag.R_nb if lag else None)))),
+        ("smoother", Text(words.smoother(s))),
+        ("GPS", Text(words.gps(s), style=gps_style)),
+        ("speed", Text(words.speed(s), style="bold")),
+        ("laps", Text(words.laps(s))),
+    ]
+    for axis, value in zip("xyz", s.force / STANDARD_GRAVITY, strict=True):
+        rows.append((f"force {axis}", Text(f"{bar(value, FORCE_RANGE)} {value:+6.2f} g")))
+    for axis, value in zip("xyz", s.rate / DEG, strict=True):
+        rows.append((f"rate {axis}", Text(f"{bar(value, RATE_RANGE)} {value:+6.1f} °/s")))
+    link_style = "" if link.is_open else "bold red"
+    rows += [
+        ("rates", Text(words.rates(s))),
+        ("compass", Text(words.compass(s))),
+        ("link", Text(words.connection(link, name), style=link_style)),
+        ("lost", Text(words.losses(s, link))),
+        ("delay", Text(f"{1e3 * delay:.0f} ms")),
+    ]
+    for label, text in rows:
+        table.add_row(label, text)
+    return Panel(Group(table), title=Text(f"smooth live   {s.t:.1f} s"), expand=False)
+
+
+class TerminalView:
+    """Draws into the terminal until it is closed."""
+
+    frames_a_second = FRAMES
+
+    def __init__(self, name: str, console: Console | None = None) -> None:
+        self._name = name
+        self._live = Live(console=console or Console(), auto_refresh=False, transient=False)
+
+    def __enter__(self) -> "TerminalView":
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
+        """Draw; a terminal is never closed by itself."""
+        self._live.update(panel(s, link, self._name, delay), refresh=True)
+        return True

@@ -1,0 +1,97 @@
+"""What the views say of a snapshot in words and short numbers: one wording for the window and the terminal."""
+
+import math
+
+import numpy as np
+
+from smoother.frames import euler_from_rotation
+from smoother.live.engine import SILENT, Snapshot
+from smoother.live.receiver import LinkStatus
+from smoother.units import DEG, KMH
+
+FEW_SATELLITES = 5
+
+
+def angles(R: np.ndarray | None) -> tuple[str, str, str]:
+    """Roll, pitch and yaw in degrees, dashes without an attitude."""
+    if R is None:
+        return "-", "-", "-"
+    roll, pitch, yaw = (float(angle) / DEG for angle in euler_from_rotation(R))
+    return f"{roll:+.1f}°", f"{pitch:+.1f}°", f"{yaw:+.0f}°"
+
+
+def gps(s: Snapshot) -> str:
+    """Fix, satellites, hdop."""
+    satellites = "" if s.reception.satellites < 0 else f", {s.reception.satellites} satellites"
+    hdop = f", hdop {s.reception.hdop:.1f}" if math.isfinite(s.reception.hdop) else ""
+    if s.fix_age > SILENT or s.reception.fix == 0:
+        waited = f" for {s.fix_age:.0f} s" if math.isfinite(s.fix_age) and s.fix_age > SILENT else ""
+        return f"NO FIX{waited}{satellites}"
+    return f"fix{satellites}{hdop}"
+
+
+def is_gps_good(s: Snapshot) -> bool:
+    """Whether there is a fix from enough satellites."""
+    return s.fix_age <= SILENT and s.reception.fix > 0 and not 0 <= s.reception.satellites < FEW_SATELLITES
+
+
+def speed(s: Snapshot) -> str:
+    """Speed in km/h."""
+    return f"{s.speed / KMH:.1f} km/h" if math.isfinite(s.speed) else "- km/h"
+
+
+def lap_time(seconds: float) -> str:
+    """Minutes and seconds."""
+    if not math.isfinite(seconds):
+        return "-"
+    minutes, rest = divmod(seconds, 60.0)
+    return f"{int(minutes)}:{rest:05.2f}" if minutes else f"{rest:.2f}"
+
+
+def laps(s: Snapshot) -> str:
+    """Running lap, last and best."""
+    if not s.laps.has_line:
+        return "line not found yet"
+    return f"lap {s.laps.lap}  {lap_time(s.laps.running)}   last {lap_time(s.laps.last)}   best {lap_time(s.laps.best)}"
+
+
+def rates(s: Snapshot) -> str:
+    """Samples a second of each sensor."""
+    return "   ".join(
+        f"{label} {s.rates.get(name, 0.0):.{digits}f} Hz"
+        for name, label, digits in (("imu", "IMU", 0), ("mag", "compass", 0), ("gps", "GPS", 1))
+    )
+
+
+def losses(s: Snapshot, link: LinkStatus) -> str:
+    """Everything that was lost on the way here; what did not happen is not said."""
+    said = [
+        (s.losses.lost_frames, f"{s.losses.lost_frames} frames lost ({s.losses.lost_share:.1%})"),
+        (s.losses.damaged, f"{s.losses.damaged} damaged"),
+        (s.losses.noise_bytes, f"{s.losses.noise_bytes} bytes of noise or text"),
+        (link.dropped_bytes, f"{link.dropped_bytes} bytes came too fast"),
+        (link.disconnects, f"{link.disconnects} x unplugged"),
+        (s.losses.restarts, f"logger restarted {s.losses.restarts} x"),
+    ]
+    return ", ".join(text for count, text in said if count) or "nothing lost"
+
+
+def connection(link: LinkStatus, name: str) -> str:
+    """Whether the port is open."""
+    if link.is_over:
+        return f"{name}: end"
+    return f"{name}: connected" if link.is_open else f"{name}: NOT CONNECTED, trying again"
+
+
+def compass(s: Snapshot) -> str:
+    """How much of the sphere was seen."""
+    rms = f", off the ellipsoid {s.field_rms:.2f} uT rms" if math.isfinite(s.field_rms) else ""
+    return f"{s.coverage:.0%} of the directions{rms}"
+
+
+def smoother(s: Snapshot) -> str:
+    """What the smoother does, and how sure it is."""
+    if s.lag is None:
+        return s.stage
+    worst = float(np.max(s.lag.attitude_sigma)) / DEG
+    return f"smoothing, attitude ±{worst:.1f}°, speed ±{float(np.max(s.lag.velocity_sigma[:2])) / KMH:.1f} km/h"
