@@ -1,14 +1,15 @@
 """Calibration: the values that turn counts in s into SI in s. Load, save, apply; estimates nothing."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeGuard
 
 import numpy as np
 
 from smoother.arrays import Array, frozen
+from smoother.documents import load_toml, replacing
 from smoother.errors import ConfigError
 from smoother.frames import Origin
 from smoother.samples import AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
@@ -177,10 +178,19 @@ def load_calibration(path: Path) -> Calibration:
     if "temperature" not in gyro:
         raise ConfigError(f"{path.name}: [gyroscope] bias_per_kelvin needs the temperature at which bias holds")
     span = gyro.get("temperature_span", [-np.inf, np.inf])
-    if not isinstance(span, list) or len(span) != 2 or any(isinstance(end, bool | str | list) for end in span):
+    if not _is_span(span):
         raise ConfigError(f"{path.name}: [gyroscope] temperature_span must be two numbers, lowest and highest")
     at = float(_numbers(gyro["temperature"], (), path, "gyroscope", "temperature"))
     return replace(found, gyro_temperature=at, gyro_temperature_span=(float(span[0]), float(span[1])))
+
+
+def _is_span(span: object) -> TypeGuard[list[float]]:
+    """Whether a value of the file is two numbers in order; either may be infinite."""
+    if not isinstance(span, list) or len(span) != 2:
+        return False
+    if any(isinstance(end, bool) or not isinstance(end, int | float) for end in span):
+        return False
+    return bool(span[0] <= span[1] and all(abs(end) == np.inf or abs(end) < 1e9 for end in span))
 
 
 def save_calibration(path: Path, calibration: Calibration, notes: Mapping[str, Mapping[str, object]]) -> None:
@@ -208,7 +218,8 @@ def save_calibration(path: Path, calibration: Calibration, notes: Mapping[str, M
             body.append(str(note) if str(note).startswith("#") else f"{key} = {toml_value(note)}")
         if body:
             lines += ["", f"[{table}]", *body]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def load_notes(path: Path, calibration: Calibration, newer: Calibration) -> dict[str, dict[str, object]]:
@@ -273,12 +284,7 @@ def merged(older: Calibration, newer: Calibration) -> Calibration:
 
 
 def _document(path: Path) -> dict[str, object]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}: not valid TOML ({error}); mend it or delete it") from error
-    except OSError as error:
-        raise ConfigError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    return load_toml(path, "mend it or delete it")
 
 
 def _section(document: dict[str, object], table: str, path: Path) -> dict[str, object]:
@@ -291,7 +297,7 @@ def _section(document: dict[str, object], table: str, path: Path) -> dict[str, o
 def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key: str) -> Array:
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.shape != shape or not np.all(np.isfinite(array)):
         wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"

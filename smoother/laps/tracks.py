@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.documents import load_json
 from smoother.errors import ConfigError
 from smoother.frames import Origin, geodetic_to_nwu
 from smoother.laps.line import meeting_places
@@ -27,7 +28,7 @@ from smoother.laps.results import GivenLines
 ENDINGS = (".json", ".geojson")
 FOOT = 0.3048  # m
 LONGEST_LINE = 500.0  # m; beyond, latitude and longitude were swapped or a point is wrong
-_NUMBER = re.compile(r"\d+")
+_NUMBER = re.compile(r"\d{1,9}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,21 +72,27 @@ def named_tracks(name: str, folder: Path) -> tuple[TrackFile, ...]:
     """
     path, _, chosen = name.partition("#")
     if path.strip().lower().endswith(ENDINGS):
-        return load_tracks(folder / path.strip(), chosen.strip())
+        return load_tracks(_inside(folder, path.strip()), chosen.strip())
     known = {key.lower(): track for key, track in library().items()}
     track = known.get(name.strip().lower())
     return () if track is None else (track,)
 
 
+def _inside(folder: Path, name: str) -> Path:
+    """The file of that name in `folder` or below: what a session states may not reach files outside of it."""
+    path = folder / name
+    try:
+        inside = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+        inside = False
+    if not inside:
+        raise ConfigError(f"track {name!r} lies outside the folder of the session; copy the file into it")
+    return path
+
+
 def load_tracks(path: Path, chosen: str = "") -> tuple[TrackFile, ...]:
     """Read a track file; `chosen` names one of several. Raises ConfigError naming file and remedy."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ConfigError(f"{path}: track file cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: not valid JSON ({error})") from error
-    tracks = _tracks(path.name, document)
+    tracks = _tracks(path.name, load_json(path))
     if not chosen:
         return tracks
     for track in tracks:
@@ -141,7 +148,7 @@ def _tracks(name: str, document: Any) -> tuple[TrackFile, ...]:
 
 def _from_pairs(file: str, name: str, values: dict[str, Any]) -> TrackFile:
     prefixes = sorted(
-        {match.group(0)[:-6] for key in values if (match := re.fullmatch(r"sector_\d+_a_lat", key))},
+        {match.group(0)[:-6] for key in values if (match := re.fullmatch(r"sector_\d{1,9}_a_lat", key))},
         key=lambda prefix: int(prefix.split("_")[1]),
     )
     length = values.get("lengthFt")
@@ -150,7 +157,7 @@ def _from_pairs(file: str, name: str, values: dict[str, Any]) -> TrackFile:
         start=_pair(file, values, "start"),
         sectors=tuple(_pair(file, values, prefix) for prefix in prefixes),
         finish=_pair(file, values, "finish") if "finish_a_lat" in values else None,
-        length=float(length) * FOOT if isinstance(length, int | float) else float("nan"),
+        length=float(length) * FOOT if isinstance(length, int | float) and 0.0 < length < 1e9 else float("nan"),
     )
 
 
@@ -168,19 +175,30 @@ def _pair(file: str, values: dict[str, Any], prefix: str) -> Array:
 def _from_geojson(file: str, document: dict[str, Any]) -> tuple[TrackFile, ...]:
     features = document.get("features", [document]) if document["type"] == "FeatureCollection" else [document]
     by_track: dict[str, list[tuple[str, Array]]] = {}
-    for i, feature in enumerate(features):
-        properties, geometry = feature.get("properties") or {}, feature.get("geometry") or {}
-        points = geometry.get("coordinates") or []
+    for i, feature in enumerate(_list(features)):
+        properties, geometry = (
+            _mapping(_mapping(feature).get("properties")),
+            _mapping(_mapping(feature).get("geometry")),
+        )
+        points = _list(geometry.get("coordinates"))
         if geometry.get("type") != "LineString" or len(points) != 2:
             continue  # the outline of the track, a paddock: not a timing line
         role = str(properties.get("line") or properties.get("name") or "start").lower()
-        ends = _line(points[0][1::-1], points[1][1::-1], f"{file}: feature {i + 1}")
+        ends = _line(_list(points[0])[1::-1], _list(points[1])[1::-1], f"{file}: feature {i + 1}")
         by_track.setdefault(str(properties.get("track") or ""), []).append((role, ends))
     tracks = [_assembled(name, lines) for name, lines in by_track.items()]
     found = tuple(track for track in tracks if track is not None)
     if not found:
         raise ConfigError(f'{file}: no LineString of two points with the property "line": "start"')
     return found
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
 def _assembled(name: str, lines: list[tuple[str, Array]]) -> TrackFile | None:
@@ -200,7 +218,7 @@ def _line(a: Any, b: Any, what: str) -> Array:
     """Two points (lat, lon) in degrees as (2, 2), checked."""
     try:
         ends = np.array([[float(a[0]), float(a[1])], [float(b[0]), float(b[1])]])
-    except (TypeError, ValueError, IndexError) as error:
+    except (TypeError, ValueError, IndexError, KeyError, OverflowError) as error:
         raise ConfigError(f"{what}: wanted two points of latitude and longitude in degrees") from error
     if not np.all(np.isfinite(ends)) or np.any(np.abs(ends[:, 0]) > 90.0) or np.any(np.abs(ends[:, 1]) > 360.0):
         raise ConfigError(f"{what}: latitude or longitude is out of range")

@@ -5,10 +5,8 @@ to a resolution well below any sensor's (1e-9 deg, 0.1 mm, 0.1 mm/s, 1e-4 deg), 
 Refuses to compute anything: what is not in the trajectory or in the session is written as NaN.
 """
 
-import contextlib
 import json
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array
+from smoother.documents import replacing as replacing
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
@@ -26,17 +25,6 @@ ANGLE_DIGITS = 9  # of latitude and longitude: 0.1 mm on the ground
 DIGITS = 4
 
 Columns = dict[str, Array]
-
-
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`, renamed to it on success and removed on failure."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 LapColumns = tuple[pl.Series, Array]

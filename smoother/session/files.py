@@ -94,6 +94,8 @@ def list_files(path: Path) -> SessionFiles:
     """List the session at `path`, a directory or one file of it. Raises SessionError if there is none."""
     if not path.exists():
         raise SessionError(f"{path}: no such file or directory")
+    if not path.is_dir() and not path.is_file():
+        raise SessionError(f"{path}: neither a file nor a directory; a pipe or a device holds no recording")
     directory = path if path.is_dir() else path.parent
     try:
         names = tuple(sorted(entry.name for entry in directory.iterdir() if entry.is_file()))

@@ -9,6 +9,7 @@ from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.fixes import FixColumns, screen_fixes
 from smoother.session.inertial import screen_imu
+from smoother.session.rows import LATEST
 from smoother.units import DEG, KMH, KNOT, MPH, STANDARD_GRAVITY
 
 FASTEST_FIXES = 1000.0  # Hz; nothing writes more, and no receiver makes more than 100
@@ -89,6 +90,7 @@ def factor(unit: str, units: dict[str, float], otherwise: str) -> float:
 
 def seconds_since_first(unix: Array) -> Array:
     """Times (N,) s from the first that is known, to the microsecond: UTC in seconds has no more as a float."""
+    unix = np.where(np.abs(unix) < LATEST, unix, np.nan)
     known = unix[np.isfinite(unix)]
     return np.round(unix - known[0], 6) if known.size else unix
 

@@ -4,6 +4,7 @@ Parsed as a stream and not with a GPX library: those build the whole document in
 """
 
 import datetime as dt
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,9 @@ from smoother.session.rows import counted
 WHAT = "GPX file"
 CHUNK_BYTES = 1 << 16
 LONGEST_POINT = 1 << 20  # bytes between the ends of two elements; a point has some hundred
+LONGEST_SALVAGED = 1 << 14  # bytes of a point in a damaged file
+_POINT = re.compile(rb"<trkpt\b[^<>]*(?<!/)>(?:(?!<trkpt\b).)*?</trkpt\s*>", re.DOTALL)
+_PREFIX = re.compile(r"(</?)[\w.-]+:")  # of a name whose declaration stands elsewhere in the file
 VALUES = {  # element, wherever in the point it stands: column
     "ele": "alt_m",
     "sat": "num_sv",
@@ -61,6 +65,8 @@ def read_gpx(path: Path) -> ForeignReading:
         flaw = f"{path.name}: broken XML ({error})"
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+    if flaw is not None:
+        points = max(points, _salvage(path), key=lambda found: len(found.columns["unix_s"]))
     columns = {name: np.array(values, dtype=np.float64) for name, values in points.columns.items()}
     unix = columns["unix_s"]
     if unix.size == 0:
@@ -71,7 +77,7 @@ def read_gpx(path: Path) -> ForeignReading:
         text = f"{path.name}: {counted(points.untimed, 'point')} without a time; dropped"
         problems = [Problem("gps_no_time", text, points.untimed), *problems]
     if flaw is not None:
-        problems = [Problem("gps_file_cut", f"{flaw}; read up to there"), *problems]
+        problems = [Problem("gps_file_cut", f"{flaw}; the points that are whole are used"), *problems]
     return ForeignReading(gnss, problems)
 
 
@@ -102,6 +108,23 @@ def _stream(path: Path, points: _Points) -> None:
             if since_end > LONGEST_POINT:
                 raise SessionError(f"{path.name}: {LONGEST_POINT} characters without an element; this is no {WHAT}")
     parser.close()
+
+
+def _salvage(path: Path) -> _Points:
+    """The points of a file that is no XML as a whole: each that is whole in itself, before and after the damage."""
+    points, rest = _Points(), b""
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK_BYTES):
+            block, end = rest + chunk, 0
+            for match in _POINT.finditer(block):
+                end = match.end()
+                try:
+                    text = _PREFIX.sub(r"\1", match.group().decode("utf-8", errors="replace"))
+                    points.add(ET.fromstring(text))
+                except ET.ParseError:
+                    continue  # the damage itself
+            rest = block[end:][-LONGEST_SALVAGED:]
+    return points
 
 
 def _number(text: str | None) -> float:

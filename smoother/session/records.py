@@ -120,7 +120,7 @@ def _require_short(file: str, line: bytes, number: int | None, what: str) -> Non
 def _split(lines: list[bytes], separator: str | None) -> tuple[list[bytes], np.ndarray]:
     """Rows with a comma between the cells, and how many cells each has."""
     if separator is None:
-        cells = [line.split() for line in lines]
+        cells = [line.replace(b",", b".").split() for line in lines]  # some programs write decimal commas
         return [b",".join(row) for row in cells], np.array([len(row) for row in cells], dtype=np.int64)
     mark = separator.encode()
     rows = [line.strip().replace(b'"', b"") for line in lines]

@@ -2,8 +2,6 @@
 
 import datetime
 import difflib
-import math
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,13 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import GnssTiming, ImuNoise, MagnetometerUse, Mounting, SessionConfig
+from smoother.documents import load_toml
 from smoother.errors import ConfigError
 
 ROTATION_TOLERANCE = 0.02  # largest error of R R^T: a matrix typed with two decimals is still meant as a rotation
 LONGEST_LEVER_ARM = 20.0  # m; beyond, millimetres were written for metres
 LONGEST_LATENCY = 5.0  # s
+LARGEST_NUMBER = 1e300
 DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "forward": (1.0, 0.0, 0.0),
     "back": (-1.0, 0.0, 0.0),
@@ -30,13 +30,7 @@ DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
 
 def load_settings(path: Path) -> SessionConfig:
     """Read session.toml. Raises ConfigError naming file, key and remedy for anything it does not know."""
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path.name}: not valid TOML ({error}); mend that line") from error
-    except OSError as error:
-        raise ConfigError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-    return _settings(_Reader(path.name, document))
+    return _settings(_Reader(path.name, load_toml(path)))
 
 
 def rotation_from_axes(axes: str) -> Array:
@@ -159,7 +153,9 @@ def _flag(value: Any) -> bool:
 
 
 def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a finite number")
+    if not abs(value) <= LARGEST_NUMBER:  # compared as it is: a whole number of TOML may be too long for a float
         raise ValueError("must be a finite number")
     return float(value)
 
@@ -188,7 +184,7 @@ def _declination(value: Any) -> float:
 def _array(value: Any, shape: tuple[int, ...]) -> Array:
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.shape != shape or not np.all(np.isfinite(array)) or _holds_text(value):
         raise ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")

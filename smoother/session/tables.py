@@ -5,7 +5,7 @@ leniently, so a bad row costs itself and never the file. What can be wrong with 
 missing column) is a SessionError that names the file and what it has.
 """
 
-import gzip
+import contextlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +20,9 @@ from smoother.errors import SessionError
 HEAD_BYTES = 65536
 LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
 ROW_BYTES = 4096  # a row is mostly shorter
+LARGEST_UNPACKED = 2 << 30  # bytes of a file that cannot be read as it lies on the disk
+PACKED_STEP = 4096  # bytes; unpacked at most four megabytes
+GZIP = zlib.MAX_WBITS | 16
 _ISO_FORMATS = ("%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%dT%H:%M:%S%.f%:z", "%Y-%m-%dT%H:%M:%S%.f%z")
 
 
@@ -167,7 +170,7 @@ def _source(path: Path) -> Path | bytes:
     plain = not head.startswith((b"\x1f\x8b", b"\xff\xfe", b"\xfe\xff")) and (b"\n" in head or b"\r" not in head)
     if plain:
         _require_lines(path)
-    return path if plain else _plain_bytes(path.read_bytes())
+    return path if plain else _plain_bytes(_whole(path), path.name)
 
 
 def _require_lines(path: Path) -> None:
@@ -189,27 +192,47 @@ def _text_head(path: Path) -> str:
             head = file.read(HEAD_BYTES)
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-    return _plain_bytes(head).decode("utf-8", errors="replace")
+    return _plain_bytes(head, path.name).decode("utf-8", errors="replace")
 
 
-def _plain_bytes(data: bytes) -> bytes:
-    """Gunzip (a cut archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines."""
+def _whole(path: Path) -> bytes:
+    """The bytes of a file that has to be changed in memory, where there is room for them."""
+    if path.stat().st_size > LARGEST_UNPACKED:
+        raise SessionError(f"{path.name}: more than {LARGEST_UNPACKED >> 20} MB; save it as UTF-8 with ends of lines")
+    return path.read_bytes()
+
+
+def _plain_bytes(data: bytes, file: str) -> bytes:
+    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines."""
     if data.startswith(b"\x1f\x8b"):
-        data = _gunzip(data)
+        data = _gunzip(data, file)
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         data = data.decode("utf-16", errors="replace").encode()
     return data if b"\n" in data else data.replace(b"\r", b"\n")
 
 
-def _gunzip(data: bytes) -> bytes:
-    try:
-        return gzip.decompress(data)
-    except (OSError, EOFError, zlib.error):
-        decoder = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)
-        whole = bytearray()
+def _gunzip(data: bytes, file: str) -> bytes:
+    """What can be unpacked, up to the first byte that is damaged. Raises SessionError where it has no end."""
+    whole, place = bytearray(), 0
+    decoder = zlib.decompressobj(wbits=GZIP)
+    while place < len(data):
+        before = decoder.copy()
         try:
-            for start in range(0, len(data), 4096):
-                whole += decoder.decompress(data[start : start + 4096])
+            whole += decoder.decompress(data[place : place + PACKED_STEP])
         except zlib.error:
-            pass
-        return bytes(whole)
+            return bytes(whole + _until_damage(before, data[place : place + PACKED_STEP]))
+        if len(whole) > LARGEST_UNPACKED:
+            raise SessionError(f"{file}: more than {LARGEST_UNPACKED >> 20} MB when unpacked; unpack it first")
+        place += PACKED_STEP
+        if decoder.eof:  # archives may stand one behind the other
+            place = min(place, len(data)) - len(decoder.unused_data)
+            decoder = zlib.decompressobj(wbits=GZIP)
+    return bytes(whole)
+
+
+def _until_damage(decoder: "zlib._Decompress", data: bytes) -> bytearray:
+    whole = bytearray()
+    with contextlib.suppress(zlib.error):
+        for byte in data:
+            whole += decoder.decompress(bytes([byte]))
+    return whole

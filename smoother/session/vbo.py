@@ -129,6 +129,7 @@ def _unique(names: Sequence[str]) -> list[str]:
 
 def _utc(clock: Array) -> Array:
     """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number; NaN where that is no time."""
+    clock = np.where(np.abs(clock) < 1e6, clock, np.nan)
     with np.errstate(invalid="ignore"):
         hours, minutes, seconds = clock // 10_000, clock // 100 % 100, clock % 100
         good = (clock >= 0.0) & (hours < 24) & (minutes < 60) & (seconds < 61)

@@ -1,0 +1,57 @@
+"""Files a person wrote, small ones, and files we write: bounded when read, whole or not at all when written."""
+
+import contextlib
+import json
+import os
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from smoother.errors import ConfigError
+
+LARGEST = 16 << 20  # bytes; the settings of a session have 1 kB, the lines of all tracks of the world some megabytes
+
+
+def load_toml(path: Path, remedy: str = "mend that line") -> dict[str, Any]:
+    """Read a TOML file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
+    try:
+        return tomllib.loads(_text(path))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path.name}: not valid TOML ({_reason(error)}); {remedy}") from error
+
+
+def load_json(path: Path) -> Any:
+    """Read a JSON file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
+    try:
+        return json.loads(_text(path))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: not valid JSON ({_reason(error)})") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if len(data) > LARGEST:
+        raise ConfigError(f"{path.name}: larger than {LARGEST >> 20} MB; this is no file of settings")
+    return data.decode("utf-8-sig")
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    return " ".join(str(error).split())[:200]
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`, renamed to it on success and removed on failure."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
