@@ -186,13 +186,21 @@ class Batch:
                 break
         return state
 
-    def step(self, graph: InertialGraph, state: ChainState, noise: Noise, before: Array | None = None) -> Solved:
+    def step(
+        self,
+        graph: InertialGraph,
+        state: ChainState,
+        noise: Noise,
+        before: Array | None = None,
+        held: Array | None = None,
+    ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
         before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (18, 18) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
-        solution = solve_chain(system)
+        solution = solve_chain(system, held=held)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
             state.retract(share * solution.x, share * solution.constants),

@@ -98,9 +98,10 @@ class ChainFactor:
         return np.asarray(out + left @ self._last @ left.T)
 
 
-def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSolution:
+def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None) -> ChainSolution:
     """Solve `system`, and unless told otherwise invert it at and beside the diagonal.
 
+    held (m, m): covariance of constants that are known from elsewhere; they do not move.
     Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
     if not all(np.isfinite(np.sum(part)) for part in vars(system).values()):
@@ -119,7 +120,9 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True) -> ChainSo
     influence, solution = np.ascontiguousarray(x[:, :, :m]), x[:, :, m].copy()
     del rhs, x, offsets  # a long session needs the room for its covariance
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
-    if m:
+    if held is not None:
+        constants_covariance = held
+    elif m:
         factor = _cholesky((system.corner - inner[:, :m])[None])[0]
         constants_covariance = _inverse_from_cholesky(factor[None])[0]
         constants = constants_covariance @ (system.rhs_constants - inner[:, m])

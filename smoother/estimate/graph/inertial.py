@@ -89,7 +89,7 @@ class InertialGraph:
         """
         blocks = np.array([factor.augmentedJacobian() for factor in self._linear_factors(state)])
         if noise != self.noise:
-            blocks = np.linalg.solve(np.linalg.cholesky(self._scaled_covariance(noise)), self._unwhiten) @ blocks
+            blocks = self._whitening(noise) @ blocks
         left, right = blocks[:, :, _LEFT], blocks[:, :, _RIGHT]
         by_bias = left[:, :, 9:15] + right[:, :, 9:15]
         axes = state.constants.level_axes_s
@@ -99,6 +99,15 @@ class InertialGraph:
         by_rate = by_bias[:, :, 3:6] * rate[:, None, None]
         linear = LinearInertial(left, right, np.concatenate([by_force, by_rate], axis=2), -blocks[:, :, -1])
         return inertial_after_errors(linear, state.constants.as_vector() - self.constants.as_vector())
+
+    def _whitening(self, noise: InertialNoise) -> Array:
+        """Matrices (K-1, 15, 15) that take what GTSAM whitened to whitened with `noise`."""
+        try:
+            root = np.linalg.cholesky(self._scaled_covariance(noise))
+        except np.linalg.LinAlgError:  # scaling is an approximation, and some covariances have little to spare
+            change = min(noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
+            root = change * np.linalg.cholesky(self._covariance)
+        return np.asarray(np.linalg.solve(root, self._unwhiten))
 
     def _linear_factors(self, state: ChainState) -> Iterator[gtsam.GaussianFactor]:
         tangents = _tangents_from_rest(state)

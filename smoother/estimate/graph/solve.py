@@ -1,0 +1,154 @@
+"""Solving in turns: the noise and the constants of a session from a part of it, then the whole until it stays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Scatter, Solved, moved, update_noise
+from smoother.estimate.graph.heading import heading_from_field
+from smoother.estimate.graph.incremental import solve_as_stream
+from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.rows import Rows, heading_rows
+from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of
+from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
+from smoother.fit.magnetic_model import session_field
+from smoother.samples import Problem, Session
+
+NEAR = 0.15  # rad; its square is what a Gauss-Newton step leaves of it, about a degree
+WELL_KNOWN = 0.2  # of a sigma: a last step that moved by less adds 2 % to the error, and what it leaves is smaller
+WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
+SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
+
+Say = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved session, and what it was solved with."""
+
+    solved: Solved
+    noise: Noise
+    priors: Priors
+    problems: tuple[Problem, ...]
+
+
+def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solution:
+    """Solve all keyframes of `start` in one system, with the constants and the noise that they tell.
+
+    A magnetometer that makes the fixes look worse than they were without it is left out.
+    """
+    batch, state = Batch(start.data, start.binned, start.priors), start.state
+    graph = batch.graph(state, noise)
+    state = batch.approach(graph, state, noise, NEAR, options.approaches)
+    data, priors, problems = with_heading(session, start, state)
+    batch = Batch(data, start.binned, priors)
+    near = batch.converge(graph, state, noise, 2) if data.extra else state
+    solved, found = finish(batch, graph, near, noise, start, options, say)
+    if data.extra and _is_worse(found, noise):
+        batch = Batch(start.data, start.binned, start.priors)
+        without, calm = finish(batch, graph, state, noise, start, options, say)
+        if _is_worse(found, calm):
+            text = "with the magnetometer the fixes fit worse than without it; it was left out"
+            problem = Problem("magnetometer_unused", text)
+            data, priors, problems = start.data, start.priors, (*problems, problem)
+            solved, found = without, calm
+        else:
+            batch = Batch(data, start.binned, priors)
+    noise = found
+    if options.solver == "isam2":
+        constants = solved.state.constants
+        solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants)
+    return Solution(solved, noise, priors, problems)
+
+
+def _is_worse(noise: Noise, other: Noise) -> bool:
+    """Whether the fixes were found to be much noisier than in `other`."""
+    levels = ((noise.position[0], other.position[0]), (noise.velocity[0], other.velocity[0]))
+    return any(one > WORSE * two for one, two in levels)
+
+
+def identify(start: Start, options: GraphOptions, say: Say) -> tuple[Constants, tuple[Array, Array], Noise]:
+    """Find constants, mean biases of force and rate and noise, turn by turn, on a part of a long session.
+
+    Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
+    """
+    part = busiest_part(start, options.identification_span)
+    state, noise = _settle(part, part.state, start.noise, scatter_of(start), options, say)
+    return state.constants, (state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)), noise
+
+
+def _settle(
+    start: Start, state: ChainState, noise: Noise, scatter: Scatter, options: GraphOptions, say: Say
+) -> tuple[ChainState, Noise]:
+    """Converge, then re-estimate the noise after each further step until it stays."""
+    batch = Batch(start.data, start.binned, start.priors)
+    graph = batch.graph(state, noise)
+    state = batch.converge(graph, state, noise, options.iterations)
+    before = np.zeros(CONSTANTS_SIZE)
+    for turn in range(options.rounds):
+        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        solved = batch.step(graph, state, noise, before)
+        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        state = solved.state
+        better = _reestimated(solved, noise, start, scatter)
+        settled = noise.change(better) < SETTLED
+        noise = better
+        say(0.7 * (turn + 1) / options.rounds)
+        if settled:
+            break
+    return state, noise
+
+
+def finish(
+    batch: Batch,
+    graph: InertialGraph,
+    state: ChainState,
+    noise: Noise,
+    start: Start,
+    options: GraphOptions,
+    say: Say,
+) -> tuple[Solved, Noise]:
+    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
+    scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
+    solved: Solved | None = None
+    for turn in range(options.final_rounds):
+        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        solved = None  # gone before the next one: of a long session, two do not fit
+        solved = batch.step(graph, state, noise, before)
+        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        state = solved.state
+        say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
+        if turn + 1 == options.final_rounds or (turn > 0 and moved(solved.solution) < WELL_KNOWN):
+            break
+        noise = _reestimated(solved, noise, start, scatter)
+    assert solved is not None
+    return solved, noise
+
+
+def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:
+    """Noise from the residuals, but for the densities that the settings state."""
+    better = update_noise(solved, noise, start.binned, scatter)
+    accel = start.stated.accel_noise or better.inertial.accel
+    gyro = start.stated.gyro_noise or better.inertial.gyro
+    return replace(better, inertial=replace(better.inertial, accel=accel, gyro=gyro))
+
+
+def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Data, Priors, tuple[Problem, ...]]:
+    """Add heading factors where there is a magnetometer that agrees with the attitude found without it."""
+    data, priors = start.data, start.priors
+    if session.mag is None or session.config.magnetometer.use is False:
+        return data, priors, ()
+    earth, problems = session_field(session)
+    heading = heading_from_field(session.mag, state, earth.declination, earth.inclination)
+    if heading is None:
+        text = "the magnetometer disagrees with the gyro and the course; it was left out"
+        return data, priors, (*problems, Problem("magnetometer_unused", text))
+
+    def rows(state: ChainState, noise: Noise) -> Rows:
+        return heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
+
+    sigma = priors.constants_sigma.copy()
+    sigma[HEADING_OFFSET] = heading.offset_sigma
+    return replace(data, extra=(rows,)), replace(priors, constants_sigma=sigma), problems

@@ -1,0 +1,290 @@
+"""What is known before the first solve: a path through the fixes, attitudes, keyframes, bins, noise and priors."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.config import ImuNoise
+from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times, start_in_step
+from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, ChainState, Constants
+from smoother.fit.standstill import session_standstill
+from smoother.samples import Session
+from smoother.units import DEG
+
+DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
+DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
+# Of the population's offset, to start from where fixes scatter by more than a metre: such fixes are not filtered, and
+# nothing says that they wander as well; if they do, the identification finds it.
+UNFILTERED_OFFSET = 0.2
+START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
+MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
+
+
+@dataclass(frozen=True)
+class GraphOptions:
+    """Options of the graph. rate Hz of the output; intervals s; everything else in SI.
+
+    keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
+    samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
+    doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
+    limit, not the spread.
+    Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
+    what receivers do. rounds: of solving and identifying.
+    """
+
+    rate: float = 50.0
+    solver: str = "batch"
+    keyframe_interval: float = 0.2
+    bin_interval: float = 0.02
+    accel_bias_sigma: float = 0.5
+    gyro_bias_sigma: float = 2.0 * DEG
+    accel_bias_walk: float = 0.003
+    gyro_bias_walk: float = 0.006 * DEG
+    lever_arm_sigma: float = 0.5
+    doppler_bias_sigma: float = 0.03
+    sensor_error_sigma: float = 0.01
+    latency_sigma: float = 0.25
+    offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
+    offset_tau: float = 60.0
+    identification_span: float = 120.0
+    rounds: int = 8
+    iterations: int = 3
+    approaches: int = 4
+    final_rounds: int = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output."""
+
+    path: GnssPath
+    driven: PathMotion
+    alignment: Alignment
+    state: ChainState
+    fine: BinnedImu
+    binned: BinnedImu
+    noise: Noise
+    data: Data
+    priors: Priors
+    receiver: float  # how the reported accuracy compares with the population's, at most 1
+    stated: ImuNoise  # densities from the settings; they are not estimated
+
+
+def make_start(session: Session, options: GraphOptions) -> Start:
+    """Return what the fixes alone and the alignment with the inertial samples tell."""
+    assert session.imu is not None
+    path = fit_gnss_path(session)
+    times = session.gnss.t
+    driven = PathMotion(times, path.at(times).velocity_n)
+    alignment = align(session.imu, driven)
+    priors = _priors(session, alignment, path, options)
+    constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    grid = _grid(session, path, driven, alignment, constants, (np.zeros(3), alignment.gyro_bias_s), options)
+    return Start(
+        path,
+        driven,
+        alignment,
+        *grid,
+        _first_noise(session, path, alignment, grid[2], options),
+        _data(session, path, grid[0].t),
+        priors,
+        _receiver(session, options),
+        session.config.imu,
+    )
+
+
+def on_grid(
+    session: Session, start: Start, constants: Constants, biases: tuple[Array, Array], options: GraphOptions
+) -> Start:
+    """Return the start with keyframes in step with fixes of better known latency, and with better known biases."""
+    state, fine, binned = _grid(session, start.path, start.driven, start.alignment, constants, biases, options)
+    return replace(start, state=state, fine=fine, binned=binned, data=_data(session, start.path, state.t))
+
+
+def _grid(
+    session: Session,
+    path: GnssPath,
+    driven: PathMotion,
+    alignment: Alignment,
+    constants: Constants,
+    biases: tuple[Array, Array],
+    options: GraphOptions,
+) -> tuple[ChainState, BinnedImu, BinnedImu]:
+    """First guess of the keyframes, and the inertial samples between them in fine bins and in those to solve with.
+
+    Keyframes stand where Doppler velocities are read. A reading between two keyframes is an average of both and
+    disturbs the path less than one at a keyframe does, so that a moving latency would be drawn to where its readings
+    fit for no other reason; at the keyframe the pull is the same to both sides.
+    """
+    assert session.imu is not None
+    fixes, interval = session.gnss.t, options.keyframe_interval
+    first = start_in_step(fixes[0] - MAX_LATENCY, interval, fixes - constants.velocity_latency)
+    t = keyframe_times(first, fixes[-1] + interval, interval)
+    at = path.at(t + constants.position_latency)
+    accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
+    state = ChainState(
+        t,
+        initial_attitude(t, session.imu, driven, alignment),
+        at.position_n,
+        at.velocity_n,
+        accel_bias,
+        gyro_bias,
+        at.offset_n,
+        constants,
+    )
+    n_bins = max(1, round(interval / options.bin_interval))
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    return state, fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
+
+
+def _data(session: Session, path: GnssPath, t: Array) -> Data:
+    gnss = session.gnss
+    assert session.imu is not None
+    assert gnss.sigma_velocity is not None
+    at_rest = session_standstill(session)
+    first, last = np.searchsorted(session.imu.t, [t[:-1], t[1:]])
+    resting = np.concatenate([[0], np.cumsum(at_rest)])
+    still = np.flatnonzero((last > first) & (resting[last] - resting[first] == last - first))
+    return Data(
+        gnss.t,
+        session.fix_position_n,
+        gnss.velocity_n,
+        path.position_scale,
+        _relative(gnss.sigma_velocity),
+        still,
+    )
+
+
+def _relative(reported: Array) -> Array:
+    """Factor (N,) of a reported sigma over the session's usual one, never below 1; 1 where nothing is reported."""
+    if not np.any(np.isfinite(reported)):
+        return np.ones(len(reported))
+    return np.fmax(1.0, np.where(np.isfinite(reported), reported / np.nanmedian(reported), 1.0))
+
+
+def _receiver(session: Session, options: GraphOptions) -> float:
+    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so."""
+    reported = session.gnss.sigma_horizontal
+    if reported is None or not np.any(np.isfinite(reported)):
+        return 1.0
+    return float(np.clip(np.nanmedian(reported) / options.offset_sigma[0], 0.1, 1.0))
+
+
+def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
+    timing, mounting = session.config.gps, session.config.mounting
+    has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
+    lag = float(np.clip(alignment.lag, 0.0, MAX_LATENCY))
+    position = lag - (path.velocity_lag.value if has_velocity else 0.0)
+    mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
+    mean[:2] = max(position, 0.0), lag
+    sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
+    sigma[DOPPLER_BIAS] = options.doppler_bias_sigma
+    for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
+        if stated is not None:
+            mean[i], sigma[i] = stated, 1e-6
+    if mounting.lever_arm_b is not None:
+        R_bs = alignment.R_bs if mounting.R_bs is None else mounting.R_bs
+        mean[2:5], sigma[2:5] = R_bs.T @ mounting.lever_arm_b, 1e-4
+    return Priors(
+        options.accel_bias_sigma,
+        options.gyro_bias_sigma,
+        alignment.gyro_bias_s,
+        mean,
+        sigma,
+        holds_height=mounting.lever_arm_b is None,
+    )
+
+
+def _first_noise(
+    session: Session, path: GnssPath, alignment: Alignment, binned: BinnedImu, options: GraphOptions
+) -> Noise:
+    """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
+
+    That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
+    samples are perfect and the fixes are bad.
+    """
+    stated = session.config.imu
+    inertial = InertialNoise(
+        stated.accel_noise
+        or max(START_SHARE * alignment.accel_noise, _density(binned.specific_force_s, binned.dt, DATA_SHEET_ACCEL)),
+        stated.gyro_noise
+        or max(START_SHARE * alignment.gyro_noise, _density(binned.angular_rate_s, binned.dt, DATA_SHEET_GYRO)),
+        stated.accel_bias_walk or options.accel_bias_walk,
+        stated.gyro_bias_walk or options.gyro_bias_walk,
+    )
+    return Noise(
+        inertial,
+        path.position_sigma,
+        path.velocity_sigma,
+        np.array(options.offset_sigma) * (UNFILTERED_OFFSET if path.position_sigma[0] > UNFILTERED else 1.0),
+        options.offset_tau,
+        np.full(2, options.sensor_error_sigma),
+    )
+
+
+def _density(bins: Array, dt: float, floor: float) -> float:
+    """Noise density of binned samples (K, n, 3): second differences of white noise have six times its variance."""
+    flat = bins.reshape(-1, 3)
+    second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
+    sigma = 1.4826 * float(np.median(np.abs(second)))
+    return max(floor, sigma * math.sqrt(dt / 6.0))
+
+
+def scatter_of(start: Start) -> Scatter:
+    """Return the densities that neighbouring bins show."""
+    accel = _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
+    gyro = _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
+    return Scatter(accel, gyro)
+
+
+def busiest_part(start: Start, span: float) -> Start:
+    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
+    n = round(span / start.state.interval)
+    t = start.state.t
+    if len(t) < 1.5 * n:
+        return start
+    speed = np.hypot(start.state.velocity_n[:, 0], start.state.velocity_n[:, 1])
+    fixes = np.bincount(np.clip(np.searchsorted(t, start.data.t), 0, len(t) - 1), minlength=len(t))
+    worth = np.concatenate([[0.0], np.cumsum(fixes * (speed > MIN_SPEED))])
+    first = int(np.argmax(worth[n:] - worth[:-n]))
+    return stretch(start, first, min(first + n, len(t) - 1))
+
+
+def fixes_between(start: Start, first: int, last: int) -> BoolArray:
+    """Mask (N,) of the fixes that are read between the keyframes first and last, whatever their latency."""
+    t, keyframes = start.data.t, start.state.t
+    return np.asarray((t > keyframes[first] + MAX_LATENCY) & (t < keyframes[last]))
+
+
+def stretch(start: Start, first: int, last: int) -> Start:
+    """Return the start of the keyframes first .. last alone."""
+    s, data, binned = start.state, start.data, start.binned
+    keys, intervals = slice(first, last + 1), slice(first, last)
+    state = ChainState(
+        s.t[keys],
+        s.R_ns[keys],
+        s.position_n[keys],
+        s.velocity_n[keys],
+        s.accel_bias_s[keys],
+        s.gyro_bias_s[keys],
+        s.offset_n[keys],
+        s.constants,
+    )
+    inside = fixes_between(start, first, last)
+    still = data.still[(data.still >= first) & (data.still < last)] - first
+    names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+    part = replace(data, still=still, extra=(), **{name: getattr(data, name)[inside] for name in names})
+    bins = BinnedImu(
+        binned.t[keys],
+        binned.dt,
+        binned.specific_force_s[intervals],
+        binned.angular_rate_s[intervals],
+        binned.missing[intervals],
+        binned.clipped[intervals],
+    )
+    return replace(start, state=state, data=part, binned=bins)

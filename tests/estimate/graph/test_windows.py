@@ -1,0 +1,69 @@
+"""Long sessions in windows: what the whole would have given, and no seam to be seen."""
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.graph import windows
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.prepare import prepare
+from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
+
+Pair = tuple[Trajectory, Trajectory]
+
+
+@pytest.fixture(scope="module")
+def pair() -> Pair:
+    """Five minutes solved at once, and in windows of 80 s that overlap by 60 s to either side."""
+    session = prepare(simulate_preset("kart", 3, duration=300.0).raw)
+    whole = GraphSmoother().estimate(session)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(windows, "WINDOW", 80.0)
+        patch.setattr(windows, "OVERLAP", 60.0)
+        return whole, GraphSmoother().estimate(session)
+
+
+def in_sigmas(difference: np.ndarray, sigma: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((difference / sigma) ** 2)))
+
+
+def test_the_windows_agree_with_the_whole_to_a_part_of_a_sigma(pair: Pair) -> None:
+    whole, parts = pair
+    assert whole.sigmas is not None
+    np.testing.assert_array_equal(parts.t, whole.t)
+    turn = so3.log(whole.R_nb.transpose(0, 2, 1) @ parts.R_nb)
+    # the constants are those of 80 s, not of 300 s: their part of every error is larger
+    assert in_sigmas(parts.velocity_n - whole.velocity_n, whole.sigmas.velocity_n) < 0.4
+    assert in_sigmas(turn, whole.sigmas.attitude) < 0.7
+    assert in_sigmas(parts.position_n - whole.position_n, whole.sigmas.position_n) < 0.5
+
+
+def test_sigmas_are_those_of_the_whole_or_little_more(pair: Pair) -> None:
+    whole, parts = pair
+    assert whole.sigmas is not None
+    assert parts.sigmas is not None
+    for name in ("position_n", "velocity_n", "attitude", "track"):
+        ratio = np.median(getattr(parts.sigmas, name) / getattr(whole.sigmas, name))
+        assert 0.9 < ratio < 1.3, name
+
+
+def test_no_seam_shows_in_position_or_velocity(pair: Pair) -> None:
+    _, parts = pair
+    dt = float(parts.t[1] - parts.t[0])
+    mean_velocity = 0.5 * (parts.velocity_n[1:] + parts.velocity_n[:-1])
+    slip = np.linalg.norm(np.diff(parts.position_n, axis=0) / dt - mean_velocity, axis=1)
+    assert np.max(slip) < 0.5  # m/s; a step of 1 m would be 5 m/s between two keyframes
+
+
+def test_every_fix_is_reported_once(pair: Pair) -> None:
+    whole, parts = pair
+    assert whole.report.fixes is not None
+    assert parts.report.fixes is not None
+    np.testing.assert_array_equal(parts.report.fixes.index, whole.report.fixes.index)
+    used = np.isfinite(parts.report.fixes.residual_n).all(axis=1)
+    assert np.mean(used == np.isfinite(whole.report.fixes.residual_n).all(axis=1)) > 0.99
+    assert parts.report.residuals["gps_velocity"].count == pytest.approx(
+        whole.report.residuals["gps_velocity"].count, abs=5
+    )
+    assert set(parts.report.identified) == set(whole.report.identified)
