@@ -6,16 +6,18 @@
 #   make picture the README's picture, from the demo
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
+#   make emulate   that image, run: a simulated kart session in, lap times out
 
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO ?= demo
 # one process per core; the linear algebra inside each needs no threads of its own
 JOBS ?= 2
+EMULATED_SECONDS ?= 180
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench picture notebooks firmware clean
+.PHONY: demo test lint bench picture notebooks firmware emulate clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -45,6 +47,9 @@ notebooks: $(VENV)/for-testing
 
 firmware: $(BIN)/python
 	@$(BIN)/python firmware/build.py
+
+emulate: $(VENV)/for-testing
+	@$(BIN)/python firmware/emulator/emulate.py build/emulated --duration $(EMULATED_SECONDS)
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -30,6 +30,16 @@ void mpu_model_field(uint32_t number, int16_t values[3])
     values[2] = (int16_t)(-120 - triangle / 3);
 }
 
+static uint64_t after_sample(const mpu_model_t *chip, uint64_t time_us, uint32_t period_us)
+{
+    return chip->feed ? chip->feed->next_sample_us(chip->feed->context, time_us) : time_us + period_us;
+}
+
+static uint64_t after_mag(const mpu_model_t *chip, uint64_t time_us)
+{
+    return chip->feed ? chip->feed->next_mag_us(chip->feed->context, time_us) : time_us + MAG_PERIOD_US;
+}
+
 static void reset(mpu_model_t *chip)
 {
     memset(chip->registers, 0, sizeof chip->registers);
@@ -41,7 +51,7 @@ static void reset(mpu_model_t *chip)
     memcpy(chip->registers, gyro_codes, 3);
     memcpy(chip->registers + 0x0D, accel_codes, 3);
     chip->mag[0] = 0x48;
-    chip->next_sample_us = *chip->now_us + RESET_US;
+    chip->next_sample_us = chip->feed ? after_sample(chip, *chip->now_us + RESET_US, 0) : *chip->now_us + RESET_US;
 }
 
 void mpu_model_init(mpu_model_t *chip, const uint64_t *now_us)
@@ -62,7 +72,11 @@ static void put16(uint8_t *at, int16_t value)
 static void measure_field(mpu_model_t *chip)
 {
     int16_t values[3];
-    mpu_model_field(chip->mag_number++, values);
+    if (chip->feed)
+        chip->feed->field(chip->feed->context, chip->next_mag_us, values);
+    else
+        mpu_model_field(chip->mag_number, values);
+    chip->mag_number++;
     if (chip->mag[2] & ST1_READY)
         chip->mag[2] |= ST1_OVERRUN;
     chip->mag[2] |= ST1_READY;
@@ -94,7 +108,7 @@ static void write_mag(mpu_model_t *chip, uint8_t reg, uint8_t value)
         return; /* only through power-down */
     if (reg == 0x0A || reg == 0x0C)
         chip->mag[reg] = value;
-    chip->next_mag_us = *chip->now_us + MAG_PERIOD_US;
+    chip->next_mag_us = after_mag(chip, *chip->now_us);
 }
 
 static bool is_master_on(const mpu_model_t *chip)
@@ -130,7 +144,10 @@ static void run_slave_0(mpu_model_t *chip)
 static void measure(mpu_model_t *chip)
 {
     int16_t values[6];
-    mpu_model_motion(chip->is_frozen ? 1 : chip->sample_number, values);
+    if (chip->feed && !chip->is_frozen)
+        chip->feed->motion(chip->feed->context, chip->next_sample_us, values);
+    else
+        mpu_model_motion(chip->is_frozen ? 1 : chip->sample_number, values);
     const bool is_pushed_gyro = (chip->registers[0x1B] & 0xE0) == 0xE0, is_pushed_accel = (chip->registers[0x1C] & 0xE0) == 0xE0;
     for (int i = 0; i < 3; i++) { /* self-test: little noise, and a push */
         if (chip->registers[0x1C] == 0x00 || is_pushed_accel)
@@ -151,14 +168,14 @@ static void measure(mpu_model_t *chip)
 
 void mpu_model_step(mpu_model_t *chip)
 {
-    const uint64_t period_us = 1000u * (1u + chip->registers[0x19]);
+    const uint32_t period_us = 1000u * (1u + chip->registers[0x19]);
     while (chip->next_sample_us <= *chip->now_us) {
         while ((chip->mag[0x0A] & 15) == 6 && chip->next_mag_us <= chip->next_sample_us) {
             measure_field(chip);
-            chip->next_mag_us += MAG_PERIOD_US;
+            chip->next_mag_us = after_mag(chip, chip->next_mag_us);
         }
         measure(chip);
-        chip->next_sample_us += period_us;
+        chip->next_sample_us = after_sample(chip, chip->next_sample_us, period_us);
     }
 }
 

@@ -7,8 +7,18 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* What is measured, and when, if not the model's own motion: the first time after `after_us`, and the values of then. */
+typedef struct {
+    void *context;
+    uint64_t (*next_sample_us)(void *context, uint64_t after_us);
+    void (*motion)(void *context, uint64_t time_us, int16_t values[6]);
+    uint64_t (*next_mag_us)(void *context, uint64_t after_us);
+    void (*field)(void *context, uint64_t time_us, int16_t values[3]);
+} mpu_feed_t;
+
 typedef struct {
     const uint64_t *now_us;
+    const mpu_feed_t *feed; /* NULL: the model's own */
     uint8_t who_am_i;       /* 0x71 */
     bool is_absent;         /* nobody drives MISO */
     bool is_mag_absent;

@@ -51,31 +51,92 @@ static void sentence(neo_model_t *receiver, const char *body)
     receiver->sentences++;
 }
 
+static const char *const message_names[] = {"GGA", "GLL", "GSA", "GSV", "RMC", "VTG", "", "GST"};
+
+static bool is_wanted(const neo_model_t *receiver, const char *sentence)
+{
+    for (int i = 0; i < 8; i++)
+        if (receiver->messages[i] && strncmp(sentence + 3, message_names[i], 3) == 0)
+            return true;
+    return false;
+}
+
+/* Say those sentences of a text that are switched on. */
+static void say_wanted(neo_model_t *receiver, const char *text)
+{
+    while (*text) {
+        const char *end = strchr(text, '\n');
+        const size_t length = end ? (size_t)(end + 1 - text) : strlen(text);
+        if (is_wanted(receiver, text)) {
+            say(receiver, (const uint8_t *)text, length);
+            receiver->sentences++;
+        }
+        text += length;
+    }
+}
+
 static void epoch(neo_model_t *receiver)
 {
     char body[100];
     const unsigned tenths = receiver->epochs * receiver->period_ms / 100, seconds = tenths / 10;
-    static const char *names[] = {"GGA", "GLL", "GSA", "GSV", "RMC", "VTG", "", "GST"};
     static const uint8_t noise[] = {0x00, 0x80, 0x24, 0x47, 0xFE};
     for (uint32_t i = 0; i < receiver->chatter; i++)
         say(receiver, &noise[i % sizeof noise], 1);
+    receiver->epochs++;
+    if (receiver->fix_count) { /* whose fixes come from outside has none of its own */
+        say_wanted(receiver, "$GPRMC,,V,,,,,,,,,,N*53\r\n$GPGGA,,,,,,0,00,99.99,,,,,,*48\r\n$GPGST,,,,,,,,*57\r\n");
+        return;
+    }
     for (int i = 0; i < 8; i++) {
         if (!receiver->messages[i])
             continue;
-        snprintf(body, sizeof body, "GP%s,%02u%02u%02u.%u0,%c,4124.8963,N,00210.4251,E,%u.5,84.4,230394,,", names[i],
-                 seconds / 3600, seconds / 60 % 60, seconds % 60, tenths % 10, receiver->has_fix ? 'A' : 'V', receiver->epochs);
+        snprintf(body, sizeof body, "GP%s,%02u%02u%02u.%u0,%c,4124.8963,N,00210.4251,E,%u.5,84.4,230394,,", message_names[i],
+                 seconds / 3600, seconds / 60 % 60, seconds % 60, tenths % 10, receiver->has_fix ? 'A' : 'V', receiver->epochs - 1);
         sentence(receiver, body);
     }
-    receiver->epochs++;
+}
+
+/* Fixes come when they come; one that is not due yet at the rate that is set is left out. */
+static void step_fixes(neo_model_t *receiver)
+{
+    while (receiver->fix_at < receiver->fix_count && receiver->fixes[receiver->fix_at].time_us <= *receiver->now_us) {
+        const neo_fix_t *fix = &receiver->fixes[receiver->fix_at++];
+        if (receiver->is_absent || fix->time_us + 500u * receiver->period_ms < receiver->next_epoch_us)
+            continue;
+        const bool is_line_free = receiver->out_put == receiver->out_taken;
+        say_wanted(receiver, fix->text);
+        if (is_line_free)
+            receiver->out_us = fix->time_us;
+        receiver->next_epoch_us = fix->time_us + 1000u * receiver->period_ms;
+        receiver->epochs++;
+    }
+}
+
+/* When it speaks of its own accord; among fixes it waits for one that is late. */
+static uint64_t own_epoch_us(const neo_model_t *receiver)
+{
+    return receiver->next_epoch_us + (receiver->fix_at ? 1500u * receiver->period_ms : 0);
+}
+
+uint64_t neo_model_due_us(const neo_model_t *receiver)
+{
+    uint64_t due = own_epoch_us(receiver);
+    if (receiver->fix_at < receiver->fix_count && receiver->fixes[receiver->fix_at].time_us < due)
+        due = receiver->fixes[receiver->fix_at].time_us;
+    if (receiver->out_put != receiver->out_taken && receiver->out_us + byte_us(receiver) < due)
+        due = receiver->out_us + byte_us(receiver);
+    return due;
 }
 
 static void step(neo_model_t *receiver)
 {
-    while (!receiver->is_absent && receiver->next_epoch_us <= *receiver->now_us) {
+    step_fixes(receiver);
+    while (!receiver->is_absent && own_epoch_us(receiver) <= *receiver->now_us) {
         const bool is_line_free = receiver->out_put == receiver->out_taken;
+        const uint64_t began_us = own_epoch_us(receiver);
         epoch(receiver);
         if (is_line_free)
-            receiver->out_us = receiver->next_epoch_us;
+            receiver->out_us = began_us;
         receiver->next_epoch_us += (uint64_t)receiver->period_ms * 1000;
     }
 }

@@ -9,8 +9,16 @@
 
 enum { NEO_QUEUE = 8192 };
 
+/* The sentences of one fix, one after the other, and when the first begins. */
+typedef struct {
+    uint64_t time_us;
+    const char *text;
+} neo_fix_t;
+
 typedef struct {
     const uint64_t *now_us;
+    const neo_fix_t *fixes; /* said instead of the model's own, and between them that there is none; NULL: its own */
+    size_t fix_count, fix_at;
     bool is_absent;
     bool is_deaf;          /* the wire to the receiver is missing */
     uint32_t refuse_class_id; /* this command (class << 8 | id) gets a NAK */
@@ -40,5 +48,8 @@ void neo_model_receive(neo_model_t *receiver, const uint8_t *bytes, size_t lengt
 
 /* The next byte that has gone out completely by now, as a line at `baud` sees it, and when it began; false: none. */
 bool neo_model_next(neo_model_t *receiver, uint32_t baud, uint8_t *byte, uint64_t *began_us);
+
+/* When the next byte or epoch is due, at the latest look at neo_model_next. */
+uint64_t neo_model_due_us(const neo_model_t *receiver);
 
 #endif

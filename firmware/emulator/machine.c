@@ -1,0 +1,405 @@
+#include "machine.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    OPCODE_WFI = 0xBF30,
+    EXCEPTION_EXIT = 8, /* Unicorn's number for a branch to EXC_RETURN */
+    ENTRY_CYCLES = 12,
+    CHAIN_CYCLES = 6,
+    EXIT_CYCLES = 10,
+    COST_MASK = 0x3F,
+    COST_MASKING = 0x40, /* changes what interrupts may come: look again after it */
+    COST_IT = 0x80,
+    FIRST_IRQ = 16,
+    NO_IRQ = -1
+};
+static const uint32_t SYSTEM_AT = 0xE000E000u, PERIPHERALS_AT = 0x40000000u, ID_AT = 0x1FFFF000u;
+enum { SYSTEM_BYTES = 0x1000, PERIPHERAL_BYTES = 0x24000, ID_BYTES = 0x1000, ID_OFFSET = 0x7E8 };
+enum { ISER = 0x100, ICER = 0x180, ISPR = 0x200, ICPR = 0x280, IPR = 0x400, AIRCR = 0xD0C, SYSTEM_RESET = 4 };
+
+/* ---- what an instruction costs ---- */
+
+static unsigned bits_set(uint32_t value)
+{
+    return (unsigned)__builtin_popcount(value);
+}
+
+static unsigned cost_of_short(uint16_t op)
+{
+    if (op >= 0x4700 && op < 0x4800)
+        return 3; /* BX, BLX */
+    if ((op & 0xF800) == 0x4800 || (op >= 0x5000 && op < 0xA000))
+        return 2; /* one load or store */
+    if ((op & 0xFE00) == 0xB400)
+        return 1 + bits_set(op & 0x1FF); /* PUSH */
+    if ((op & 0xFE00) == 0xBC00)
+        return 1 + bits_set(op & 0x1FF) + (op & 0x100 ? 3 : 0); /* POP */
+    if ((op & 0xF000) == 0xC000)
+        return 1 + bits_set(op & 0xFF);
+    if ((op & 0xF500) == 0xB100)
+        return 2; /* CBZ: taken or not */
+    if ((op & 0xF000) == 0xD000)
+        return 2; /* a branch with a condition: half of them taken */
+    if ((op & 0xF800) == 0xE000)
+        return 3;
+    return 1;
+}
+
+static unsigned cost_of_long(uint16_t op, uint16_t second)
+{
+    if ((op & 0xFE40) == 0xE800)
+        return 1 + bits_set(second) + (second & 0x8000 && op & 0x10 ? 3 : 0); /* LDM, STM */
+    if ((op & 0xFE40) == 0xE840)
+        return 3; /* LDRD, STRD, TBB */
+    if ((op & 0xFE00) == 0xF800)
+        return 2;
+    if ((op & 0xFFD0) == 0xFB90)
+        return 8; /* SDIV, UDIV: 2 to 12 */
+    if ((op & 0xFF80) == 0xFB80)
+        return 4; /* long multiplication: 3 to 7 */
+    if ((op & 0xFF80) == 0xFB00)
+        return 2;
+    if ((op & 0xF800) == 0xF000 && (second & 0x8000))
+        return (op & 0xFFE0) == 0xF3A0 ? 4 : 3; /* branches, barriers */
+    return 1;
+}
+
+static uint8_t look_at(const machine_t *machine, uint32_t at)
+{
+    uint16_t op, second = 0;
+    memcpy(&op, machine->flash + at, 2);
+    if (at + 4 <= FLASH_BYTES)
+        memcpy(&second, machine->flash + at + 2, 2);
+    if ((op & 0xFF00) == 0xBF00 && (op & 0x000F))
+        return COST_IT | 1;
+    if ((op & 0xFFE8) == 0xB660)
+        return COST_MASKING | 1; /* CPS */
+    if ((op & 0xFFF0) == 0xF380 && (second & 0xFF00) == 0x8800)
+        return COST_MASKING | 4; /* MSR, with the barrier that follows */
+    const unsigned cycles = op >= 0xE800 ? cost_of_long(op, second) : cost_of_short(op);
+    return (uint8_t)(cycles < COST_MASK ? cycles : COST_MASK);
+}
+
+/* ---- interrupts ---- */
+
+static uint32_t get(machine_t *machine, int reg)
+{
+    uint32_t value = 0;
+    uc_reg_read(machine->uc, reg, &value);
+    return value;
+}
+
+static void set(machine_t *machine, int reg, uint32_t value)
+{
+    uc_reg_write(machine->uc, reg, &value);
+}
+
+void machine_attend(machine_t *machine)
+{
+    machine->is_attention = true;
+}
+
+/* A line that is high makes its interrupt pending, unless that is being served. */
+static void latch(machine_t *machine)
+{
+    uint64_t fresh = machine->bus.levels(machine->bus.context) & ~machine->pending;
+    for (unsigned i = 0; i < machine->depth; i++)
+        fresh &= ~(1ull << machine->active[i]);
+    machine->pending |= fresh;
+    for (; fresh; fresh &= fresh - 1)
+        machine->pending_since[__builtin_ctzll(fresh)] = machine->cycles;
+}
+
+static int find_urgent(const machine_t *machine)
+{
+    int best = NO_IRQ;
+    for (uint64_t left = machine->pending & machine->enabled; left; left &= left - 1) {
+        const int irq = __builtin_ctzll(left);
+        if (best == NO_IRQ || machine->priority[irq] < machine->priority[best])
+            best = irq;
+    }
+    return best;
+}
+
+/* The interrupt to serve now. */
+static int find_deliverable(machine_t *machine)
+{
+    latch(machine);
+    const int irq = find_urgent(machine);
+    if (irq == NO_IRQ)
+        return NO_IRQ;
+    const unsigned priority = machine->priority[irq];
+    if (machine->depth && priority >= machine->priority[machine->active[machine->depth - 1]])
+        return NO_IRQ;
+    const uint32_t base = get(machine, UC_ARM_REG_BASEPRI);
+    if ((base && priority >= base) || (get(machine, UC_ARM_REG_PRIMASK) & 1))
+        return NO_IRQ;
+    return irq;
+}
+
+static const int frame_registers[8] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3,
+                                       UC_ARM_REG_R12, UC_ARM_REG_LR, UC_ARM_REG_PC, UC_ARM_REG_XPSR};
+
+static uint32_t *stack_at(machine_t *machine, uint32_t address)
+{
+    if (address < RAM_AT || address + 32 > RAM_AT + RAM_BYTES) {
+        machine->fault = "stack outside of RAM";
+        machine->is_over = true;
+        return (uint32_t *)(void *)machine->ram;
+    }
+    return (uint32_t *)(void *)(machine->ram + (address - RAM_AT));
+}
+
+static void enter(machine_t *machine, int irq)
+{
+    const uint32_t stack = get(machine, UC_ARM_REG_SP), at = (stack - 32) & ~7u;
+    uint32_t *frame = stack_at(machine, at), handler;
+    for (int i = 0; i < 8; i++)
+        frame[i] = get(machine, frame_registers[i]);
+    frame[6] &= ~1u;
+    frame[7] = (frame[7] & ~0x200u) | (stack & 4 ? 0x200u : 0) | 0x01000000u;
+    set(machine, UC_ARM_REG_SP, at);
+    set(machine, UC_ARM_REG_LR, machine->depth ? 0xFFFFFFF1u : 0xFFFFFFF9u);
+    set(machine, UC_ARM_REG_XPSR, (frame[7] & 0xF8000000u) | 0x01000000u | (uint32_t)(FIRST_IRQ + irq));
+    memcpy(&handler, machine->flash + 4 * (FIRST_IRQ + irq), 4);
+    set(machine, UC_ARM_REG_PC, handler | 1);
+    machine->pending &= ~(1ull << irq);
+    machine->active[machine->depth++] = (uint8_t)irq;
+    if (machine->depth > machine->deepest)
+        machine->deepest = machine->depth;
+    if (at < machine->lowest_stack)
+        machine->lowest_stack = at;
+}
+
+/* Count how long the interrupt waited, with the cycles of the entry. */
+static void serve(machine_t *machine, int irq, unsigned cycles)
+{
+    irq_stats_t *stats = &machine->irqs[irq];
+    machine->cycles += cycles;
+    const uint64_t waited = machine->cycles - machine->pending_since[irq];
+    stats->entries++;
+    if (waited > stats->worst_wait)
+        stats->worst_wait = waited;
+    enter(machine, irq);
+}
+
+static void leave(machine_t *machine)
+{
+    const uint32_t at = get(machine, UC_ARM_REG_SP);
+    const uint32_t *frame = stack_at(machine, at);
+    machine->depth--;
+    const uint32_t under = machine->depth ? (uint32_t)FIRST_IRQ + machine->active[machine->depth - 1] : 0u;
+    for (int i = 0; i < 6; i++)
+        set(machine, frame_registers[i], frame[i]);
+    set(machine, UC_ARM_REG_XPSR, (frame[7] & 0xFF00FC00u & ~0x200u) | 0x01000000u | under);
+    set(machine, UC_ARM_REG_SP, at + 32 + (frame[7] & 0x200 ? 4 : 0));
+    set(machine, UC_ARM_REG_PC, frame[6] | 1);
+    const int next = find_deliverable(machine);
+    if (next != NO_IRQ)
+        serve(machine, next, CHAIN_CYCLES);
+    else
+        machine->cycles += EXIT_CYCLES;
+}
+
+/* ---- hooks ---- */
+
+static void let_happen(machine_t *machine)
+{
+    while (machine->cycles >= machine->next_event && !machine->is_over)
+        machine->next_event = machine->bus.advance(machine->bus.context);
+    machine->is_attention = true;
+}
+
+static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user)
+{
+    machine_t *machine = user;
+    const uint32_t at = (uint32_t)address - FLASH_AT;
+    (void)size;
+    if (at >= FLASH_BYTES)
+        return;
+    uint8_t cost = machine->cost[at / 2];
+    if (!cost)
+        cost = machine->cost[at / 2] = look_at(machine, at);
+    if (machine->cycles >= machine->next_event)
+        let_happen(machine);
+    if (machine->in_it_block) {
+        machine->in_it_block--;
+    } else if (machine->is_attention) {
+        machine->is_attention = false;
+        if (machine->is_over || machine->is_reset_wanted || find_deliverable(machine) != NO_IRQ) {
+            machine->is_attention = true;
+            uc_emu_stop(uc); /* before this instruction */
+            return;
+        }
+    }
+    machine->is_attention |= machine->is_attention_after;
+    machine->is_attention_after = (cost & COST_MASKING) != 0;
+    machine->cycles += cost & COST_MASK;
+    machine->instructions++;
+    if (cost & COST_IT)
+        machine->in_it_block = 4u - (unsigned)__builtin_ctz(machine->flash[at]);
+    else if (cost == 1 && machine->flash[at] == (OPCODE_WFI & 0xFF) && machine->flash[at + 1] == OPCODE_WFI >> 8)
+        machine->is_waiting = true;
+}
+
+static void on_exception(uc_engine *uc, uint32_t number, void *user)
+{
+    machine_t *machine = user;
+    machine->is_returning = number == EXCEPTION_EXIT;
+    if (!machine->is_returning && !machine->fault)
+        machine->fault = "exception";
+    uc_emu_stop(uc);
+}
+
+static uint64_t read_peripheral(uc_engine *uc, uint64_t offset, unsigned size, void *user)
+{
+    machine_t *machine = user;
+    (void)uc;
+    return machine->bus.read(machine->bus.context, PERIPHERALS_AT + (uint32_t)offset, size);
+}
+
+static void write_peripheral(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
+{
+    machine_t *machine = user;
+    (void)uc;
+    machine->bus.write(machine->bus.context, PERIPHERALS_AT + (uint32_t)offset, size, (uint32_t)value);
+    machine->next_event = 0; /* what is due may have changed */
+}
+
+static uint64_t read_system(uc_engine *uc, uint64_t offset, unsigned size, void *user)
+{
+    const machine_t *machine = user;
+    (void)uc;
+    (void)size;
+    if (offset >= ISER && offset < ISER + 8)
+        return (uint32_t)(machine->enabled >> 8 * (offset - ISER));
+    if (offset >= ISPR && offset < ISPR + 8)
+        return (uint32_t)(machine->pending >> 8 * (offset - ISPR));
+    if (offset >= IPR && offset < IPR + IRQS)
+        return machine->priority[offset - IPR];
+    return 0;
+}
+
+static void write_system(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
+{
+    machine_t *machine = user;
+    (void)uc;
+    if (offset >= ISER && offset < ISER + 8)
+        machine->enabled |= value << 8 * (offset - ISER);
+    else if (offset >= ICER && offset < ICER + 8)
+        machine->enabled &= ~(value << 8 * (offset - ICER));
+    else if (offset >= ISPR && offset < ISPR + 8)
+        machine->pending |= value << 8 * (offset - ISPR);
+    else if (offset >= ICPR && offset < ICPR + 8)
+        machine->pending &= ~(value << 8 * (offset - ICPR));
+    else if (offset >= IPR && offset + size <= IPR + IRQS)
+        for (unsigned i = 0; i < size; i++)
+            machine->priority[offset - IPR + i] = (uint8_t)(value >> 8 * i) & 0xF0;
+    else if (offset == AIRCR && (value >> 16) == 0x05FA && (value & SYSTEM_RESET))
+        machine->is_reset_wanted = true;
+    machine->is_attention = true;
+}
+
+/* ---- running ---- */
+
+int machine_init(machine_t *machine, const uint8_t *image, size_t size)
+{
+    uc_hook hooks[2];
+    memset(machine, 0, sizeof *machine);
+    machine->flash = calloc(1, FLASH_BYTES);
+    machine->ram = calloc(1, RAM_BYTES);
+    machine->cost = calloc(1, FLASH_BYTES / 2);
+    uint8_t *id = calloc(1, ID_BYTES);
+    if (!machine->flash || !machine->ram || !machine->cost || !id || size > FLASH_BYTES)
+        return -1;
+    memcpy(machine->flash, image, size);
+    memcpy(id + ID_OFFSET, "emulated, no", 12);
+    uc_err error = uc_open(UC_ARCH_ARM, (uc_mode)(UC_MODE_THUMB | UC_MODE_MCLASS), &machine->uc);
+    uc_engine *uc = machine->uc;
+    if (!error)
+        error = uc_ctl_set_cpu_model(uc, UC_CPU_ARM_CORTEX_M3);
+    if (!error)
+        error = uc_mem_map_ptr(uc, FLASH_AT, FLASH_BYTES, UC_PROT_READ | UC_PROT_EXEC, machine->flash);
+    if (!error)
+        error = uc_mem_map_ptr(uc, RAM_AT, RAM_BYTES, UC_PROT_READ | UC_PROT_WRITE, machine->ram);
+    if (!error)
+        error = uc_mem_map_ptr(uc, ID_AT, ID_BYTES, UC_PROT_READ, id);
+    if (!error)
+        error = uc_mmio_map(uc, PERIPHERALS_AT, PERIPHERAL_BYTES, read_peripheral, machine, write_peripheral, machine);
+    if (!error)
+        error = uc_mmio_map(uc, SYSTEM_AT, SYSTEM_BYTES, read_system, machine, write_system, machine);
+    if (!error)
+        error = uc_hook_add(uc, &hooks[0], UC_HOOK_CODE, (void *)on_instruction, machine, 1, 0);
+    if (!error)
+        error = uc_hook_add(uc, &hooks[1], UC_HOOK_INTR, (void *)on_exception, machine, 1, 0);
+    machine->lowest_stack = RAM_AT + RAM_BYTES;
+    return error ? -1 : 0;
+}
+
+void machine_reset(machine_t *machine)
+{
+    uint32_t vectors[2];
+    memcpy(vectors, machine->flash, sizeof vectors);
+    for (int i = 0; i < 6; i++)
+        set(machine, frame_registers[i], 0);
+    set(machine, UC_ARM_REG_XPSR, 0x01000000u);
+    set(machine, UC_ARM_REG_BASEPRI, 0);
+    set(machine, UC_ARM_REG_PRIMASK, 0);
+    set(machine, UC_ARM_REG_SP, vectors[0]);
+    set(machine, UC_ARM_REG_PC, vectors[1] | 1);
+    machine->enabled = machine->pending = 0;
+    memset(machine->priority, 0, sizeof machine->priority);
+    machine->depth = machine->in_it_block = 0;
+    machine->is_waiting = machine->is_returning = machine->is_reset_wanted = machine->is_attention_after = false;
+    machine->next_event = 0;
+    machine->is_attention = true;
+}
+
+static void sleep_until_interrupt(machine_t *machine)
+{
+    machine->is_waiting = false;
+    for (;;) {
+        if (machine->cycles >= machine->next_event)
+            let_happen(machine);
+        latch(machine);
+        if (machine->is_over || machine->is_reset_wanted || (machine->pending & machine->enabled))
+            return;
+        machine->slept += machine->next_event - machine->cycles;
+        machine->cycles = machine->next_event;
+    }
+}
+
+static void step(machine_t *machine)
+{
+    machine->starts++;
+    const uc_err error = uc_emu_start(machine->uc, get(machine, UC_ARM_REG_PC) | 1, 0xFFFFFFFEu, 0, 0);
+    if (machine->is_returning) {
+        machine->is_returning = false;
+        leave(machine);
+        return;
+    }
+    if (error || machine->fault) {
+        machine->fault = machine->fault ? machine->fault : uc_strerror(error);
+        machine->fault_pc = get(machine, UC_ARM_REG_PC);
+        machine->is_over = true;
+        return;
+    }
+    if (machine->is_waiting)
+        sleep_until_interrupt(machine);
+    if (machine->is_reset_wanted) {
+        machine->is_reset_wanted = false;
+        machine->bus.reset(machine->bus.context);
+        return;
+    }
+    const int irq = find_deliverable(machine);
+    if (irq != NO_IRQ && !machine->is_over)
+        serve(machine, irq, ENTRY_CYCLES);
+}
+
+void machine_run(machine_t *machine)
+{
+    while (!machine->is_over)
+        step(machine);
+}
