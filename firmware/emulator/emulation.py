@@ -1,4 +1,4 @@
-"""The emulator from Python: build it, say what the sensors measure and what happens, run the image, read what it left."""
+"""The emulator from Python: build it, say what is measured and what happens, run the image, read what it left."""
 
 import importlib.util
 import os
