@@ -3,14 +3,16 @@
 import contextlib
 import json
 import os
+import shutil
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from smoother.errors import ConfigError
 
 LARGEST = 16 << 20  # bytes; the settings of a session have 1 kB, the lines of all tracks of the world some megabytes
+STAGING = ".writing-"  # and the number of the process, of a directory whose files are not yet results
 
 
 def load_toml(path: Path, remedy: str = "mend that line") -> dict[str, Any]:
@@ -55,3 +57,44 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Path]:
+    """Give a directory whose files go to `directory` together, on success; on failure or a kill nothing changes.
+
+    seal : the file that says the results are whole: the old one goes first and the new one comes last. `stale` :
+    what an earlier run may have left there and is removed where this one has not written it.
+    """
+    staging = directory / f"{STAGING}{os.getpid()}"
+    _remove_abandoned(directory)
+    try:
+        staging.mkdir()
+        yield staging
+        written = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
+        (directory / seal).unlink(missing_ok=True)
+        for name in sorted(written, key=lambda name: name == Path(seal)):
+            (directory / name).parent.mkdir(parents=True, exist_ok=True)
+            (staging / name).replace(directory / name)
+        for old in set(stale) - {name.as_posix() for name in written}:
+            (directory / old).unlink(missing_ok=True)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove_abandoned(directory: Path) -> None:
+    """Remove what killed runs left."""
+    for path in directory.glob(f"{STAGING}*"):
+        process = path.name.removeprefix(STAGING)
+        if process.isdecimal() and not _is_running(int(process)):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return process != os.getpid()

@@ -22,6 +22,7 @@ from smoother.cli.lap_stage import (
     steps,
 )
 from smoother.cli.output import Progress, duration, no_progress, plain, warn
+from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
+STALE = (BASELINE, LAPS, "report.html", *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
+"""What an earlier run with other options may have left, and this one then removes."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +149,11 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
     try:
-        return write(estimates, directory, options, watch, progress)
+        with staged(directory, SUMMARY, STALE) as staging:
+            result = write(estimates, staging, options, watch, progress)
     except OSError as error:
         raise unwritable(directory, error) from error
+    return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
 
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
