@@ -31,7 +31,7 @@ from smoother.session.log_format import PURPOSE_MAG_CALIBRATION, LogRecords
 WINDOW = 130.0  # s of samples and fixes for the identification
 IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving; then mounting and delays are known
 RETRY_AFTER = 10.0  # s of driving after an identification that failed
-CATCH_UP = 2  # fixes that a new smoother takes in with each step, besides the new ones
+CATCH_UP = 1  # fixes that a new smoother takes in with each step besides as many as came new; 10 ms each
 SILENT = 1.5  # s without a fix, after which there is none
 LINE_EVERY = 10.0  # s of path between searches for the lap
 FIT_EVERY = 2.0  # s between fits of the compass's ellipsoid
@@ -103,6 +103,7 @@ class _Drive:
         self.identification: Future[LagStart | str] | None = None
         self.line: Future[Line | None] | None = None
         self.driven = 0.0
+        self.fix_count = 0
         self.identify_at = IDENTIFY_AFTER[0]
         self.line_at = 0.0
         self.fit_at = 0.0
@@ -130,12 +131,15 @@ class Engine:
     def step(self, chunks: list[Chunk]) -> tuple[Snapshot, list[Batch]]:
         """Take in what came; return what is known now, and the records that came, to be written down."""
         batches = self._decoder.feed(chunks)
+        new = 0
         for batch in batches:
             if batch.restarted:
                 self._drive = _Drive()
+            before = self._drive.fix_count
             self._take(batch.records)
+            new += self._drive.fix_count - before
         self._identify()
-        self._catch_up()
+        self._catch_up(CATCH_UP + new)
         self._find_line()
         if batches or self._snapshot.losses != self._decoder.losses:
             self._snapshot = self._look(batches[-1].arrival if batches else self._snapshot.arrival)
@@ -175,6 +179,7 @@ class Engine:
             d.driven += min(1.0, t - float(d.fixes[-1].t[-1]))
         d.meters["gps"].add(t, 1)
         d.fixes.append(fix)
+        d.fix_count += 1
         self._pass_on(fix)
         if d.lag is None and np.isfinite(_speed(fix)):  # laps from the fixes until the smoother runs
             d.laps.add(t, np.nan_to_num(fix.position_n(d.origin)[-1]), np.nan_to_num(fix.velocity_n[-1]))
@@ -217,12 +222,13 @@ class Engine:
         parts += [fix for fix in d.fixes if fix.t[-1] > start.t + start.velocity_latency]
         d.todo = deque(sorted(parts, key=lambda part: (float(part.t[-1]), isinstance(part, GnssFixes))))
 
-    def _catch_up(self) -> None:
+    def _catch_up(self, most: int) -> None:
+        """Let a new smoother take in `most` fixes more, and put it in its place once it knows all."""
         d = self._drive
         if d.next is None or d.origin is None:
             return
         fixes = 0
-        while d.todo and fixes < CATCH_UP:
+        while d.todo and fixes < most:
             item = d.todo.popleft()
             fixes += isinstance(item, GnssFixes)
             if not _feed(d.next, item, d.origin):

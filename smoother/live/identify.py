@@ -92,12 +92,17 @@ def _number(value: object) -> float:
     return value
 
 
+def _nothing() -> None:
+    """Work for a process that is only to be started."""
+
+
 class Background:
     """One process for slow work. A job that is asked for while another runs waits for the next time."""
 
     def __init__(self) -> None:
         # spawned, not forked: threads run here, and a copy of their locks would hang
         self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        self._pool.submit(_nothing)  # the process starts and imports while the box is still being mounted
 
     def __enter__(self) -> "Background":
         return self

@@ -1,0 +1,77 @@
+"""What is recorded from the line is a session like one from the card."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from smoother.cli.living import live
+from smoother.cli.main import run as run_command
+from smoother.live.decoding import Decoder
+from smoother.live.receiver import Chunk
+from smoother.live.recording import SessionWriter
+from smoother.session.log import list_recordings, read_records
+from smoother.sim.record_log import drive_records
+
+
+def record(stream: bytes, directory: Path, piece: int = 700) -> SessionWriter:
+    decoder, writer = Decoder(), SessionWriter(directory, np.random.default_rng(7))
+    for at in range(0, len(stream), piece):
+        for batch in decoder.feed([Chunk(0.0, stream[at : at + piece])]):
+            writer.add(batch.records, batch.restarted)
+    writer.close()
+    return writer
+
+
+def test_a_recorded_stream_holds_every_record_that_was_sent(drive, tmp_path: Path) -> None:
+    record(drive.stream, tmp_path)
+    (files,) = list_recordings(tmp_path.glob("*.KLG"))
+    records, losses = read_records(files)
+    sent = drive_records(drive.simulation)
+    np.testing.assert_array_equal(records.imu_t, sent.imu_t)
+    np.testing.assert_array_equal(records.imu, sent.imu)
+    np.testing.assert_array_equal(records.mag, sent.mag)
+    assert records.sentences == sent.sentences
+    assert records.setup == sent.setup
+    assert records.stop == sent.stop
+    assert (losses.blocks, losses.samples, losses.unreadable) == (0, 0, 0)
+
+
+def test_a_restarted_logger_begins_another_file(drive, tmp_path: Path) -> None:
+    record(drive.stream[100_000:150_000] + drive.stream[:50_000], tmp_path)
+    found = list_recordings(tmp_path.glob("*.KLG"))
+    assert [files.name for files in found] == ["LIVE0001", "LIVE0002"]
+    assert found[0].session != found[1].session
+
+
+def test_nothing_recorded_before_is_overwritten(drive, tmp_path: Path) -> None:
+    first = record(drive.stream[:20_000], tmp_path).path
+    second = record(drive.stream[:20_000], tmp_path).path
+    assert first != second
+    assert first is not None and first.stat().st_size > 0
+
+
+def test_the_command_writes_json_lines_and_a_session_that_can_be_checked(
+    drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = tmp_path / "capture.bin"
+    capture.write_bytes(b"boot\n" + drive.stream[:150_000] + b"\x00" * 33)
+    arguments = ["live", str(capture), "--speed", "20", "--json", "--record", str(tmp_path / "new")]
+    assert run_command(arguments) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) >= 2
+    assert lines[-1]["t_s"] > 30.0
+    assert lines[-1]["losses"]["lost_frames"] == 0
+    assert lines[-1]["losses"]["noise_bytes"] > 0
+    assert lines[-1]["madgwick"]["roll_deg"] is not None
+    assert run_command(["check", str(tmp_path / "new"), "--json"]) in (0, 3)
+    found = json.loads(capsys.readouterr().out)
+    assert "error" not in found
+
+
+def test_speeds_that_are_none_are_refused() -> None:
+    for speed in ("0", "-1", "fast"):
+        result = CliRunner().invoke(live, ["/dev/null", "--speed", speed])
+        assert result.exit_code != 0

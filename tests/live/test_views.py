@@ -1,0 +1,118 @@
+"""What the views show, without looking at pixels: words, bars, the faces of the box, the directions of the field."""
+
+import io
+import os
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from smoother.errors import UsageError
+from smoother.live import words
+from smoother.live.decoding import Losses
+from smoother.live.engine import Snapshot
+from smoother.live.field import FieldSphere
+from smoother.live.lag import LagState
+from smoother.live.receiver import LinkStatus
+from smoother.live.sensing import Reception
+from smoother.live.terminal import BAR, bar, panel
+
+LAG = LagState(1.0, np.eye(3), np.zeros(3), np.array([20.0, 0.0, 0.0]), *([np.full(3, 0.01)] * 3), 0.3)
+FULL = Snapshot(
+    t=12.0,
+    madgwick=np.eye(3),
+    lag=LAG,
+    R_bs=np.eye(3),
+    force=np.array([1.0, -2.0, 9.8]),
+    rates={"imu": 200.0, "mag": 10.0, "gps": 5.0},
+    reception=Reception(1, 9, 0.9, 12.0),
+    speed=20.0,
+    fix_age=0.1,
+    losses=Losses(frames=100, lost_frames=7, damaged=1, noise_bytes=40),
+    stage="smoothing",
+)
+
+
+def test_everything_lost_is_said_and_what_was_not_is_not() -> None:
+    link = LinkStatus(disconnects=2, dropped_bytes=512)
+    said = words.losses(FULL, link)
+    for text in ("7 frames lost (6.5%)", "1 damaged", "40 bytes of noise", "512 bytes", "2 x unplugged"):
+        assert text in said
+    assert "restarted" not in said
+    assert words.losses(Snapshot(), LinkStatus()) == "nothing lost"
+
+
+def test_a_fix_that_grows_old_is_no_fix() -> None:
+    assert words.is_gps_good(FULL)
+    old = Snapshot(reception=Reception(1, 9), fix_age=4.0)
+    assert not words.is_gps_good(old)
+    assert words.gps(old) == "NO FIX for 4 s, 9 satellites"
+
+
+@pytest.mark.parametrize("s", [Snapshot(), FULL], ids=["nothing yet", "everything"])
+def test_the_terminal_shows_any_snapshot(s: Snapshot) -> None:
+    console = Console(file=io.StringIO(), width=100, force_terminal=False)
+    console.print(panel(s, LinkStatus(is_open=True), "ttyUSB0", 0.02))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "20 ms" in text
+    assert ("72.0 km/h" in text) == (s is FULL)
+
+
+def test_bars_reach_from_the_middle_and_stop_at_the_end() -> None:
+    assert bar(0.0, 1.0).count("█") == 0
+    assert bar(99.0, 1.0) == "·" * (BAR // 2) + "█" * (BAR // 2 + 1)
+    assert bar(-99.0, 1.0) == bar(99.0, 1.0)[::-1]
+    assert len(bar(0.3, 1.0)) == BAR
+
+
+def test_a_window_without_a_display_is_one_line_of_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    window = pytest.importorskip("smoother.live.window", reason="Python without tkinter")
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(UsageError, match="terminal"):
+        window.WindowView("ttyUSB0")
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="no virtual display")
+def test_the_window_takes_any_snapshot(monkeypatch: pytest.MonkeyPatch) -> None:
+    window = pytest.importorskip("smoother.live.window", reason="Python without tkinter")
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x800x24"]
+    with subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL) as server:
+        os.close(writing)
+        with os.fdopen(reading) as pipe:
+            monkeypatch.setenv("DISPLAY", f":{pipe.readline().strip()}")
+        try:
+            view = window.WindowView("ttyUSB0")
+            for s in (Snapshot(), FULL, Snapshot(madgwick=np.eye(3)), FULL):
+                assert view.draw(s, LinkStatus(is_open=True), 0.02)
+            with view:
+                pass
+        finally:
+            server.terminate()
+
+
+def test_the_box_level_and_heading_north_shows_its_back_its_top_and_one_side() -> None:
+    window = pytest.importorskip("smoother.live.window", reason="Python without tkinter")
+    faces, which = window.box_faces(np.eye(3))
+    assert faces.shape == (3, 4, 2)
+    assert {1, 4} < set(which.tolist())  # back and top, seen from behind and above
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    assert 5 in window.box_faces(upside_down)[1]
+
+
+def test_coverage_grows_with_directions_and_noise_alone_is_none() -> None:
+    rng = np.random.default_rng(1)
+    sphere = FieldSphere()
+    centre = np.array([100.0, -40.0, 20.0])
+    sphere.feed(centre + rng.normal(0.0, 0.3, (400, 3)))
+    assert sphere.coverage == 0.0
+    directions = rng.normal(0.0, 1.0, (4000, 3))
+    for part in np.split(centre + 48.0 * directions / np.linalg.norm(directions, axis=1)[:, None], 1000):
+        sphere.feed(part)
+    assert sphere.coverage > 0.95
+    assert len(sphere.points) <= 480
+    sphere.fit()
+    assert sphere.ellipsoid is not None
+    np.testing.assert_allclose(sphere.centre, centre, atol=0.5)  # uT; readings without noise but the first
