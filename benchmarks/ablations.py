@@ -34,7 +34,7 @@ from thinning import DATA, read_estimate, scored, thin
 
 from smoother.arrays import Array
 from smoother.config import ImuNoise
-from smoother.estimate.graph import batch, imu, rows, smoother
+from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise
 from smoother.estimate.graph.mounting import FittedMounting
@@ -112,7 +112,7 @@ def _no_reports(session: Session) -> Session:
 
 def _one_latency() -> tuple[Patch, ...]:
     """Start the latencies alike, and hold their difference by a factor of its own."""
-    priors, add = smoother._priors, rows.add_constants_prior
+    priors, add = start._priors, rows.add_constants_prior
 
     def same_start(*given: Any) -> batch.Priors:
         found = priors(*given)
@@ -126,7 +126,7 @@ def _one_latency() -> tuple[Patch, ...]:
         system.corner[:2, :2] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
         system.rhs_constants[:2] -= weight * apart * np.array([-1.0, 1.0])
 
-    return ((smoother, "_priors", same_start), (rows, "add_constants_prior", held_together))
+    return ((start, "_priors", same_start), (rows, "add_constants_prior", held_together))
 
 
 def _rough_mounting(state: Any, rough_R_bs: Array) -> FittedMounting:
@@ -210,19 +210,17 @@ EFFECTS = (
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
-    Effect("standstill", patches=((smoother, "session_standstill", _never_still),)),
+    Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("noise taken from the path's shape (all of it read)", patches=((batch, "reading_path", _inertial_shape),)),
     Effect("inertial shape between keyframes (Hermite only)", patches=((batch, "reading_path", _hermite_shape),)),
-    Effect("averaged rate at the antenna", patches=((batch, "averaged", _unaveraged),)),
+    Effect("averaged rate at the antenna", patches=((batch, "expected", _unaveraged),)),
     Effect("swing by the yaw rate alone", patches=((rows, "yaw_rate", _whole_rate),)),
     Effect(
         "more noise where samples miss or clip",
         patches=((imu, "interval_noise", _one_density), (batch, "interval_noise", _one_density)),
     ),
     Effect("reported accuracies", session=_no_reports),
-    Effect(
-        "rotation-aware averaging", patches=((smoother, "bin_imu", _plain_bins), (smoother, "halved", _plain_halves))
-    ),
+    Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
 )
 FULL = Effect("everything on")
 BY_NAME = {effect.name: effect for effect in (FULL, *EFFECTS)}

@@ -20,12 +20,13 @@ from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
 
 NEEDS_NO_FIT = np.radians(4.0)  # rms and mean of the heading error of a field that was calibrated before
-CALIBRATED_OFFSET = np.radians(0.36)  # of such a field: what the World Magnetic Model states for its declination
+CALIBRATED_OFFSET = np.radians(0.7)  # of such a field: 0.36 by the World Magnetic Model's own account, and the iron
 UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
 FEWEST = 20  # headings; fewer cannot be judged
 SPACING = 1.0  # s between heading factors, since the field's errors last
+LONGEST_MEMORY = 30  # headings
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
 
@@ -68,7 +69,25 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
     if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
         return None
-    return Heading(at[keep], field_s[keep], -declination, max(rms, FLOOR), offset_sigma)
+    sigma = max(rms * float(np.sqrt(_memory(error[keep]))), FLOOR)
+    return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma)
+
+
+def _memory(error: Array) -> float:
+    """Number of successive errors (N,) that tell no more than one does, since they last; at least 1.
+
+    The engine's current, a kerb of iron and the fit itself err for many seconds in one direction. Source: the sum of
+    autocorrelations up to the first that is not positive (Geyer 1992).
+    """
+    centred = error - error.mean()
+    power = float(centred @ centred)
+    total = 1.0
+    for lag in range(1, min(LONGEST_MEMORY, len(error) - 1) + 1):
+        correlation = float(centred[lag:] @ centred[:-lag]) / max(power, 1e-300)
+        if correlation <= 0.0:
+            break
+        total += 2.0 * correlation
+    return total
 
 
 def _attitude(state: ChainState, t: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.heading import FLOOR, heading_from_field
+from smoother.estimate.graph.heading import FLOOR, _memory, heading_from_field
 from smoother.estimate.graph.rows import heading_rows
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.fit.magnetic_model import field_n
@@ -162,3 +162,11 @@ class TestRefusal:
             state, t=state.t[:75], **{name: getattr(state, name)[:75] for name in ("R_ns", "position_n", "velocity_n")}
         )
         assert heading_from_field(readings(state), short, DECLINATION, INCLINATION) is None
+
+
+def test_errors_that_last_count_as_one() -> None:
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=4000)
+    slow = np.convolve(rng.normal(size=100_000), np.ones(10), mode="valid")
+    assert _memory(white) < 1.5
+    assert _memory(slow) == pytest.approx(10.0, rel=0.2)  # a moving sum of ten
