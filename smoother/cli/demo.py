@@ -29,11 +29,12 @@ PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tune
 )
 @click.option("--seed", type=click.IntRange(0), default=SEED, help=f"Another session [{SEED}].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Another track [{TRACKS[0]}].")
-@click.option("--open", "open_it", is_flag=True, help="Show the main figure when done.")
+@click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool) -> int:
     """Simulate a kart session as the logger would record it into DIR [./demo], and smooth it into DIR/smoothed.
 
-    The last line says which picture to open. `smooth evaluate DIR` then compares the result with the truth.
+    The last line says where the report is: open it in a browser. `smooth evaluate DIR` compares the result with the
+    truth.
     """
     from smoother.sim.simulation import simulate_preset
 

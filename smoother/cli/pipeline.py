@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
+PAGE = "report.html"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
-STALE = (BASELINE, LAPS, "report.html", *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
+STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
 """What an earlier run with other options may have left, and this one then removes."""
 
 
@@ -203,21 +204,34 @@ def write(
         else:
             (directory / BASELINE).unlink(missing_ok=True)
     with watch.stage("figures"):
-        main_file = _write_figures(estimates, directory, options, progress)
+        _write_figures(estimates, directory, options, progress)
+    with watch.stage("report"):
+        main_file = _write_page(estimates, directory, options)
     document = _summary(estimates, options, watch)
     write_json(directory / SUMMARY, document)
     return Result(document, estimates.quality, directory, main_file, session.unix_at_zero)
 
 
-def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> Path:
+def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> None:
     if not options.figures:
         for name in FIGURE_NAMES:
             (directory / FIGURES / f"{name}.png").unlink(missing_ok=True)
-        return directory / TRAJECTORY
+        return
     from smoother.report.figures import Shown, save_figures
 
     shown = Shown(estimates.session, estimates.smoothed, estimates.baseline, heading(estimates))
-    return save_figures(shown, directory / FIGURES, lambda share: progress("figures", share))[0]
+    save_figures(shown, directory / FIGURES, lambda share: progress("figures", share))
+
+
+def _write_page(estimates: Estimates, directory: Path, options: Options) -> Path:
+    """Write the report; return what a person opens first, which without figures is the table."""
+    if not options.figures:
+        return directory / TRAJECTORY
+    from smoother.report.page import Report, write_page
+
+    session, smoothed, baseline = estimates.session, estimates.smoothed, estimates.baseline
+    write_page(directory / PAGE, Report(session, smoothed, baseline, estimates.laps, estimates.quality))
+    return directory / PAGE
 
 
 def heading(estimates: Estimates) -> str:

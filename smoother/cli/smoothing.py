@@ -33,7 +33,7 @@ from smoother.errors import SmootherError
 HELP = """Smooth recorded kart sessions: position, speed, attitude, each with an error bar.
 
 SESSION is the folder or card your logger wrote (.KLG; imu.csv with gps.csv or .nmea; out.txt), or one file of it.
-The results go into a folder "smoothed" inside it: a table for your spreadsheet (trajectory.csv), figures, and
+The results go into a folder "smoothed" inside it: a report for your browser (report.html), tables, figures, and
 summary.json with everything that was found out. Nothing you recorded is changed, and no network is used.
 
 \b
@@ -83,7 +83,7 @@ class SmoothCommand(click.Command):
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
 @json_option
-@click.option("--open", "open_it", is_flag=True, help="Show the main figure when done.")
+@click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 @click.version_option(package_name="kart-smoother", prog_name="smooth")
 def smooth(
     sessions: tuple[Path, ...],

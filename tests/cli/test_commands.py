@@ -68,12 +68,12 @@ def test_evaluate_without_truth_is_one_line(monday: Path, capsys: Captured) -> N
     assert output.err.count("\n") == 1
 
 
-def test_the_demo_ends_with_a_figure_of_a_smoothed_session(tmp_path: Path, capsys: Captured) -> None:
+def test_the_demo_ends_with_the_report_of_a_smoothed_session(tmp_path: Path, capsys: Captured) -> None:
     directory = tmp_path / "demo"
     for _ in range(2):  # a second demo writes over the first
         assert run(["demo", str(directory), "--duration", "30"]) == 0
         last = capsys.readouterr().out.rstrip("\n").splitlines()[-1]
-        assert last == str(directory / "smoothed" / "figures" / "overview.png")
+        assert last == str(directory / "smoothed" / "report.html")
         assert Path(last).exists()
     assert {"LOG00002.KLG", "truth.csv", "smoothed"} <= {path.name for path in directory.iterdir()}
 

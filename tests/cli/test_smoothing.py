@@ -42,10 +42,11 @@ def test_a_session_ends_as_tables_figures_and_a_summary_and_keeps_its_files(mond
         "gps.csv",
         "laps.csv",
         "summary.json",
+        "report.html",
         "figures",
     }
     last = output.out.rstrip("\n").splitlines()[-1]
-    assert last == str(out / "figures" / "overview.png")
+    assert last == str(out / "report.html")
     assert Path(last).stat().st_size > 10_000
     assert "\x1b" not in output.out + output.err  # no colours and no progress where there is no terminal
 
@@ -78,11 +79,12 @@ def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Ca
     out = monday / "smoothed"
     (out / "figures").mkdir(parents=True)
     mine = out / "figures" / "mine.png"
-    for path in (mine, out / "baseline.csv", out / "figures" / "overview.png"):
+    for path in (mine, out / "baseline.csv", out / "report.html", out / "figures" / "overview.png"):
         path.write_bytes(b"of an earlier run")
     assert run([str(monday), *TABLES_ONLY]) == 0
     assert capsys.readouterr().out.rstrip("\n").splitlines()[-1] == str(out / "trajectory.csv")
     assert not (out / "baseline.csv").exists()
+    assert not (out / "report.html").exists()
     assert list((out / "figures").iterdir()) == [mine]
 
 

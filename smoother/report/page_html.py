@@ -1,0 +1,82 @@
+"""Building a page as a tree of elements: whatever is put in is text, so nothing from a file can become markup.
+
+The tree is the standard library's; it escapes texts and attributes when it is written. Style, script and the numbers
+are joined to it afterwards, and a content security policy names the hashes of the only style and the only script that
+a browser may apply: nothing else runs, and nothing is fetched.
+"""
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from xml.etree.ElementTree import Element, tostring
+
+_JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+Child = Element | str | None
+
+
+def element(tag: str, *children: Child, **attributes: str) -> Element:
+    """Return an element; a string among the children is text. `class_` and `for_` stand for the reserved words."""
+    node = Element(tag, {name.rstrip("_").replace("_", "-"): cleaned(value) for name, value in attributes.items()})
+    for child in children:
+        if isinstance(child, Element):
+            node.append(child)
+        elif child is not None:
+            _add_text(node, cleaned(child))
+    return node
+
+
+def _add_text(node: Element, text: str) -> None:
+    if len(node):
+        node[-1].tail = (node[-1].tail or "") + text
+    else:
+        node.text = (node.text or "") + text
+
+
+def cleaned(text: str) -> str:
+    """Return text without control characters and half pairs, which no page may hold; line breaks stay."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+
+
+def table(header: Sequence[Child], rows: Sequence[Element], caption: str = "", class_: str = "") -> Element:
+    """Return a table that scrolls sideways where the screen is narrow; `rows` as from :func:`row`."""
+    head = element("thead", element("tr", *(_cell("th", name, {"scope": "col"}) for name in header)))
+    title = [element("caption", caption)] if caption else []
+    return element("div", element("table", *title, head, element("tbody", *rows), class_=class_), class_="scroll")
+
+
+def row(*cells: Child, class_: str = "") -> Element:
+    """Return a row; a cell that is an element `td` stays as it is."""
+    made = [cell if isinstance(cell, Element) and cell.tag == "td" else _cell("td", cell, {}) for cell in cells]
+    return element("tr", *made, **({"class_": class_} if class_ else {}))
+
+
+def _cell(tag: str, content: Child, attributes: Mapping[str, str]) -> Element:
+    return element(tag, content, **attributes)
+
+
+def json_in_script(document: object) -> str:
+    """Return strict JSON that may stand inside a script element: no character of it can end the element."""
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).translate(_JSON_ESCAPES)
+
+
+def whole_page(title: str, body: Sequence[Element], style: str, script: str, data: object) -> str:
+    """Return the page: `data` as JSON in the element `data`, then the script."""
+    policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'"
+    head = (
+        '<meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(cleaned(title))}</title><style>{style}</style>"
+    )
+    content = "".join(tostring(node, encoding="unicode", method="html") for node in body)
+    numbers = f'<script type="application/json" id="data">{json_in_script(data)}</script>'
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n'
+        f"<body>{content}\n{numbers}\n<script>{script}</script></body></html>\n"
+    )
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,0 +1,425 @@
+"""What report.html says in words and tables: summary, laps, corners, what is missing, whether it can be trusted."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.check import Check
+from smoother.estimate.quality import Quality
+from smoother.frames import euler_from_rotation
+from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
+from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_words import DASH, counted, lap_clock, local_day, local_time, number, with_sigma
+from smoother.report.summary import distance_driven, merged
+from smoother.samples import Session
+from smoother.trajectory import Identified, Trajectory
+from smoother.units import DEG, KMH
+
+SIGMA_SOURCES = {
+    "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
+    "stored": "The ± of times come from how the position error grew with time, as stored with the results.",
+    "model": "The ± of times assume a usual wander of the GPS, as this session cannot show its own.",
+    "none": "There are no ± of times: the estimator gave no sigmas.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What the words are about. check: of the recording, as the sensors delivered it."""
+
+    session: Session
+    smoothed: Trajectory
+    baseline: Trajectory | None
+    laps: LapAnalysis | None
+    quality: Quality
+    check: Check
+
+    @property
+    def statistics(self) -> Statistics | None:
+        """Figures of the laps that count, None where none does."""
+        said = None if self.laps is None else self.laps.statistics
+        return said if said is not None and said.counted else None
+
+    @property
+    def title(self) -> str:
+        """What the session is called."""
+        return self.session.config.title or self.session.name or "session"
+
+
+def speed_cell(speed: float) -> Element:
+    """A cell with a speed m/s, which the script shows in the unit that was chosen."""
+    if not np.isfinite(speed):
+        return element("td", DASH)
+    return element("td", number(speed / KMH, 1), data_mps=f"{speed:.4f}")
+
+
+def header(told: Told) -> Element:
+    """Title, who and where, the verdict in a line, and the settings."""
+    config, unix = told.session.config, told.session.unix_at_zero
+    track = told.laps.track if told.laps is not None and told.laps.track else config.track
+    pairs = [("driver", config.driver), ("kart", config.kart), ("track", track)]
+    said = [f"{name}: {value}" for name, value in pairs if value]
+    said.append(local_day(unix + float(told.smoothed.t[0])) if unix is not None else config.date or "")
+    words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
+    if config.notes:
+        words.append(element("p", config.notes, class_="soft"))
+    theme = _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
+    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
+    return element("header", element("div", *words), element("div", units, theme, class_="settings"))
+
+
+def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
+    made = [element("option", text, value=value) for value, text in options]
+    return element("label", f"{label} ", element("select", *made, id=name))
+
+
+def summary(told: Told) -> Element:
+    """The figures a driver looks for first, and what is missing."""
+    said, smoothed = told.statistics, told.smoothed
+    cards = []
+    if said is not None and told.laps is not None and said.best_lap is not None:
+        cards.append(_card("Best lap", lap_clock(said.best), _pm(said.best_sigma, told.laps.laps[said.best_lap])))
+        cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
+        start = "" if not said.rolling_from > 0.0 else f", from {said.rolling_from:.0f} m"
+        cards.append(_card("Rolling best", lap_clock(said.rolling), f"± {number(said.rolling_sigma, 3)} s{start}"))
+        spread = f"spread {number(said.spread, 3)} s; " if np.isfinite(said.spread) else ""
+        within = f"{spread}{said.within_tenth} within 0.1 s of the best"
+        cards.append(_card("Consistency", counted(said.counted, "lap"), f"count; {within}"))
+    top = element("span", number(float(smoothed.speed.max()) / KMH, 1), data_mps=f"{smoothed.speed.max():.4f}")
+    cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
+    length = float(smoothed.t[-1] - smoothed.t[0])
+    driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
+    cards.append(_card("Driven", driven, f"in {int(length // 60)} min {int(length % 60)} s"))
+    passed = told.quality.passed
+    verdict = "Yes" if passed else "No"
+    trust = element("span", verdict, class_="good" if passed else "bad")
+    cards.append(_card("Can I trust this?", trust, element("a", "see why", href="#quality")))
+    missing = [element("li", text) for text in _missing(told)]
+    note = [element("h3", "What is missing, and why"), element("ul", *missing)] if missing else []
+    return element("section", element("dl", *cards, class_="cards"), *note, id="summary")
+
+
+def _card(name: str, value: Child, below: Child) -> Element:
+    return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")
+
+
+def _pm(sigma: float, lap: Lap) -> str:
+    return f"± {number(sigma, 3)} s, lap {lap.number}" if np.isfinite(sigma) else f"lap {lap.number}"
+
+
+def _theoretical(said: Statistics) -> str:
+    text = f"± {number(said.theoretical_sigma, 3)} s" if np.isfinite(said.theoretical_sigma) else "best sectors"
+    if said.theoretical - said.theoretical_raw > 0.0005:
+        return f"{text}; best sectors {lap_clock(said.theoretical_raw)}, less the luck of the timing"
+    return text
+
+
+def _missing(told: Told) -> Iterator[str]:
+    if told.smoothed.report.mode == "gps-only":
+        yield (
+            "Roll, pitch, yaw and sideslip: no motion sensor could be used, so everything is from the GPS alone, "
+            "and accelerations are those of its smoothed speed."
+        )
+    if told.laps is None or not any(lap.is_timed for lap in told.laps.laps):
+        why = "" if told.laps is None else "; ".join(p.text for p in told.laps.problems)
+        yield f"Laps, and all that is compared between them{': ' + why if why else '.'}"
+    elif _lacks_sideslip(told):
+        yield "Sideslip: the heading is not known well enough to tell it from the direction of travel."
+    if told.smoothed.sigmas is None:
+        yield "Error bars: the estimator gave no sigmas."
+    if told.baseline is None:
+        yield "The comparison with the baseline: it was not asked for, or has no estimate."
+
+
+def _lacks_sideslip(told: Told) -> bool:
+    traces = None if told.laps is None else told.laps.traces
+    return traces is not None and told.smoothed.report.mode != "gps-only" and not np.isfinite(traces.sideslip).any()
+
+
+def lap_section(told: Told) -> list[Element]:
+    """The table of laps and sectors; nothing without a lap."""
+    laps = told.laps
+    if laps is None or not laps.laps:
+        return []
+    unix, said = told.session.unix_at_zero, told.statistics
+    official = {one.lap: one for one in laps.official if one.lap is not None}
+    heads = ["lap", *(["started"] if unix is not None else []), "time ± (s)", "gap"]
+    heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
+    top: list[Child] = [
+        element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
+    ]
+    top += [*(["official", "ours −"] if official else []), "does not count because"]
+    rows = []
+    for i, lap in enumerate(laps.laps):
+        cells: list[Child] = [str(lap.number)]
+        if unix is not None:
+            cells.append(local_time(unix + lap.start))
+        gap = lap.time - said.best if said is not None and lap.is_valid else np.nan
+        cells += [_time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
+        cells += [_time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
+        cells += [speed_cell(lap.top_speed), lap_clock(lap.raw_time)]
+        if official:
+            theirs = official.get(i)
+            cells += [DASH, DASH] if theirs is None else [lap_clock(theirs.time), number(theirs.difference, 3, True)]
+        cells.append(" ".join(lap.reasons))
+        best = said is not None and said.best_lap == i
+        rows.append(row(*cells, class_="best" if best else "" if lap.is_valid else "out"))
+    source = laps.start_line.source if laps.start_line is not None else ""
+    line = "The start/finish line was found where timing is surest. " if source == "found" else ""
+    length = f"A lap is {laps.reference.length:.0f} m long. " if laps.reference is not None else ""
+    note = f"{line}{length}± is one sigma. {SIGMA_SOURCES[laps.sigma_source]} Raw GPS: straight lines between fixes."
+    made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]
+    return [*made, *(element("p", p.text) for p in laps.problems)]
+
+
+def _sector(lap: Lap, k: int) -> tuple[float, float]:
+    known = k < len(lap.sector_time)
+    return (float(lap.sector_time[k]), float(lap.sector_sigma[k])) if known else (np.nan, np.nan)
+
+
+def _time_cell(time: float, sigma: float) -> Element:
+    if not np.isfinite(time):
+        return element("td", DASH)
+    return element("td", lap_clock(time), element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else ""))
+
+
+def corner_section(told: Told) -> list[Element]:
+    """What was lost where, real or within noise, and the corners of the best lap; nothing without corners."""
+    laps = told.laps
+    if laps is None or not laps.corners:
+        return []
+    against = laps.reference_name if laps.reference_lap is None else f"lap {laps.laps[laps.reference_lap].number}"
+    note = (
+        f"Seconds lost to {against} between the fastest places before and after each corner. Bold with a star: real, "
+        "more than two sigma. The rest is within noise: do not chase it."
+    )
+    return [
+        element("h2", "Corners", id="corners"),
+        element("p", note, class_="soft"),
+        table(["lap", *(_corner_name(c) for c in laps.corners)], _lost_rows(laps)),
+        *_corner_speeds(laps),
+    ]
+
+
+def _corner_name(corner: Corner) -> str:
+    return f"{corner.number} {'left' if corner.turns_left else 'right'}"
+
+
+def _lost_rows(laps: LapAnalysis) -> list[Element]:
+    rows = []
+    for i, lap in enumerate(laps.laps):
+        if not lap.is_timed:
+            continue
+        name = str(lap.number) + ("" if lap.is_valid else f" ({', '.join(lap.reasons)})")
+        cells: list[Child] = [name, *(_lost_cell(corner, i) for corner in laps.corners)]
+        rows.append(row(*cells, class_="" if lap.is_valid else "out"))
+    return rows
+
+
+def _lost_cell(corner: Corner, i: int) -> Element:
+    lost, sigma = float(corner.time_lost[i]), float(corner.time_lost_sigma[i])
+    if not np.isfinite(lost):
+        return element("td", DASH)
+    star, kind = ("*", "slower" if lost > 0.0 else "faster") if corner.is_real[i] else ("", "noise")
+    small = element("small", f" ± {number(sigma, 2)}" if np.isfinite(sigma) and sigma > 0.0 else "")
+    return element("td", f"{number(lost, 2, signed=True)}{star}", small, class_=kind)
+
+
+def _corner_speeds(laps: LapAnalysis) -> list[Element]:
+    best = laps.statistics.best_lap if laps.statistics is not None else None
+    shown = best if best is not None else laps.reference_lap
+    if shown is None:
+        return []
+    timed = [i for i, lap in enumerate(laps.laps) if lap.is_valid and i != shown]
+    unit = element("span", "km/h", class_="speed-unit")
+    heads: list[Child] = [
+        "corner",
+        "radius (m)",
+        "braking point (m)",
+        element("span", "entry ", unit),
+        "minimum",
+        "exit",
+    ]
+    heads += ["usual loss (s)", "real in"]
+    rows = []
+    for c in laps.corners:
+        lost = c.time_lost[timed]
+        usual = float(np.median(lost[np.isfinite(lost)])) if np.isfinite(lost).any() else np.nan
+        real = f"{int(c.is_real[timed].sum())} of {len(timed)}" if timed else DASH
+        braking = with_sigma(float(c.braking_point[shown]), float(c.braking_sigma[shown]), 0)
+        speeds = [speed_cell(float(speed[shown])) for speed in (c.entry_speed, c.min_speed, c.exit_speed)]
+        cells: list[Child] = [_corner_name(c), number(c.radius, 0), braking, *speeds, number(usual, 2, True), real]
+        rows.append(row(*cells))
+    typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
+    sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
+    title = f"Corners on lap {laps.laps[shown].number}"
+    note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}"
+    return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
+
+
+def baseline_section(told: Told) -> list[Element]:
+    """How far baseline and raw fixes lie from the smoothed path, in numbers; the charts stand below."""
+    rows = [row(name, *values) for name, *values in _differences(told)]
+    if not rows:
+        return []
+    return [table(["", "baseline − smoother, rms", "largest"], rows)]
+
+
+def _differences(told: Told) -> Iterator[tuple[str, str, str]]:
+    baseline, smoothed = told.baseline, told.smoothed
+    if baseline is None:
+        return
+    at = np.stack([np.interp(baseline.t, smoothed.t, smoothed.position_n[:, k]) for k in (0, 1)], axis=1)
+    away = np.hypot(*(baseline.position_n[:, :2] - at).T)
+    yield _rms_and_largest("position on the map (m)", away, 2)
+    speed = (baseline.speed - np.interp(baseline.t, smoothed.t, smoothed.speed)) / KMH
+    yield _rms_and_largest("speed (km/h)", speed, 2)
+    if np.isfinite(smoothed.R_nb).any():
+        same = np.clip(np.searchsorted(smoothed.t, baseline.t), 0, len(smoothed) - 1)
+        turn = baseline.euler - smoothed.euler[same]
+        turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
+        for k, name in enumerate(("roll", "pitch", "yaw")):
+            yield _rms_and_largest(f"{name} (deg)", turn[:, k] / DEG, 1)
+
+
+def _rms_and_largest(name: str, values: Array, digits: int) -> tuple[str, str, str]:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return name, DASH, DASH
+    return name, number(float(np.sqrt(np.mean(known**2))), digits), number(float(np.abs(known).max()), digits)
+
+
+def trust(told: Told) -> list[Element]:
+    """The verdict and the sentences behind it."""
+    quality = told.quality
+    if quality.passed:
+        verdict = element("p", element("strong", "Yes: it passed its own quality gate.", class_="good"))
+    else:
+        reasons = "; ".join(quality.reasons)
+        verdict = element("p", element("strong", f"No, not as it stands: {reasons}.", class_="bad"))
+    sentences = [element("li", text) for text in _trust_sentences(told)]
+    findings = [f for f in told.check.findings if f.level != "ok"]
+    warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
+    problems = merged([*told.session.problems, *told.smoothed.report.problems])
+    said = [element("li", p.text if p.count == 1 else f"{p.text} ({p.count} times)") for p in problems]
+    made = [verdict, element("ul", *sentences)]
+    if said:
+        made += [element("h3", "What was lived with"), element("ul", *said)]
+    if warned:
+        made += [element("h3", "What would make it better"), element("ul", *warned)]
+    return made
+
+
+def _trust_sentences(told: Told) -> Iterator[str]:
+    sigmas, said = told.smoothed.sigmas, told.statistics
+    if sigmas is not None:
+        across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
+        yield f"The place on the earth is sure to ± {number(across, 1)} m (one sigma), with the slow wander of the GPS."
+        track = sigmas.track[np.isfinite(sigmas.track)]
+        if track.size:
+            yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
+        yield f"Speed is sure to ± {number(float(np.nanmedian(sigmas.speed)) / KMH, 2)} km/h."
+    if said is not None and np.isfinite(said.best_sigma):
+        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s; smaller differences of laps mean nothing."
+    measures = told.quality.measures
+    if "far_fix_share" in measures:
+        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
+    fixes = told.smoothed.report.fixes
+    if fixes is not None and len(fixes.index):
+        doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
+        unused = len(told.session.gnss) - used
+        yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {doubted} given little weight."
+
+
+_MEASURES: Mapping[str, tuple[str, str, int]] = {
+    "fix_rate_hz": ("fixes a second", "", 1),
+    "fix_gaps": ("gaps in the fixes", "", 0),
+    "fix_gap_longest_s": ("longest gap in the fixes", "s", 2),
+    "accuracy_median_m": ("accuracy the receiver reports", "m", 1),
+    "satellites_median": ("satellites", "", 0),
+    "imu_rate_hz": ("motion sensor samples a second", "", 1),
+    "imu_gaps": ("gaps in the motion sensor", "", 0),
+    "imu_gap_longest_s": ("longest gap in the motion sensor", "s", 3),
+    "accel_vibration_mps2": ("vibration, acceleration rms", "m/s²", 1),
+    "gyro_vibration_dps": ("vibration, turn rate rms", "deg/s", 0),
+    "accel_clipped_share": ("clipped acceleration samples", "%", 2),
+    "gyro_clipped_share": ("clipped turn rate samples", "%", 2),
+    "mag_rate_hz": ("compass samples a second", "", 1),
+}
+
+
+def recording_table(told: Told) -> Element:
+    """Rates, gaps, vibration, clipping as the sensors delivered them."""
+    rows = []
+    for key, (name, unit, digits) in _MEASURES.items():
+        value = told.check.measures.get(key, np.nan)
+        if np.isfinite(value):
+            rows.append(row(name, number(100.0 * value if unit == "%" else value, digits), unit))
+    return table(["", "", ""], rows, "The recording", "words")
+
+
+def residual_table(told: Told) -> Element:
+    """What was left over of each kind of measurement."""
+    rows = [
+        row(
+            name.replace("_", " ").replace("gps", "GPS"),
+            str(r.count),
+            f"{number(r.rms, 3)} {r.unit}",
+            number(r.normalised_rms, 2),
+            str(r.rejected),
+        )
+        for name, r in told.smoothed.report.residuals.items()
+    ]
+    caption = "Residuals (in sigma: 1 is honest, far above means the noise was taken too small)"
+    return table(["", "count", "rms", "in sigma", "rejected"], rows, caption)
+
+
+_NAMES = {
+    "gps_position_latency": "GPS position delay",
+    "gps_velocity_latency": "GPS speed delay",
+    "lever_arm_b": "antenna from the box: forward, left, up",
+    "R_bs": "box in the kart: roll, pitch, yaw",
+    "accel_noise": "accelerometer noise",
+    "gyro_noise": "gyroscope noise",
+    "gps_position_noise": "GPS position noise: north, west, up",
+    "gps_velocity_noise": "GPS velocity noise: north, west, up",
+    "gps_offset_sigma": "GPS wander: north, west, up",
+    "gps_offset_tau": "GPS wander time",
+}
+
+
+def identified_table(told: Told) -> Element:
+    """What was found out of the session, each with its sigma."""
+    rows = [_identified(name, value) for name, value in told.smoothed.report.identified.items()]
+    return table(["", "value", "± one sigma", "unit", "from"], rows, "What was identified", "words")
+
+
+def _identified(name: str, found: Identified) -> Element:
+    unit, factor = found.unit, 1.0
+    value, sigma = np.asarray(found.value, dtype=np.float64), found.sigma
+    if name == "R_bs" and value.shape == (3, 3):
+        value, unit, factor = _angles(value), "deg", 1.0 / DEG
+    elif unit.startswith("rad"):
+        unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
+    errors = np.empty(0) if sigma is None else np.atleast_1d(np.asarray(sigma, dtype=np.float64)) * factor
+    source = "weakly identified" if found.source == "identified" and not found.observable else found.source
+    return row(
+        _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")),
+        _listed(np.atleast_1d(value) * factor),
+        _listed(errors) if errors.size else DASH,
+        unit,
+        source,
+    )
+
+
+def _angles(R_bs: Array) -> Array:
+    return np.array([float(angle) for angle in euler_from_rotation(R_bs)])
+
+
+def _listed(values: Array) -> str:
+    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    digits = 1 if largest >= 10.0 else 2 if largest >= 1.0 else 3 if largest >= 0.1 else 4
+    return ", ".join(number(float(value), digits) for value in values.ravel())

@@ -1,0 +1,541 @@
+// The charts of the report: everything is drawn as SVG from the numbers in the page, and coloured by its style sheet,
+// so that theme and paper need no redrawing. Text only ever becomes text (textContent), never markup.
+"use strict";
+(() => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const DASHES = ["", "7 3", "2 3", "10 3 2 3", "14 4", "5 2 1 2"];
+  const UNITS = { "km/h": 3.6, mph: 1 / 0.44704 };
+  const MARGIN = { left: 50, right: 10, top: 22, bottom: 6 };
+  const AXIS = 24; // px below the lowest panel
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const place = (id) => document.getElementById(id);
+
+  function floats(text) {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    return new Float32Array(bytes.buffer);
+  }
+  function rows(name) {
+    const all = floats(data.traces[name]);
+    const n = grid.length;
+    return data.laps.map((_, i) => all.subarray(i * n, (i + 1) * n));
+  }
+  const grid = floats(data.grid);
+  const traces = Object.fromEntries(Object.keys(data.traces).map((name) => [name, rows(name)]));
+  const state = { slots: new Map(), at: 0, range: [0, grid.length - 1], unit: "km/h", coloured: data.best };
+  const cursors = []; // called with the index of the grid whenever the cursor moves
+
+  // ---- small helpers ----
+  function make(tag, attributes, parent) {
+    const node = document.createElementNS(SVG, tag);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    if (parent) parent.appendChild(node);
+    return node;
+  }
+  function html(tag, text, parent) {
+    const node = document.createElement(tag);
+    node.textContent = text;
+    if (parent) parent.appendChild(node);
+    return node;
+  }
+  function write(parent, x, y, text, kind, anchor) {
+    make("text", { x, y, class: kind || "", "text-anchor": anchor || "start" }, parent).textContent = text;
+  }
+  const factor = () => UNITS[state.unit];
+  const fixed = (value, digits, signed) =>
+    Number.isFinite(value) ? (signed && value >= 0 ? "+" : "") + value.toFixed(digits) : "–";
+  const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+  const along = (x) => (data.axis === "time" ? clock(x) : `${x.toFixed(0)} m`);
+  function niceStep(span, most) {
+    const rough = span / most;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough);
+  }
+  function ticks(low, high, most) {
+    const step = niceStep(high - low || 1, most);
+    const out = [];
+    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step) out.push(v);
+    return [out, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
+  }
+  function clockTicks(low, high) {
+    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600].find((s) => (high - low) / s <= 9) || 7200;
+    const out = [];
+    for (let v = Math.ceil(low / step) * step; v <= high; v += step) out.push(v);
+    return out;
+  }
+  function extent(lists, first, last) {
+    let low = Infinity, high = -Infinity;
+    for (const list of lists) {
+      const end = Math.min(last ?? list.length - 1, list.length - 1);
+      for (let i = first ?? 0; i <= end; i++) {
+        if (list[i] < low) low = list[i];
+        if (list[i] > high) high = list[i];
+      }
+    }
+    return low <= high ? [low, high] : [0, 1];
+  }
+  function trail(xs, ys, X, Y, first, last) {
+    let d = "", pen = false;
+    for (let i = first; i <= last; i++) {
+      if (Number.isFinite(xs[i]) && Number.isFinite(ys[i])) {
+        d += `${pen ? "L" : "M"}${X(xs[i]).toFixed(1)} ${Y(ys[i]).toFixed(1)}`;
+        pen = true;
+      } else pen = false;
+    }
+    return d;
+  }
+  function bandOf(xs, ys, sigma, X, Y, first, last) {
+    let d = "", run = [];
+    const close = () => {
+      if (run.length > 1) {
+        const up = run.map((i) => `${X(xs[i]).toFixed(1)} ${Y(ys[i] + 2 * sigma[i]).toFixed(1)}`);
+        const down = run.map((i) => `${X(xs[i]).toFixed(1)} ${Y(ys[i] - 2 * sigma[i]).toFixed(1)}`).reverse();
+        d += `M${up.concat(down).join("L")}Z`;
+      }
+      run = [];
+    };
+    for (let i = first; i <= last; i++) {
+      if (Number.isFinite(ys[i]) && Number.isFinite(sigma[i])) run.push(i);
+      else close();
+    }
+    close();
+    return d;
+  }
+  function nearest(list, value) {
+    let low = 0, high = list.length - 1;
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (list[middle] < value) low = middle;
+      else high = middle;
+    }
+    return value - list[low] < list[high] - value ? low : high;
+  }
+  function swatch(slot) {
+    const svg = make("svg", { viewBox: "0 0 26 10", "aria-hidden": "true" });
+    if (slot !== undefined) make("path", { d: "M1 5H25", class: `line s${slot % 6}`, "stroke-width": 3, "stroke-dasharray": DASHES[slot % 6] }, svg);
+    return svg;
+  }
+
+  // ---- one panel: y over a shared x ----
+  function panel(svg, box, spec) {
+    const { x0, x1, width } = spec;
+    const left = MARGIN.left, right = width - MARGIN.right;
+    const top = box.top + MARGIN.top, bottom = box.top + box.height - MARGIN.bottom;
+    const X = (x) => left + ((x - x0) / (x1 - x0 || 1)) * (right - left);
+    let [low, high] = spec.limits;
+    const least = spec.least || 0;
+    if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
+    const space = 0.06 * (high - low || 1);
+    [low, high] = [spec.floor ?? low - space, high + space];
+    const Y = (y) => bottom - ((y - low) / (high - low)) * (bottom - top);
+    for (const bend of spec.bends || []) {
+      const [a, b] = [Math.max(bend[0], x0), Math.min(bend[1], x1)];
+      if (b > a) make("rect", { x: X(a), y: top, width: X(b) - X(a), height: bottom - top, class: "bend" }, svg);
+    }
+    const [marks, digits] = ticks(low, high, Math.max(2, Math.floor((bottom - top) / 32)));
+    for (const mark of marks) {
+      const isZero = Math.abs(mark) < 1e-9;
+      make("path", { d: `M${left} ${Y(mark).toFixed(1)}H${right}`, class: isZero && low < 0 ? "zero" : "grid" }, svg);
+      write(svg, left - 6, Y(mark) + 4, (isZero ? 0 : mark).toFixed(digits), "", "end");
+    }
+    write(svg, left, box.top + 14, spec.title, "title");
+    const clip = `clip-${++panel.count}`;
+    const shape = make("clipPath", { id: clip }, make("defs", {}, svg));
+    make("rect", { x: left, y: top - 2, width: Math.max(0, right - left), height: bottom - top + 4 }, shape);
+    const inside = make("g", { "clip-path": `url(#${clip})` }, svg);
+    for (const s of spec.series) {
+      const [first, last] = s.span || [0, s.x.length - 1];
+      if (s.sigma) make("path", { d: bandOf(s.x, s.y, s.sigma, X, Y, first, last), class: `band f${s.slot % 6}` }, inside);
+    }
+    for (const s of spec.series) {
+      const [first, last] = s.span || [0, s.x.length - 1];
+      const look = { class: `${s.dots ? "points" : "line"} ${s.kind || "s" + (s.slot % 6)}`, "stroke-dasharray": s.dots ? "" : s.dash ?? DASHES[(s.slot || 0) % 6] };
+      if (s.dots) {
+        let d = "";
+        for (let i = first; i <= last; i++) if (Number.isFinite(s.y[i])) d += `M${X(s.x[i]).toFixed(1)} ${Y(Math.min(s.y[i], high)).toFixed(1)}h0`;
+        make("path", { d, ...look }, inside);
+      } else if (s.sure) {
+        const pick = (wanted) => s.y.map((y, i) => (s.sure[i] === wanted || s.sure[i + 1] === wanted || s.sure[i - 1] === wanted ? y : NaN));
+        make("path", { d: trail(s.x, pick(0), X, Y, first, last), ...look, class: "line raw unsure" }, inside);
+        make("path", { d: trail(s.x, pick(1), X, Y, first, last), ...look }, inside);
+      } else make("path", { d: trail(s.x, s.y, X, Y, first, last), ...look }, inside);
+    }
+    return { X, Y, top, bottom, left, right };
+  }
+  panel.count = 0;
+  function bottomAxis(svg, x0, x1, width, y, isTime) {
+    const X = (x) => MARGIN.left + ((x - x0) / (x1 - x0 || 1)) * (width - MARGIN.left - MARGIN.right);
+    const [marks, digits] = isTime ? [clockTicks(x0, x1), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
+    for (const mark of marks) {
+      make("path", { d: `M${X(mark).toFixed(1)} ${y}v4`, class: "line faint" }, svg);
+      write(svg, X(mark), y + 17, isTime ? clock(mark) : mark.toFixed(digits), "", "middle");
+    }
+  }
+  function sheet(id, height, wanted) {
+    const figure = place(id);
+    const old = figure.querySelector("svg");
+    const width = wanted || Math.max(280, Math.round(figure.clientWidth));
+    const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, class: "chart", role: "img", "aria-label": figure.dataset.label || "" });
+    if (old) old.replaceWith(svg);
+    else figure.prepend(svg);
+    return [svg, width];
+  }
+
+  // ---- traces ----
+  const PANELS = [
+    { name: "speed", title: () => `speed (${state.unit})`, height: 170, scale: factor, least: 5 },
+    { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
+    { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
+    { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
+    { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
+  ];
+  function drawTraces(wanted) {
+    const panels = PANELS.filter((p) => traces[p.name]);
+    const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
+    const [svg, width] = sheet("traces", total, wanted);
+    const [first, last] = state.range;
+    const [x0, x1] = [grid[first], grid[last]];
+    const bends = data.corners.map((c) => [c.start, c.end]);
+    let top = 0, frame;
+    const marks = [];
+    for (const p of panels) {
+      const k = p.scale ? p.scale() : 1;
+      const series = [...state.slots].map(([lap, slot]) => ({
+        x: grid, y: traces[p.name][lap].map((v) => v * k), slot, span: [first, last],
+        sigma: p.sigma && traces[p.sigma] ? traces[p.sigma][lap] : null,
+        sure: p.sure && traces[p.sure] ? traces[p.sure][lap] : null,
+      }));
+      const limits = extent(series.map((s) => s.y), first, last);
+      frame = panel(svg, { top, height: p.height }, { x0, x1, width: wanted || width, title: width < 520 ? p.title().split(",")[0] : p.title(), series, bends, limits, least: p.least });
+      for (const s of series) marks.push([make("circle", { r: 4, class: `dot f${s.slot % 6}` }, svg), s.y, frame.Y]);
+      top += p.height;
+    }
+    const range = data.corners.filter((c) => c.apex > x0 && c.apex < x1);
+    for (const c of range) write(svg, frame.X(c.apex), 30, c.number, "corner", "middle");
+    bottomAxis(svg, x0, x1, width, top, data.axis === "time");
+    const cursor = make("path", { class: "cursor" }, svg);
+    cursors.push((at) => {
+      const x = frame.X(grid[at]);
+      const shown = at >= first && at <= last;
+      cursor.setAttribute("d", shown ? `M${x.toFixed(1)} ${MARGIN.top}V${top}` : "");
+      for (const [dot, y, Y] of marks) {
+        const there = shown && Number.isFinite(y[at]);
+        dot.setAttribute("visibility", there ? "visible" : "hidden");
+        if (there) { dot.setAttribute("cx", x); dot.setAttribute("cy", Y(y[at])); }
+      }
+    });
+    listenTraces(svg, frame, x0, x1, width, top);
+  }
+  function listenTraces(svg, frame, x0, x1, width, height) {
+    const at = (event) => {
+      const r = svg.getBoundingClientRect();
+      const x = ((event.clientX - r.left) / r.width) * width;
+      const share = Math.min(1, Math.max(0, (x - frame.left) / (frame.right - frame.left)));
+      return nearest(grid, x0 + share * (x1 - x0));
+    };
+    let start = null, shade = null;
+    svg.addEventListener("pointermove", (event) => {
+      const here = at(event);
+      moveTo(here);
+      if (start === null) return;
+      shade = shade || make("rect", { y: 0, height, class: "drag" }, svg);
+      const [a, b] = [frame.X(grid[Math.min(start, here)]), frame.X(grid[Math.max(start, here)])];
+      shade.setAttribute("x", a);
+      shade.setAttribute("width", b - a);
+    });
+    svg.addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse" && event.button === 0) start = at(event); moveTo(at(event)); });
+    svg.addEventListener("pointerup", (event) => {
+      const here = at(event);
+      if (start !== null && Math.abs(here - start) > 4) show([Math.min(start, here), Math.max(start, here)]);
+      else if (shade) shade.remove();
+      start = null; shade = null;
+    });
+    svg.addEventListener("pointerleave", () => { if (shade) shade.remove(); start = null; shade = null; });
+    svg.addEventListener("dblclick", () => show([0, grid.length - 1]));
+  }
+
+  // ---- map ----
+  function fit(xs, ys, width, height, margin) {
+    const [ax, bx] = extent(xs), [ay, by] = extent(ys);
+    const scale = Math.min((width - 2 * margin) / Math.max(bx - ax, 5), (height - 2 * margin) / Math.max(by - ay, 5));
+    const [cx, cy] = [(ax + bx) / 2, (ay + by) / 2];
+    return { scale, X: (x) => width / 2 + (x - cx) * scale, Y: (y) => height / 2 - (y - cy) * scale };
+  }
+  function scaleBar(svg, scale, width, height) {
+    const metres = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000].filter((m) => m * scale < width / 3).pop() || 1;
+    make("path", { d: `M12 ${height - 12}h${metres * scale}m0 -4v8M12 ${height - 16}v8`, class: "line", stroke: "currentColor" }, svg);
+    write(svg, 12, height - 20, `${metres} m, north up`);
+  }
+  function drawMap(wanted) {
+    const lap = state.coloured, [first, last] = state.range;
+    const box = place("map").clientWidth;
+    const width0 = wanted || Math.max(280, box);
+    const height = Math.round(Math.min(width0 * 0.95, 520));
+    const [svg, width] = sheet("map", height + 34, wanted);
+    const laps = [...state.slots.keys()];
+    const cut = (list) => list.subarray(first, last + 1);
+    const { scale, X, Y } = fit([...laps, lap].map((i) => cut(traces.x[i])), [...laps, lap].map((i) => cut(traces.y[i])), width, height, 26);
+    if (data.mean_line) make("path", { d: trail(meanLine.x, meanLine.y, X, Y, 0, meanLine.x.length - 1), class: "line faint" }, svg);
+    for (const i of laps.filter((i) => i !== lap)) {
+      const slot = state.slots.get(i);
+      make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, svg);
+    }
+    make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, svg);
+    const [slow, fast] = extent([traces.speed[lap]], first, last);
+    const shades = data.palette.map(() => "");
+    const bin = (v) => Math.min(shades.length - 1, Math.floor(((v - slow) / (fast - slow || 1)) * shades.length));
+    for (let i = first; i < last; i++) {
+      const [a, b] = [traces.x[lap][i], traces.x[lap][i + 1]];
+      if (!Number.isFinite(a + b) || !Number.isFinite(traces.speed[lap][i])) continue;
+      shades[bin(traces.speed[lap][i])] += `M${X(a).toFixed(1)} ${Y(traces.y[lap][i]).toFixed(1)}L${X(b).toFixed(1)} ${Y(traces.y[lap][i + 1]).toFixed(1)}`;
+    }
+    shades.forEach((d, i) => d && make("path", { d, class: "speed", stroke: data.palette[i] }, svg));
+    for (const g of data.gates) make("path", { d: `M${X(g.x[0])} ${Y(g.y[0])}L${X(g.x[1])} ${Y(g.y[1])}`, class: g.is_start ? "gate" : "split" }, svg);
+    for (const c of data.corners) write(svg, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
+    scaleBar(svg, scale, width, height);
+    colourBar(svg, slow, fast, width, height);
+    const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, svg), i]);
+    cursors.push((at) => {
+      for (const [dot, i] of dots) {
+        const there = Number.isFinite(traces.x[i][at]) && Number.isFinite(traces.y[i][at]);
+        dot.setAttribute("visibility", there ? "visible" : "hidden");
+        if (there) { dot.setAttribute("cx", X(traces.x[i][at])); dot.setAttribute("cy", Y(traces.y[i][at])); }
+      }
+    });
+    const seek = (event) => {
+      const r = svg.getBoundingClientRect();
+      const [px, py] = [((event.clientX - r.left) / r.width) * width, ((event.clientY - r.top) / r.width) * width];
+      let best = -1, least = 40 ** 2;
+      for (let i = first; i <= last; i++) {
+        const away = (X(traces.x[lap][i]) - px) ** 2 + (Y(traces.y[lap][i]) - py) ** 2;
+        if (away < least) [best, least] = [i, away];
+      }
+      if (best >= 0) moveTo(best);
+    };
+    svg.addEventListener("pointermove", seek);
+    svg.addEventListener("pointerdown", seek);
+  }
+  function colourBar(svg, slow, fast, width, height) {
+    const n = data.palette.length, w = Math.min(220, width - 150) / n, left = (width - n * w) / 2;
+    data.palette.forEach((c, i) => make("rect", { x: left + i * w, y: height + 8, width: w + 0.6, height: 10, fill: c }, svg));
+    write(svg, left - 6, height + 17, (slow * factor()).toFixed(0), "", "end");
+    write(svg, left + n * w + 6, height + 17, `${(fast * factor()).toFixed(0)} ${state.unit}`);
+  }
+
+  // ---- g-g diagram ----
+  function drawCircle(wanted) {
+    if (!traces.longitudinal) return;
+    const size0 = wanted ? Math.min(340, wanted) : Math.min(460, Math.max(280, place("circle").clientWidth));
+    const [svg] = sheet("circle", size0, size0);
+    const cloud = [floats(data.cloud.right), floats(data.cloud.forward)];
+    const reach = Math.max(0.5, data.cloud.reach);
+    const half = size0 / 2, scale = (half - 26) / reach;
+    const X = (v) => half + v * scale, Y = (v) => half - v * scale;
+    for (let r = 0.5; r <= reach * 1.05; r += 0.5) {
+      make("circle", { cx: half, cy: half, r: r * scale, class: "grid" }, svg);
+      write(svg, half + 3, half - r * scale - 3, `${r} g`);
+    }
+    make("path", { d: `M20 ${half}H${size0 - 20}M${half} 20V${size0 - 20}`, class: "grid" }, svg);
+    const dots = (right, forward) => {
+      let d = "";
+      for (let i = 0; i < right.length; i++) if (Number.isFinite(right[i] + forward[i])) d += `M${X(right[i]).toFixed(1)} ${Y(forward[i]).toFixed(1)}h0`;
+      return d;
+    };
+    make("path", { d: dots(...cloud), class: "cloud" }, svg);
+    const [first, last] = state.range;
+    for (const [lap, slot] of state.slots) {
+      const right = traces.sideways[lap].subarray(first, last + 1).map((v) => -v / 9.80665);
+      const forward = traces.longitudinal[lap].subarray(first, last + 1).map((v) => v / 9.80665);
+      make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, svg);
+    }
+    write(svg, half, 14, "driving", "", "middle");
+    write(svg, half, size0 - 6, "braking", "", "middle");
+    write(svg, 4, half - 6, "left");
+    write(svg, size0 - 4, half - 6, "right", "", "end");
+    const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, svg), lap]);
+    cursors.push((at) => {
+      for (const [mark, lap] of marks) {
+        const [r, f] = [-traces.sideways[lap][at] / 9.80665, traces.longitudinal[lap][at] / 9.80665];
+        mark.setAttribute("visibility", Number.isFinite(r + f) ? "visible" : "hidden");
+        if (Number.isFinite(r + f)) { mark.setAttribute("cx", X(r)); mark.setAttribute("cy", Y(f)); }
+      }
+    });
+  }
+
+  // ---- baseline against smoother; quality ----
+  const unpack = (group) => (group ? Object.fromEntries(Object.entries(group).map(([k, v]) => [k, typeof v === "string" ? floats(v) : v])) : null);
+  const meanLine = unpack(data.mean_line), compared = unpack(data.compared), quality = unpack(data.quality);
+  function shownTimes() {
+    if (!compared.grid_t) return [-Infinity, Infinity];
+    return [compared.grid_t[state.range[0]], compared.grid_t[state.range[1]]];
+  }
+  function drawCompared(wanted) {
+    if (!compared) return;
+    const [from, to] = shownTimes();
+    const part = (t) => [nearest(t, Math.max(from, t[0])), nearest(t, Math.min(to, t[t.length - 1]))];
+    const [a, b] = part(compared.t);
+    const width0 = wanted ? wanted / 2 - 10 : Math.max(280, place("compared-map").clientWidth);
+    const height = Math.round(Math.min(width0 * 0.85, 440));
+    const [svg, width] = sheet("compared-map", height, wanted ? width0 : undefined);
+    const { scale, X, Y } = fit([compared.x.subarray(a, b + 1)], [compared.y.subarray(a, b + 1)], width, height, 30);
+    const tracks = [["baseline_", "line s4", "7 3"], ["", "line s0", ""]];
+    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, svg);
+    const [c, d] = part(compared.fix_t);
+    let dots = "";
+    for (let i = c; i <= d; i++) dots += `M${X(compared.fix_x[i]).toFixed(1)} ${Y(compared.fix_y[i]).toFixed(1)}h0`;
+    make("path", { d: dots, class: "points s1" }, svg);
+    scaleBar(svg, scale, width, height);
+    const speeds = [{ x: compared.t, y: compared.speed.map((v) => v * factor()), slot: 0, dash: "" }];
+    if (compared.baseline_speed) speeds.unshift({ x: compared.t, y: compared.baseline_speed.map((v) => v * factor()), slot: 4, dash: "7 3" });
+    const [plot, w] = sheet("compared-speed", 260 + AXIS, wanted ? width0 : undefined);
+    panel(plot, { top: 0, height: 260 }, { x0: compared.t[a], x1: compared.t[b], width: w, title: `speed (${state.unit})`, series: speeds.map((s) => ({ ...s, span: [a, b] })), limits: extent(speeds.slice(-1).map((s) => s.y), a, b), least: 5 });
+    bottomAxis(plot, compared.t[a], compared.t[b], w, 260, true);
+  }
+  function drawQuality(wanted) {
+    if (!quality) return;
+    const x1 = quality.t[quality.t.length - 1];
+    const panels = [];
+    if (quality.sigma) {
+      panels.push({ title: "sure to (m, one sigma): position (solid), line on the track (dashed)", series: [{ x: quality.t, y: quality.sigma, slot: 0, dash: "" }, { x: quality.t, y: quality.sigma_track, slot: 1, dash: "7 3" }] });
+    }
+    if (quality.fix_t) panels.push({ title: "each fix: metres left over (orange: given little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
+    if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dash: "" }] });
+    const [svg, width] = sheet("quality-time", 150 * panels.length + AXIS, wanted);
+    panels.forEach((p, i) => {
+      const [, high] = extent(p.series.map((s) => s.y));
+      panel(svg, { top: 150 * i, height: 150 }, { x0: 0, x1, width, title: width < 520 ? p.title.split(":")[0] : p.title, series: p.series, limits: [0, p.cap || high], floor: 0, least: 0.01 });
+    });
+    bottomAxis(svg, 0, x1, width, 150 * panels.length, true);
+  }
+
+  // ---- state ----
+  function readout(at) {
+    const body = place("readout");
+    body.replaceChildren();
+    for (const [lap, slot] of state.slots) {
+      const row = html("tr", "", body);
+      const name = html("td", "", row);
+      name.appendChild(swatch(slot));
+      html("span", ` ${data.laps[lap].name}`, name);
+      html("td", fixed(traces.speed[lap][at] * factor(), 1), row);
+      for (const [key, sigma, digits] of [["delta", "delta_sigma", 3], ["offset", "offset_sigma", 2]]) {
+        const value = traces[key] ? traces[key][lap][at] : NaN;
+        const error = traces[sigma] ? traces[sigma][lap][at] : NaN;
+        html("td", fixed(value, digits, true) + (Number.isFinite(value + error) && error > 0 ? ` ± ${fixed(error, digits)}` : ""), row);
+      }
+      for (const key of ["longitudinal", "sideways"]) html("td", fixed(traces[key] ? traces[key][lap][at] / 9.80665 : NaN, 2, true), row);
+    }
+    place("where").textContent = along(grid[at]);
+    place("cursor").value = at;
+    const lap = state.coloured;
+    place("cursor").setAttribute("aria-valuetext", `${along(grid[at])}, ${fixed(traces.speed[lap][at] * factor(), 1)} ${state.unit}`);
+  }
+  function moveTo(at) {
+    state.at = Math.min(grid.length - 1, Math.max(0, at));
+    for (const move of cursors) move(state.at);
+    readout(state.at);
+  }
+  function show(range) {
+    state.range = range[1] - range[0] > 3 ? range : [0, grid.length - 1];
+    const whole = state.range[0] === 0 && state.range[1] === grid.length - 1;
+    if (whole) place("stretch").value = "whole";
+    else if (range.named !== true) place("stretch").value = "own";
+    if (state.at < state.range[0] || state.at > state.range[1]) state.at = state.range[0];
+    draw();
+  }
+  function pick(lap, wanted) {
+    if (wanted) {
+      let slot = 0;
+      while ([...state.slots.values()].includes(slot)) slot++;
+      state.slots.set(lap, slot);
+      state.coloured = lap;
+    } else if (state.slots.size > 1) {
+      state.slots.delete(lap);
+      if (state.coloured === lap) state.coloured = [...state.slots.keys()].pop();
+    }
+    showPicked();
+    draw();
+  }
+  function showPicked() {
+    for (const box of document.querySelectorAll("#laps-picked input")) {
+      const lap = Number(box.value);
+      box.checked = state.slots.has(lap);
+      box.parentNode.classList.toggle("unpicked", !box.checked);
+      box.parentNode.querySelector("svg").replaceWith(swatch(state.slots.get(lap)));
+    }
+    const list = place("coloured");
+    list.replaceChildren();
+    for (const lap of state.slots.keys()) {
+      const option = html("option", data.laps[lap].name, list);
+      option.value = lap;
+      option.selected = lap === state.coloured;
+    }
+  }
+  function draw(wanted) {
+    const width = typeof wanted === "number" ? wanted : undefined;
+    cursors.length = 0;
+    drawMap(width);
+    drawTraces(width);
+    drawCircle(width);
+    drawCompared(width);
+    drawQuality(width);
+    for (const cell of document.querySelectorAll("[data-mps]")) cell.textContent = fixed(Number(cell.dataset.mps) * factor(), 1);
+    for (const cell of document.querySelectorAll(".speed-unit")) cell.textContent = state.unit;
+    moveTo(state.at);
+  }
+  function remember(key, value) {
+    try { localStorage.setItem(key, value); } catch { /* a page from disk may not be allowed to */ }
+  }
+  function remembered(key) {
+    try { return localStorage.getItem(key); } catch { return null; }
+  }
+  function setTheme(theme) {
+    if (theme === "auto") delete document.documentElement.dataset.theme;
+    else document.documentElement.dataset.theme = theme;
+  }
+  function keys(event) {
+    const step = event.shiftKey ? 10 : 1;
+    const moves = { ArrowLeft: state.at - step, ArrowRight: state.at + step, ArrowDown: state.at - step, ArrowUp: state.at + step, Home: state.range[0], End: state.range[1], PageDown: state.at - 25, PageUp: state.at + 25 };
+    if (event.key in moves) moveTo(moves[event.key]);
+    else if (event.key === "+" || event.key === "-") {
+      const half = Math.max(4, Math.round(((state.range[1] - state.range[0]) / 2) * (event.key === "+" ? 0.5 : 2)));
+      show([Math.max(0, state.at - half), Math.min(grid.length - 1, state.at + half)]);
+    } else if (event.key === "Escape") show([0, grid.length - 1]);
+    else return;
+    event.preventDefault();
+  }
+  function control(id, kind, listener) {
+    const node = place(id);
+    if (node) node.addEventListener(kind, (event) => listener(event.target.value, event));
+    return node;
+  }
+
+  // ---- begin ----
+  for (const box of document.querySelectorAll("#laps-picked input")) box.addEventListener("change", () => pick(Number(box.value), box.checked));
+  control("coloured", "change", (value) => { state.coloured = Number(value); draw(); });
+  control("units", "change", (value) => { state.unit = value; remember("kart-report-units", value); draw(); });
+  control("theme", "change", (value) => { setTheme(value); remember("kart-report-theme", value); });
+  control("stretch", "change", (value) => {
+    if (value === "own") return;
+    const part = data.stretches[Number(value)];
+    const range = part ? [nearest(grid, part[0]), nearest(grid, part[1])] : [0, grid.length - 1];
+    range.named = true;
+    show(range);
+  });
+  place("cursor").addEventListener("keydown", keys);
+  control("cursor", "input", (value) => moveTo(Number(value)));
+  for (const lap of data.first) state.slots.set(lap, state.slots.size);
+  const theme = remembered("kart-report-theme");
+  if (["light", "dark"].includes(theme)) { place("theme").value = theme; setTheme(theme); }
+  if (remembered("kart-report-units") in UNITS) { state.unit = remembered("kart-report-units"); place("units").value = state.unit; }
+  showPicked();
+  draw();
+  let waiting = 0, printing = false, wide = document.body.clientWidth;
+  new ResizeObserver(() => {
+    if (printing || document.body.clientWidth === wide) return;
+    wide = document.body.clientWidth;
+    cancelAnimationFrame(waiting);
+    waiting = requestAnimationFrame(() => draw());
+  }).observe(document.body);
+  addEventListener("beforeprint", () => { printing = true; draw(700); });
+  addEventListener("afterprint", () => { printing = false; draw(); });
+})();

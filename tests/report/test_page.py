@@ -1,0 +1,222 @@
+"""report.html as text: whole, self-contained, small; what comes from files is text; what is missing is said."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.config import SessionConfig
+from smoother.estimate.quality import Quality
+from smoother.laps.analysis import analyse
+from smoother.laps.results import FixPath, LapAnalysis
+from smoother.report.page import Report, page, write_page
+from smoother.report.page_html import element, json_in_script, row, whole_page
+from smoother.report.page_words import lap_clock, number, with_sigma
+from smoother.samples import Problem, Session
+from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import EstimateReport, Sigmas, Trajectory
+
+NASTY = "<script>alert(1)</script>"
+GOOD = Quality(True, (), {"far_fix_share": 0.0})
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[Trajectory, LapAnalysis, Session]:
+    """Some laps, from truth, with sigmas."""
+    from smoother.prepare import prepare
+
+    simulation = simulate_preset("kart", 5, duration=240.0)
+    session = prepare(simulation.raw)
+    t = np.arange(session.gnss.t[0], session.gnss.t[-1], 0.02)
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b)
+    n = len(t)
+    sigmas = Sigmas(
+        np.full((n, 3), 1.5), np.full((n, 3), 0.1), np.full(n, 0.1), np.full((n, 3), 0.01), np.full(n, 0.05)
+    )
+    trajectory = Trajectory(**{**vars(truth), "sigmas": sigmas})
+    known = np.isfinite(session.fix_position_n[:, 0])
+    laps = analyse(trajectory, FixPath(session.gnss.t[known], session.fix_position_n[known, :2]))
+    assert laps.traces is not None and sum(lap.is_valid for lap in laps.laps) >= 3
+    return trajectory, laps, session
+
+
+@pytest.fixture
+def report(driven: tuple[Trajectory, LapAnalysis, Session]) -> Report:
+    trajectory, laps, session = driven
+    return Report(session, trajectory, trajectory.every(5), laps, GOOD)
+
+
+class Tags(HTMLParser):
+    """Collects tags, attributes and texts of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.texts: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def numbers(text: str) -> dict[str, object]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found is not None
+    document = json.loads(found.group(1))
+    assert isinstance(document, dict)
+    return document
+
+
+def floats(text: object) -> np.ndarray:
+    assert isinstance(text, str)
+    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+
+
+def test_text_from_files_is_text_wherever_it_appears(report: Report) -> None:
+    config = SessionConfig(title=NASTY, driver=NASTY, kart=NASTY, track=NASTY, notes=NASTY)
+    problem = Problem("odd", f"{NASTY}.csv: odd", 2)
+    session = replace(report.session, name=NASTY, config=config, problems=(problem,))
+    assert report.laps is not None
+    laps = replace(report.laps, track=NASTY, reference_name=NASTY, reference_lap=None)
+    quality = Quality(False, (NASTY,), {})
+    text = page(replace(report, session=session, laps=laps, quality=quality))
+    assert "<script>alert" not in text.lower()
+    tags = Tags(text)
+    assert tags.tags.count("script") == 2
+    assert sum(NASTY in piece for piece in tags.texts) >= 7
+    assert numbers(text)["against_name"] == NASTY
+
+
+def test_a_name_of_any_characters_makes_a_page(report: Report, tmp_path: Path) -> None:
+    name = "\x00\x1b[31m \udc80 </style> ]]> --> ' \" & \u2028 \u202e ☃ 中"
+    session = replace(report.session, config=SessionConfig(title=name, driver=name))
+    write_page(tmp_path / "report.html", replace(report, session=session))
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert text.lower().count("</style>") == 1
+    assert not {"\x00", "\x1b", "\u202e"} & set(text)
+    assert any("☃ 中" in piece for piece in Tags(text).texts)
+
+
+def test_nothing_in_the_page_points_outside(report: Report) -> None:
+    tags = Tags(page(report))
+    assert not {"link", "img", "iframe", "object", "base"} & set(tags.tags)
+    targets = [value or "" for name, value in tags.attributes if name in ("src", "href", "action", "style")]
+    assert targets and all(target.startswith("#") for target in targets)
+    policy = next(
+        value or "" for name, value in tags.attributes if name == "content" and "default-src" in (value or "")
+    )
+    assert policy.startswith("default-src 'none'") and "unsafe" not in policy
+
+
+def test_ten_minutes_stay_below_three_megabytes_and_each_further_one_below_0_15(report: Report) -> None:
+    size = len(page(report).encode())
+    assert report.laps is not None
+    minutes = (report.smoothed.t[-1] - report.smoothed.t[0]) / 60.0
+    bare = len(page(replace(report, laps=None, smoothed=_first(report.smoothed, 500))).encode())
+    assert size + 10.0 * 0.15e6 < 3.0e6
+    assert (size - bare) / minutes < 0.15e6
+
+
+def _first(trajectory: Trajectory, rows: int) -> Trajectory:
+    parts = {name: getattr(trajectory, name)[:rows] for name in ("t", "position_n", "velocity_n", "R_nb")}
+    rates = {name: getattr(trajectory, name)[:rows] for name in ("acceleration_b", "angular_rate_b")}
+    return Trajectory(**parts, **rates)
+
+
+def test_the_charts_get_the_laps_as_they_were_analysed(report: Report) -> None:
+    document, laps = numbers(page(report)), report.laps
+    assert laps is not None and laps.traces is not None and laps.statistics is not None
+    grid, traces = floats(document["grid"]), document["traces"]
+    assert isinstance(traces, dict)
+    assert len(grid) == len(laps.traces.distance)  # a kart is slow enough for every point
+    speed = floats(traces["speed"]).reshape(-1, len(grid))
+    best = laps.statistics.best_lap
+    assert best is not None
+    shown = document["best"]
+    assert isinstance(shown, int)
+    np.testing.assert_allclose(speed[shown], laps.traces.speed[best], rtol=1e-6)
+    x, y = (floats(traces[name]).reshape(-1, len(grid))[shown] for name in "xy")
+    driven = np.nansum(np.hypot(np.diff(x), np.diff(y)))
+    assert driven == pytest.approx(laps.laps[best].distance, rel=0.01)
+
+
+def test_laps_stand_in_a_table_with_their_sigma_and_the_best_is_marked(report: Report) -> None:
+    text = page(report)
+    assert report.laps is not None and report.laps.statistics is not None
+    for lap in report.laps.laps:
+        if lap.is_timed:
+            assert f"{lap_clock(lap.time)}<small> ± {number(lap.sigma, 3)}</small>" in text
+    assert text.count('<tr class="best">') == 1
+    assert lap_clock(report.laps.statistics.theoretical) in text
+
+
+def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
+    text = page(report)
+    assert report.laps is not None
+    real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
+    assert text.count('class="slower"') + text.count('class="faster"') == real
+
+
+def _timed(laps: LapAnalysis) -> list[int]:
+    return [i for i, lap in enumerate(laps.laps) if lap.is_timed]
+
+
+def test_without_laps_motion_sensor_and_baseline_the_page_says_so(session: Session, trajectory: Trajectory) -> None:
+    n = len(trajectory)
+    unknown = {"R_nb": np.full((n, 3, 3), np.nan), "acceleration_b": np.full((n, 3), np.nan)}
+    bare = replace(trajectory, **unknown, sigmas=None, report=EstimateReport(mode="gps-only"))
+    text = page(Report(replace(session, imu=None, mag=None), bare, None, None, GOOD))
+    for words in ("Roll, pitch, yaw and sideslip", "Laps, and all that", "Error bars:", "comparison with the baseline"):
+        assert words in text
+    document = numbers(text)
+    assert document["axis"] == "time"
+    traces = document["traces"]
+    assert isinstance(traces, dict)
+    assert np.isfinite(floats(traces["longitudinal"])).all()  # from the speed of the GPS
+
+
+def test_traces_are_not_denser_than_twenty_a_second(session: Session, trajectory: Trajectory) -> None:
+    document = numbers(page(Report(session, trajectory, None, None, GOOD)))
+    assert np.diff(floats(document["grid"])).min() >= 0.05 - 1e-3
+
+
+def test_what_failed_its_gate_is_not_to_be_trusted(report: Report) -> None:
+    text = page(replace(report, quality=Quality(False, ("the trajectory leaves the fixes for 99 s",), {})))
+    assert "No, not as it stands: the trajectory leaves the fixes for 99 s." in text
+
+
+def test_identified_values_stand_with_their_sigma(session: Session, trajectory: Trajectory) -> None:
+    text = page(Report(session, trajectory, None, None, GOOD))
+    assert "<td>GPS position delay</td><td>0.120</td><td>0.0100</td><td>s</td><td>identified</td>" in text
+    assert "box in the kart: roll, pitch, yaw" in text
+
+
+def test_json_in_a_script_can_not_end_it() -> None:
+    text = json_in_script({"a": "</script><!--\u2028&"})
+    assert not set("<>&\u2028") & set(text)
+    assert json.loads(text) == {"a": "</script><!--\u2028&"}
+    with pytest.raises(ValueError, match="JSON"):
+        json_in_script(float("nan"))
+
+
+def test_elements_keep_text_between_and_after_children() -> None:
+    node = element("p", "a<", element("b", "c"), "d&", class_="x", data_y='"')
+    text = whole_page("t", [node, row("1", element("td", "2"))], "", "", {})
+    assert '<p class="x" data-y="&quot;">a&lt;<b>c</b>d&amp;</p><tr><td>1</td><td>2</td></tr>' in text
+
+
+def test_numbers_are_said_as_people_say_them() -> None:
+    assert [lap_clock(s) for s in (58.6481, 62.345, 119.9999, float("nan"))] == ["58.648", "1:02.345", "2:00.000", "–"]
+    assert number(-0.001, 2) == "0.00"
+    assert with_sigma(1.0, 0.25, 2) == "1.00 ± 0.25"
+    assert with_sigma(1.0, float("nan"), 2, signed=True) == "+1.00"
