@@ -69,7 +69,9 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
     if rms > USELESS or np.count_nonzero(keep) < 0.5 * len(at):
         return None
-    sigma = max(rms * float(np.sqrt(_memory(error[keep]))), FLOOR)
+    # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
+    beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
+    sigma = float(np.sqrt(FLOOR**2 + beyond))
     return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma)
 
 
