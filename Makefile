@@ -23,6 +23,7 @@ demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
 
 test: $(VENV)/for-testing
+	@sh .ci/packages.sh
 	$(BIN)/python -m pytest -n $(JOBS)
 
 lint: $(VENV)/for-linting

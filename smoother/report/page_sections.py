@@ -87,7 +87,7 @@ def summary(told: Told) -> Element:
         cards.append(_card("Rolling best", lap_clock(said.rolling), f"± {number(said.rolling_sigma, 3)} s{start}"))
         spread = f"spread {number(said.spread, 3)} s; " if np.isfinite(said.spread) else ""
         within = f"{spread}{said.within_tenth} within 0.1 s of the best"
-        cards.append(_card("Consistency", counted(said.counted, "lap"), f"count; {within}"))
+        cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
     top = element("span", number(float(smoothed.speed.max()) / KMH, 1), data_mps=f"{smoothed.speed.max():.4f}")
     cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
     length = float(smoothed.t[-1] - smoothed.t[0])
@@ -199,7 +199,7 @@ def corner_section(told: Told) -> list[Element]:
     return [
         element("h2", "Corners", id="corners"),
         element("p", note, class_="soft"),
-        table(["lap", *(_corner_name(c) for c in laps.corners)], _lost_rows(laps)),
+        table(["lap", *(_corner_name(c) for c in laps.corners)], _lost_rows(laps), class_="dense"),
         *_corner_speeds(laps),
     ]
 
@@ -265,7 +265,7 @@ def baseline_section(told: Told) -> list[Element]:
     rows = [row(name, *values) for name, *values in _differences(told)]
     if not rows:
         return []
-    return [table(["", "baseline − smoother, rms", "largest"], rows)]
+    return [table(["", "rms difference", "largest"], rows)]
 
 
 def _differences(told: Told) -> Iterator[tuple[str, str, str]]:

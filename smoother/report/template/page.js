@@ -131,7 +131,7 @@
       const [a, b] = [Math.max(bend[0], x0), Math.min(bend[1], x1)];
       if (b > a) make("rect", { x: X(a), y: top, width: X(b) - X(a), height: bottom - top, class: "bend" }, svg);
     }
-    const [marks, digits] = ticks(low, high, Math.max(2, Math.floor((bottom - top) / 32)));
+    const [marks, digits] = ticks(low, high, Math.max(2, Math.floor((bottom - top) / 25)));
     for (const mark of marks) {
       const isZero = Math.abs(mark) < 1e-9;
       make("path", { d: `M${left} ${Y(mark).toFixed(1)}H${right}`, class: isZero && low < 0 ? "zero" : "grid" }, svg);
@@ -212,6 +212,7 @@
     const range = data.corners.filter((c) => c.apex > x0 && c.apex < x1);
     for (const c of range) write(svg, frame.X(c.apex), 30, c.number, "corner", "middle");
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
+    if (data.axis === "distance") write(svg, 4, top + 17, "metres");
     const cursor = make("path", { class: "cursor" }, svg);
     cursors.push((at) => {
       const x = frame.X(grid[at]);
@@ -269,7 +270,7 @@
     const lap = state.coloured, [first, last] = state.range;
     const box = place("map").clientWidth;
     const width0 = wanted || Math.max(280, box);
-    const height = Math.round(Math.min(width0 * 0.95, 520));
+    const height = Math.round(Math.min(width0 * 0.95, wanted ? 400 : 520));
     const [svg, width] = sheet("map", height + 34, wanted);
     const laps = [...state.slots.keys()];
     const cut = (list) => list.subarray(first, last + 1);
@@ -332,7 +333,7 @@
     const X = (v) => half + v * scale, Y = (v) => half - v * scale;
     for (let r = 0.5; r <= reach * 1.05; r += 0.5) {
       make("circle", { cx: half, cy: half, r: r * scale, class: "grid" }, svg);
-      write(svg, half + 3, half - r * scale - 3, `${r} g`);
+      write(svg, half + 0.7071 * r * scale + 3, half - 0.7071 * r * scale - 3, `${r} g`);
     }
     make("path", { d: `M20 ${half}H${size0 - 20}M${half} 20V${size0 - 20}`, class: "grid" }, svg);
     const dots = (right, forward) => {
@@ -398,7 +399,7 @@
       panels.push({ title: "sure to (m, one sigma): position (solid), line on the track (dashed)", series: [{ x: quality.t, y: quality.sigma, slot: 0, dash: "" }, { x: quality.t, y: quality.sigma_track, slot: 1, dash: "7 3" }] });
     }
     if (quality.fix_t) panels.push({ title: "each fix: metres left over (orange: given little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
-    if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dash: "" }] });
+    if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dots: true }] });
     const [svg, width] = sheet("quality-time", 150 * panels.length + AXIS, wanted);
     panels.forEach((p, i) => {
       const [, high] = extent(p.series.map((s) => s.y));

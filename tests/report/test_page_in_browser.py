@@ -1,0 +1,201 @@
+"""report.html in a real headless browser: it opens from disk, answers to mouse and keys, prints, and asks for nothing.
+
+Needs Debian's chromium and chromium-driver (`make test` installs them where it may); skipped loudly elsewhere.
+"""
+
+import base64
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from smoother.cli.lap_stage import stated
+from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
+from smoother.config import SessionConfig
+from smoother.prepare import prepare
+from smoother.report.page import Report, write_page
+from smoother.samples import Session
+from smoother.sim.simulation import simulate_preset
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None, reason="needs system package chromium and chromium-driver"
+)
+NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,900")
+
+
+def written(session: Session, directory: Path, path: Path) -> Path:
+    made = estimate(session, Options(), Stopwatch())
+    made = with_laps(made, stated(session.config, directory), Stopwatch())
+    write_page(path, Report(made.session, made.smoothed, made.baseline, made.laps, made.quality))
+    return path
+
+
+@pytest.fixture(scope="module")
+def simulated_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("simulated")
+    raw = simulate_preset("kart", 2026, duration=200.0).raw
+    object.__setattr__(raw, "config", SessionConfig(driver=NASTY))
+    return written(prepare(raw), directory, directory / "report.html")
+
+
+@pytest.fixture(scope="module")
+def adria_page(tmp_path_factory: pytest.TempPathFactory, data_directory: Path) -> Path:
+    source = data_directory / "kart_adria_first_half"
+    if not source.is_dir():
+        pytest.skip(f"no {source}")
+    return written(calibrated(read(source), source), source, tmp_path_factory.mktemp("adria") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for argument in ARGUMENTS:
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
+    driver.execute_cdp_cmd("Network.setBypassServiceWorker", {"bypass": True})
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(params=["simulated_page", "adria_page"])
+def opened(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
+    """The browser with the page open; afterwards its console must be empty and nothing else been asked for."""
+    path = request.getfixturevalue(request.param)
+    browser.get_log("browser"), browser.get_log("performance")
+    browser.get(path.as_uri())
+    yield browser
+    assert browser.get_log("browser") == []
+    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    urls = {m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"}
+    assert {url.split("#")[0] for url in urls} == {path.as_uri()}
+
+
+def shown_laps(browser: Any) -> list[str]:
+    return [str(cell.text).strip() for cell in browser.find_elements("css selector", "#readout td:first-child")]
+
+
+def place(browser: Any) -> float:
+    return float(browser.find_element("id", "where").text.split()[0])
+
+
+def drawn(browser: Any, chart: str) -> int:
+    return int(browser.execute_script(f"return document.querySelectorAll('#{chart} svg path').length"))
+
+
+def test_every_chart_is_drawn_and_names_from_files_are_text(opened: Any) -> None:
+    for chart in ("map", "traces", "circle", "compared-map", "compared-speed", "quality-time"):
+        assert drawn(opened, chart) > 3, chart
+    assert opened.execute_script(
+        "return [...document.querySelectorAll('svg path')].every(p => !/NaN/.test(p.outerHTML))"
+    )
+    assert opened.find_elements("css selector", "script:not([type]) ~ script, img") == []
+    if "simulated" in opened.current_url:
+        assert NASTY in opened.find_element("css selector", "header").text
+
+
+def test_laps_are_picked_with_mouse_and_keys(opened: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    assert len(shown_laps(opened)) == 2
+    free = opened.find_elements("css selector", "#laps-picked input:not(:checked)")
+    before = drawn(opened, "traces")
+    free[0].click()
+    assert len(shown_laps(opened)) == 3
+    assert drawn(opened, "traces") > before
+    free[1].send_keys(Keys.SPACE)
+    assert len(shown_laps(opened)) == 4
+    free[1].send_keys(Keys.SPACE)
+    free[0].click()
+    assert len(shown_laps(opened)) == 2
+
+
+def test_the_cursor_goes_from_the_map_to_the_traces_and_back(opened: Any) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    def point(chart: str) -> tuple[float, float]:
+        x, y = opened.execute_script(
+            f"const c = document.querySelector('#{chart} svg .dot').getBoundingClientRect();"
+            "return [c.left + c.width / 2, c.top + c.height / 2]"
+        )
+        return float(x), float(y)
+
+    opened.execute_script("document.getElementById('map').scrollIntoView()")
+    map_ = opened.find_element("css selector", "#map svg")
+    start, trace = place(opened), point("traces")
+    target = opened.execute_script(  # a place half way round, in client coordinates from the middle of the map
+        "const p = document.querySelector('#map svg .casing'), s = p.ownerSVGElement, m = p.getScreenCTM();"
+        "const q = p.getPointAtLength(p.getTotalLength() / 2), r = s.getBoundingClientRect();"
+        "return [m.a * q.x + m.e - r.left - r.width / 2, m.d * q.y + m.f - r.top - r.height / 2]"
+    )
+    ActionChains(opened).move_to_element_with_offset(map_, round(target[0]), round(target[1])).perform()
+    assert abs(place(opened) - start) > 100.0
+    assert point("traces")[0] > trace[0] + 50.0
+    on_map = point("map")
+    traces = opened.find_element("css selector", "#traces svg")
+    ActionChains(opened).move_to_element_with_offset(traces, -200, -200).perform()
+    assert abs(point("map")[0] - on_map[0]) + abs(point("map")[1] - on_map[1]) > 5.0
+    here = place(opened)
+    slider = opened.find_element("id", "cursor")
+    slider.send_keys(Keys.ARROW_RIGHT)
+    assert here < place(opened) < here + 10.0
+    slider.send_keys(Keys.HOME)
+    assert place(opened) == 0.0
+
+
+def test_a_part_of_the_track_is_looked_at_closely_and_left_again(opened: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.select import Select
+
+    def marks() -> str:
+        return str(opened.find_element("css selector", "#traces svg").get_attribute("textContent"))
+
+    whole = marks()
+    part = Select(opened.find_element("id", "stretch"))
+    part.select_by_index(2)
+    assert marks() != whole
+    opened.find_element("id", "cursor").send_keys(Keys.ESCAPE)
+    assert marks() == whole
+    assert part.first_selected_option.text == "whole lap"
+
+
+def test_theme_and_unit_are_switched(opened: Any) -> None:
+    from selenium.webdriver.support.select import Select
+
+    def look() -> str:
+        return str(opened.execute_script("return getComputedStyle(document.body).backgroundColor"))
+
+    theme = Select(opened.find_element("id", "theme"))
+    theme.select_by_value("dark")
+    dark = look()
+    theme.select_by_value("light")
+    assert look() != dark == "rgb(20, 24, 28)"
+    theme.select_by_value("auto")
+    cell = opened.find_element("css selector", "td[data-mps]")
+    kmh = float(cell.text)
+    unit = Select(opened.find_element("id", "units"))
+    unit.select_by_value("mph")
+    assert float(cell.text) == pytest.approx(kmh / 1.609344, abs=0.1)
+    unit.select_by_value("km/h")
+
+
+def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
+    size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    opened.refresh()
+    assert opened.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
+    document = base64.b64decode(paper["data"])
+    assert document.startswith(b"%PDF") and len(document) > 30_000
