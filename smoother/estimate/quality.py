@@ -10,8 +10,10 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.resample import resample
+from smoother.frames import wrap_angle
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
+from smoother.units import DEG
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,11 @@ class QualityLimits:
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
     normalised_rms: of the residuals of any factor; 1 is honest, beyond this the noise model is wrong by as much.
     rejected_share: of the measurements of any factor.
+    sigma_yaw: median, of a session of at least lean_seconds with less than least_driving of its rows driven; beyond it
+    the heading is a guess. lean_step: how far the mean roll or pitch on the two sides of any moment, each at least
+    lean_seconds of driving, may differ: hills cancel over laps, a box that slipped does not. sideways: angle between
+    heading and direction of travel that no kart holds, and sideways_share of the driving, faster than driving_speed,
+    in which it is forgiven.
     """
 
     near_fix: float = 5.0  # m
@@ -35,6 +42,13 @@ class QualityLimits:
     normalised_rms: float = 5.0
     rejected_share: float = 0.30
     fewest_residuals: int = 20  # below it neither share nor rms means anything
+    sigma_yaw: float = 30.0 * DEG
+    least_driving: float = 0.01
+    lean_step: float = 5.0 * DEG
+    lean_seconds: float = 60.0  # s
+    driving_speed: float = 5.0  # m/s
+    sideways: float = 35.0 * DEG
+    sideways_share: float = 0.20
 
 
 @dataclass(frozen=True)
@@ -55,7 +69,9 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
         sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
         measures["median_sigma_horizontal_m"] = float(np.median(sigma))
     reasons = [] if finite else ["some rows have no position or velocity"]
-    reasons += _motion_reasons(measures, limits) + _residual_reasons(estimate, limits)
+    measures |= _attitude_measures(estimate, limits)
+    reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
+    reasons += _residual_reasons(estimate, limits)
     return Quality(not reasons, tuple(reasons), measures)
 
 
@@ -105,6 +121,54 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
     sigma = measures.get("median_sigma_horizontal_m", 0.0)
     if not sigma <= limits.sigma_horizontal:
         reasons.append(f"the horizontal sigma is {sigma:.0f} m (limit {limits.sigma_horizontal:.0f} m)")
+    return reasons
+
+
+def _attitude_measures(estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
+    """How well the heading is known, how far the mean lean steps, how much of the driving is sideways; where known."""
+    known = np.isfinite(estimate.R_nb).all(axis=(1, 2))
+    if estimate.report.mode != "full" or estimate.sigmas is None or not known.any():
+        return {}
+    velocity = estimate.velocity_n[:, :2]
+    driving = known & (np.hypot(velocity[:, 0], velocity[:, 1]) > limits.driving_speed)
+    t, euler = estimate.t[driving], estimate.euler[driving]
+    if estimate.t[-1] - estimate.t[0] < limits.lean_seconds:
+        return {}
+    if np.mean(driving) < limits.least_driving:
+        return {"parked_sigma_yaw_rad": float(np.median(estimate.sigmas.attitude[known, 2]))}
+    if t[-1] - t[0] < limits.lean_seconds:
+        return {}
+    beta = wrap_angle(euler[:, 2] - np.arctan2(velocity[driving, 1], velocity[driving, 0]))
+    sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.lean_step / 2.0, axis=1)  # not in a gap of the IMU
+    # seconds of driving, so that a stop between is no part of either side
+    rows = round(limits.lean_seconds / float(np.median(np.diff(t))))
+    return {
+        "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
+        "largest_lean_step_rad": max(_largest_step(euler[sure, i], rows) for i in range(2)),
+    }
+
+
+def _largest_step(values: Array, fewest: int) -> float:
+    """Largest difference of the means (N,) before and after any row with at least `fewest` rows on either side."""
+    if values.size < 2 * fewest:
+        return 0.0
+    before = np.cumsum(values)[fewest - 1 : values.size - fewest]
+    count = np.arange(fewest, values.size - fewest + 1)
+    after = values.sum() - before
+    return float(np.max(np.abs(before / count - after / (values.size - count))))
+
+
+def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list[str]:
+    reasons = []
+    sigma = measures.get("parked_sigma_yaw_rad", 0.0)
+    if sigma > limits.sigma_yaw:
+        reasons.append(f"the heading is not known (sigma {sigma / DEG:.0f} deg): the kart hardly drove")
+    step = measures.get("largest_lean_step_rad", 0.0)
+    if step > limits.lean_step:
+        reasons.append(f"the kart seems to lean by {step / DEG:.0f} deg more from some time on: did the box move?")
+    share = measures.get("sideways_share", 0.0)
+    if share > limits.sideways_share:
+        reasons.append(f"the kart seems to drive sideways for {100.0 * share:.0f} % of the way: did the box move?")
     return reasons
 
 

@@ -1,0 +1,51 @@
+"""Hard sessions, shortened: right within their sigmas, or refused by the gate with a reason; none worse than GPS alone.
+
+The whole catalogue is benchmarks/hard_sessions.py; this runs those that end each in a different way.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+CATALOGUE = Path(__file__).resolve().parents[2] / "benchmarks" / "hard_sessions.py"
+
+
+@pytest.fixture(scope="module")
+def catalogue() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("hard_sessions", CATALOGUE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("no standstill", "wrong start heading", "GPS outage of 60 s", "wrong hemisphere once", "IMU clock 2 % fast"),
+    ],
+)
+def test_what_can_be_mended_is_right(name: str, catalogue: ModuleType) -> None:
+    outcome = catalogue.run_by_name(name, seed=1)
+    assert outcome.verdict == "right", outcome
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("box slips by 10 deg", "did the box move"),
+        ("box turned over", "did the box move"),
+        ("parked", "hardly drove"),
+        ("30 m off for a minute", "leaves the fixes"),
+    ],
+)
+def test_what_cannot_is_refused_with_the_reason(name: str, reason: str, catalogue: ModuleType) -> None:
+    outcome = catalogue.run_by_name(name, seed=1)
+    assert outcome.verdict == "code 3"
+    assert reason in outcome.reasons
+    assert outcome.horizontal < outcome.gps
