@@ -127,6 +127,13 @@ class Engine:
         self._sphere = FieldSphere()
         self._drive = _Drive()
         self._snapshot = Snapshot()
+        self._shown: FixedLag | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is still being worked out of what has come."""
+        d = self._drive
+        return d.identification is not None or d.next is not None or d.line is not None
 
     def step(self, chunks: list[Chunk]) -> tuple[Snapshot, list[Batch]]:
         """Take in what came; return what is known now, and the records that came, to be written down."""
@@ -141,7 +148,9 @@ class Engine:
         self._identify()
         self._catch_up(CATCH_UP + new)
         self._find_line()
-        if batches or self._snapshot.losses != self._decoder.losses:
+        is_other = self._drive.lag is not self._shown
+        self._shown = self._drive.lag
+        if batches or is_other or self._snapshot.losses != self._decoder.losses:
             self._snapshot = self._look(batches[-1].arrival if batches else self._snapshot.arrival)
         return self._snapshot, batches
 

@@ -52,7 +52,7 @@ def run(
             for batch in batches:
                 writer.add(batch.records, batch.restarted)
         now = time.monotonic()
-        is_last = link.is_over and not chunks
+        is_last = link.is_over and not chunks and not engine.is_busy
         if now >= due or is_last:
             delay = max(0.0, now - snapshot.arrival) if snapshot.arrival else 0.0
             if not view.draw(snapshot, link, delay):
