@@ -11,6 +11,7 @@ import argparse
 import os
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
@@ -40,7 +41,7 @@ def measure(name: str, session: Session, directory: Path, scratch: Path) -> str:
     clock.append(time.process_time())
     save_figures(Shown(session, made.smoothed, made.baseline, heading(made)), scratch / "figures")
     clock.append(time.process_time())
-    smoothing, laps, page, figures = (b - a for a, b in zip(clock[:-1], clock[1:], strict=True))
+    smoothing, laps, page, figures = (b - a for a, b in pairwise(clock))
     minutes = float(made.smoothed.t[-1] - made.smoothed.t[0]) / 60.0
     size, limit = path.stat().st_size / 1e6, 3.0 + 0.15 * max(0.0, minutes - 10.0)
     numbers = f"{smoothing:9.2f} {laps:6.2f} {page:6.2f} {figures:7.2f} {size:6.2f} {limit:6.2f}"

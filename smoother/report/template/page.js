@@ -212,7 +212,7 @@
     const range = data.corners.filter((c) => c.apex > x0 && c.apex < x1);
     for (const c of range) write(svg, frame.X(c.apex), 30, c.number, "corner", "middle");
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
-    if (data.axis === "distance") write(svg, 4, top + 17, "metres");
+    if (data.axis === "distance") write(svg, MARGIN.left - 12, top + 17, "m", "", "end");
     const cursor = make("path", { class: "cursor" }, svg);
     cursors.push((at) => {
       const x = frame.X(grid[at]);
