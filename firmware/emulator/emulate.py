@@ -142,6 +142,7 @@ def show_machine(outcome: emulation.Outcome) -> None:
     print(f"deepest stack {outcome.number('stack_used'):.0f} of {outcome.number('stack_size'):.0f} bytes")
     stalls, longest = outcome.number("stalls"), outcome.number("longest_stall_us") / 1e3
     print(f"card: {outcome.number('writes'):.0f} writes, {stalls:.0f} stalls, the longest {longest:.0f} ms")
+    print(f"writes to the file system while recording: {outcome.number('metadata_writes'):.0f}")
 
 
 def show(comparison: Comparison) -> None:

@@ -110,6 +110,7 @@ def drive_script(stimulus: Stimulus, records: LogRecords, **settings: int) -> Sc
     config = ["autostart=no", f"accel_range={setup.accel_range_g}", f"gyro_range={setup.gyro_range_dps}"]
     config += [f"imu_rate={round(1e6 / setup.imu_period_us)}"]
     script = Script(dict(settings), config, [(stimulus.start_us, "measure")])
+    script.actions.append((stimulus.end_us, "measured"))
     script.press(stimulus.start_us - 1_000_000)
     script.press(stimulus.end_us + 200_000)
     script.actions.append((stimulus.end_us + 3_000_000, "end"))

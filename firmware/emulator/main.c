@@ -29,10 +29,12 @@ int main(int count, char **arguments)
     }
     world.serial = fopen(path, "wb");
     machine_run(&world.machine);
-    if (world.is_child)
-        _Exit(finish_child());
     if (world.serial)
         fclose(world.serial);
+    if (world.is_child)
+        _Exit(finish_child());
+    if (world.writes)
+        fclose(world.writes);
     world_report(&world);
     return world_save(&world, arguments[4], true) || world.machine.fault ? 1 : 0;
 }

@@ -62,6 +62,20 @@ static void remember_write(world_t *world, written_t *write)
     sd_model_peek(card, card->address, write->before);
 }
 
+static uint32_t first_file_sector(void)
+{
+    return PARTITION + 32 + 2 * ((CARD_CLUSTERS + 2) * 4 / SD_MODEL_SECTOR + 1) + CARD_CLUSTER_SECTORS;
+}
+
+static void note_write(world_t *world, const written_t *write)
+{
+    world->journal_writes++;
+    if (world->is_measuring && write->sector < first_file_sector())
+        world->metadata_writes++;
+    if (world->writes && !world->is_child)
+        fprintf(world->writes, "%" PRIu64 " %u %" PRIu64 "\n", write->time_us, write->sector, world->card.busy_until_us);
+}
+
 static uint8_t card_byte(void *context, uint8_t out)
 {
     world_t *world = of(context);
@@ -72,7 +86,8 @@ static uint8_t card_byte(void *context, uint8_t out)
         remember_write(world, &world->journal[world->journal_writes % JOURNAL]);
     }
     const uint8_t in = sd_model_exchange(&world->card, out);
-    world->journal_writes += world->card.writes - writes;
+    if (world->card.writes != writes)
+        note_write(world, &world->journal[world->journal_writes % JOURNAL]);
     return in;
 }
 
@@ -255,8 +270,13 @@ static void do_measure(world_t *world, uint64_t value)
     (void)value;
     world->measured_from = world->machine.cycles;
     world->measured_slept = world->machine.slept;
-    world->measured_instructions = world->machine.instructions;
+    world->is_measuring = true;
     memset(world->machine.irqs, 0, sizeof world->machine.irqs);
+}
+static void do_measured(world_t *world, uint64_t value)
+{
+    (void)value;
+    world->is_measuring = false;
 }
 static void do_cut(world_t *world, uint64_t value)
 {
@@ -279,7 +299,8 @@ static const verb_t verbs[] = {
     {"imu_absent", do_imu_absent},   {"imu_frozen", do_imu_frozen},   {"imu_stuck", do_imu_stuck},
     {"mag_absent", do_mag_absent},   {"mag_overflow", do_mag_overflow}, {"gps_absent", do_gps_absent},
     {"gps_deaf", do_gps_deaf},       {"gps_chatter", do_gps_chatter}, {"crystal", do_crystal},
-    {"measure", do_measure},         {"cut", do_cut},                 {"end", do_end},
+    {"measure", do_measure},         {"measured", do_measured},       {"cut", do_cut},
+    {"end", do_end},
 };
 
 static void act(world_t *world, const char *line)
@@ -391,6 +412,7 @@ static void power_on(world_t *world)
     sd_model_power_cycle(&world->card);
     mpu_model_init(&world->imu, &world->now_us);
     world->imu.who_am_i = world->imu.registers[0x75] = old.who_am_i ? old.who_am_i : 0x71;
+    memset(world->imu.adjustment, 128, sizeof world->imu.adjustment); /* a field is measured as it is given */
     world->imu.feed = world->motion_count ? &world->feed : NULL;
     world->imu.next_sample_us = world->imu.feed ? next_sample_us(world, world->now_us) : world->imu.next_sample_us;
     world->seen_samples = 0;
@@ -417,6 +439,7 @@ static void report_cut(const world_t *world, uint64_t cut_us)
 /* The power goes in a copy of the world, which then starts anew; this one goes on. */
 static void cut(world_t *world)
 {
+    char path[LONGEST_PATH];
     world->is_cut_wanted = false;
     world->cuts++;
     fflush(NULL);
@@ -428,8 +451,9 @@ static void cut(world_t *world)
     }
     world->is_child = true;
     world->cut_us = world->now_us;
-    world->serial = NULL;
     report_cut(world, world->now_us);
+    snprintf(path, sizeof path, "%s/cut%05u/serial.txt", world->out, world->cuts);
+    world->serial = fopen(path, "w");
     world->random += world->cuts;
     tear(world);
     world->is_pressed = false;
@@ -501,6 +525,13 @@ static int read_stimulus(world_t *world, const char *path)
     return world->fixes ? 0 : -1;
 }
 
+static FILE *open_in(const char *folder, const char *name)
+{
+    char path[LONGEST_PATH];
+    snprintf(path, sizeof path, "%s/%s", folder, name);
+    return fopen(path, "w");
+}
+
 /* Settings stand before what happens: "set NAME VALUE"; then "TIME_US VERB VALUE" in order of time. */
 static bool apply_setting(world_t *world, const char *name, uint64_t value)
 {
@@ -519,6 +550,8 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
         world->random = value;
     else if (strcmp(name, "pulse_every_us") == 0)
         world->pulse_every_us = world->next_pulse_us = value;
+    else if (strcmp(name, "list_writes") == 0)
+        world->writes = open_in(world->out, "writes.txt");
     else
         return false;
     return true;
@@ -555,8 +588,7 @@ static int read_script(world_t *world, const char *path, char *config, size_t co
 
 static void make_card(world_t *world, const char *config, uint32_t free_clusters)
 {
-    const uint32_t tables = 2 * ((CARD_CLUSTERS + 2) * 4 / SD_MODEL_SECTOR + 1);
-    const uint32_t sectors = PARTITION + 32 + tables + CARD_CLUSTERS * CARD_CLUSTER_SECTORS;
+    const uint32_t sectors = first_file_sector() + (CARD_CLUSTERS - 1) * CARD_CLUSTER_SECTORS;
     const fat_image_t layout = {.bits = 32, .cluster_sectors = CARD_CLUSTER_SECTORS, .free_clusters = free_clusters};
     sd_model_init(&world->card, SD_MODEL_HC, sectors, &world->now_us);
     fat_format(&world->card, &layout);
@@ -662,6 +694,7 @@ void world_report(const world_t *world)
     printf("resets=%u\nwatchdog_resets=%u\nlongest_unfed_us=%.0f\n", world->resets, world->chip.watchdog_resets,
            (double)world->chip.longest_unfed / us);
     printf("writes=%u\nstalls=%u\nlongest_stall_us=%u\n", world->card.writes, world->stalls, world->longest_stall_us);
+    printf("metadata_writes=%u\n", world->metadata_writes);
     printf("protocol_errors=%u\ncrc_errors=%u\n", world->card.protocol_errors, world->card.crc_errors);
     printf("imu_samples=%u\nimu_overruns=%u\nimu_fast_writes=%u\n", world->imu.sample_number, world->imu.overruns, world->imu.fast_writes);
     printf("sentences=%u\nspurious=%u\nled_changes=%u\ncuts=%u\n", world->receiver.sentences, world->spurious, world->led_changes, world->cuts);

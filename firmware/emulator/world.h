@@ -76,7 +76,10 @@ typedef struct {
     /* seen */
     uint32_t stalls, longest_stall_us, seen_samples, edges, led_changes, resets, spurious;
     uint64_t stall_from_us, stall_until_us;
-    uint64_t measured_from, measured_slept, measured_instructions;
+    uint64_t measured_from, measured_slept;
+    bool is_measuring;
+    uint32_t metadata_writes; /* to tables and root directory, while measuring */
+    FILE *writes;             /* if asked for: time and sector of each */
 } world_t;
 
 int world_init(world_t *world, const char *image, const char *stimulus, const char *script, const char *out);

@@ -100,8 +100,11 @@ static void epoch(neo_model_t *receiver)
 static void step_fixes(neo_model_t *receiver)
 {
     while (receiver->fix_at < receiver->fix_count && receiver->fixes[receiver->fix_at].time_us <= *receiver->now_us) {
+        const bool is_first = receiver->fix_at == 0;
         const neo_fix_t *fix = &receiver->fixes[receiver->fix_at++];
-        if (receiver->is_absent || fix->time_us + 500u * receiver->period_ms < receiver->next_epoch_us)
+        if (receiver->is_absent)
+            continue;
+        if (!is_first && fix->time_us + 500u * receiver->period_ms < receiver->next_epoch_us)
             continue;
         const bool is_line_free = receiver->out_put == receiver->out_taken;
         say_wanted(receiver, fix->text);

@@ -1,0 +1,90 @@
+"""The release image, run instruction by instruction on an emulated board: a short drive, a few power cuts."""
+
+import fcntl
+import sys
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+OUT = FIRMWARE.parent / "build"
+sys.path.insert(0, str(FIRMWARE / "emulator"))
+import campaign  # noqa: E402
+import emulate  # noqa: E402
+import emulation  # noqa: E402
+from emulation import build  # noqa: E402
+
+DURATION = 12.0  # s
+
+
+@pytest.fixture(scope="session")
+def image():
+    """The built image and emulator, one for all processes of the run."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    with (OUT / "firmware.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            emulation.build_emulator()
+            return emulation.build_image()
+        except build.MissingError as error:
+            pytest.skip(f"needs system package gcc-arm-none-eabi, and unicorn and FatFs: {error}")
+
+
+@pytest.fixture(scope="session")
+def driven(image, tmp_path_factory):
+    """A drive with stalls of up to 700 ms: the simulation, its folders and what was measured."""
+    simulation = emulate.simulated(seed=5, duration=DURATION)
+    direct, emulated = emulate.prepare_folder(simulation, tmp_path_factory.mktemp("drive"))
+    outcome = emulate.through_firmware(simulation, emulated, image, seed=5, stall_us=700_000)
+    return simulation, direct, outcome
+
+
+def test_drive_through_the_image_is_recorded_sample_by_sample_while_the_card_stalls(driven):
+    simulation, direct, outcome = driven
+    comparison = emulate.compare(simulation, direct, outcome.folder, has_laps=False)
+    assert outcome.number("longest_stall_us") == 700_000
+    assert comparison.samples == DURATION * 1000
+    assert comparison.is_whole, comparison
+    assert outcome.number("metadata_writes") == 0, "nothing but blocks is written while recording"
+
+
+def test_machine_stays_within_its_means(driven):
+    *_, outcome = driven
+    assert outcome.number("watchdog_resets") == outcome.number("resets") == 0
+    assert outcome.number("protocol_errors") == outcome.number("crc_errors") == 0, "what the card had to refuse"
+    assert outcome.number("imu_fast_writes") == 0, "registers are written at 1 MHz at most"
+    assert 0.02 < outcome.number("load") < 0.5
+    assert 500 < outcome.number("stack_used") < outcome.number("stack_size")
+    assert outcome.number("irq6_wait_us") < 100.0, "the stamp of a sample is that of its edge"
+
+
+def test_stamps_follow_the_sensor_to_some_microseconds(driven):
+    simulation, _, outcome = driven
+    wanted, (got, _) = emulate.drive_records(simulation), emulate.recorded(outcome.folder)
+    first = next(i for i in range(len(got.imu)) if (got.imu[i : i + 3] == wanted.imu[:3]).all())
+    late = got.imu_t[first : first + len(wanted.imu_t)] - wanted.imu_t
+    assert late.max() - late.min() < 100, "us; another interrupt of the same priority may be in the way"
+
+
+def test_every_sentence_is_recorded_as_it_was_sent(driven):
+    simulation, _, outcome = driven
+    got = {sentence for _, sentence in emulate.recorded(outcome.folder)[0].sentences}
+    assert {sentence for _, sentence in emulate.drive_records(simulation).sentences} <= got
+
+
+def test_power_cuts_leave_a_clean_volume_and_what_was_recorded(image, tmp_path):
+    if build.find_tool("fsck.fat") is None:
+        pytest.skip("needs system package dosfstools")
+    cuts = campaign.run_cuts(tmp_path, image, count=8, seed=3)
+    assert {cut.phase for cut in cuts} == set(campaign.PHASES)
+    assert [cut for cut in cuts if cut.complaints] == []
+
+
+def test_recording_that_lacks_a_sample_is_noticed(driven, tmp_path):
+    simulation, direct, outcome = driven
+    name = max(outcome.recordings, key=lambda path: path.stat().st_size).name
+    data = (outcome.folder / name).read_bytes()
+    (tmp_path / name).write_bytes(data[: 100 * 512] + data[101 * 512 :])
+    comparison = emulate.compare(simulation, direct, tmp_path, has_laps=False)
+    assert not comparison.is_whole
+    assert comparison.losses.blocks == 1
