@@ -138,9 +138,16 @@ static uint32_t wanted_link(const run_t *run, uint32_t cluster)
     return cluster + 1 == run->end ? END_OF_CHAIN : cluster + 1;
 }
 
+/* A sector torn within an entry: the lower bytes are written, the others still those of a free one. */
+static bool is_torn(uint32_t link, uint32_t wanted)
+{
+    return link == (wanted & 0xFF) || link == (wanted & 0xFFFF) || link == (wanted & 0xFFFFFF);
+}
+
 static bool is_mine(const volume_t *volume, const run_t *run, uint32_t cluster, uint32_t link)
 {
-    return link == 0 || link == cluster + 1 || (cluster + 1 == run->beyond && is_end(volume, link));
+    return link == 0 || link == cluster + 1 || (cluster + 1 == run->beyond && is_end(volume, link)) ||
+           is_torn(link, wanted_link(run, cluster));
 }
 
 /* Call with each table sector of the run loaded in turn, and the clusters in it. */
