@@ -35,6 +35,8 @@ def test_its_smooth_commands_run(tmp_path: Path) -> None:
         [scripts / "smooth", "simulate", tmp_path / "session", "--duration", "30"], check=True, capture_output=True
     )
     _record_bench(tmp_path / "bench")
+    # and the demo that `make demo` has left
+    subprocess.run([scripts / "smooth", "demo", "demo"], cwd=tmp_path, env=environment, check=True, capture_output=True)
     for command in SMOOTH:
         done = subprocess.run(
             command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
