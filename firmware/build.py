@@ -120,15 +120,19 @@ def has_fatfs(folder: Path) -> bool:
     return all((folder / name).is_file() and sha256(folder / name) == wanted for name, wanted in FATFS_SHA256.items())
 
 
-def download_fatfs(folder: Path) -> None:
-    """Fetch the archive by its hash and take the three files out of it."""
+def download(requirement: str, archive_sha256: str, folder: Path, *options: str) -> None:
+    """Fetch one package's archive into a folder, by its hash; RuntimeError if it cannot be had or is another."""
     folder.mkdir(parents=True, exist_ok=True)
     wanted = folder / "requirements.txt"
-    wanted.write_text(f"{PACKAGE} --hash=sha256:{ARCHIVE_SHA256}\n")
+    wanted.write_text(f"{requirement} --hash=sha256:{archive_sha256}\n")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    command += ["--no-binary", PACKAGE.split("==")[0], "--require-hashes", "-r", str(wanted), "-d", str(folder)]
+    run([*command, *options, "--require-hashes", "-r", str(wanted), "-d", str(folder)])
+
+
+def download_fatfs(folder: Path) -> None:
+    """Fetch the archive by its hash and take the three files out of it."""
     try:
-        run(command)
+        download(PACKAGE, ARCHIVE_SHA256, folder, "--no-binary", PACKAGE.split("==")[0])
     except RuntimeError as error:
         raise MissingError("FatFs cannot be downloaded; --fatfs names a folder with R0.16 from its author") from error
     with tarfile.open(folder / ARCHIVE) as archive:

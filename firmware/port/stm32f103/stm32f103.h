@@ -1,7 +1,8 @@
 /* Registers of the STM32F103C8 that this port uses, and no others.
  *
- * Addresses, offsets and bits: ST RM0008 (reference manual) and DS5319 (data sheet). Interrupt numbers, DMA channels and
- * pins are compared with the machine-readable device description of `modm-devices` by tests/firmware/test_build.py.
+ * Addresses, offsets and bits: ST RM0008 (reference manual) and DS5319 (data sheet). All of them are compared with ST's
+ * SVD file and with what is made from it, by tests/firmware/test_registers.py; interrupt numbers, DMA channels and pins
+ * with the machine-readable device description of `modm-devices`, by tests/firmware/test_build.py.
  */
 #ifndef PORT_STM32F103_H
 #define PORT_STM32F103_H
