@@ -9,11 +9,14 @@ Source: Golub & Van Loan, Matrix Computations, 4th ed., 4.5.4 (cyclic reduction)
 inverse from the factors). Owns no model: it sees matrices only.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from smoother.arrays import Array, IntArray
+
+PIECE = 128  # nodes whose matrices stay in the processor's cache
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -70,8 +73,7 @@ class ChainFactor:
 
     _levels: list[_Level]
     _last: Array  # (n, n) inverse of the node that is left
-    _scale: Array  # (K, n) of the unknowns
-    _influence: Array  # (K, n, m) of the constants, scaled
+    _influence: Array  # (K, n, m) of the constants
     _constants_covariance: Array
 
     def covariance(self, first: IntArray, left: Array, right: Array, constants: Array) -> Array:
@@ -80,7 +82,6 @@ class ChainFactor:
         left, right (q, n), constants (q, m): their coefficients. The forward half of cyclic reduction is followed for
         each function: it lives in two neighbouring nodes at every level, of which one is eliminated.
         """
-        left, right = left * self._scale[first], right * self._scale[first + 1]
         by_constants = constants - np.einsum("qi,qim->qm", left, self._influence[first])
         by_constants -= np.einsum("qi,qim->qm", right, self._influence[first + 1])
         out = by_constants @ self._constants_covariance @ by_constants.T
@@ -106,14 +107,11 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
     """
     if not all(np.isfinite(np.sum(part)) for part in vars(system).values()):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
-    information = np.einsum("kii->ki", system.diagonal)
-    if not np.all(information > 0.0):
+    if not np.all(np.einsum("kii->ki", system.diagonal) > 0.0):
         raise NotPositiveDefiniteError("an unknown has no information at all")
-    scale = 1.0 / np.sqrt(information)
-    square, beside = scale[:, :, None] * scale[:, None, :], scale[:-1, :, None] * scale[1:, None, :]
-    rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2) * scale[:, :, None]
+    rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2)
 
-    levels, offsets, root, log_determinant = _reduce(system.diagonal * square, system.upper * beside, rhs)
+    levels, offsets, root, log_determinant = _reduce(system.diagonal, system.upper, rhs)
     x = _substitute(levels, offsets, root[1])
     K, n, m = system.border.shape
     inner = rhs.reshape(K * n, m + 1)[:, :m].T @ x.reshape(K * n, m + 1)
@@ -128,28 +126,28 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
         constants = constants_covariance @ (system.rhs_constants - inner[:, m])
         log_determinant += 2.0 * float(np.sum(np.log(np.diag(factor))))
         solution = solution - influence @ constants
-    log_determinant -= 2.0 * float(np.sum(np.log(scale)))
 
     if with_covariance:
         covariance, cross = _selected_inverse(levels, root[0])
         weighted = (influence.reshape(K * n, m) @ constants_covariance).reshape(K, n, m)
         influence_t = influence.transpose(0, 2, 1)
-        covariance += weighted @ influence_t
-        cross += weighted[:-1] @ influence_t[1:]
-        constants_cross = -weighted * scale[:, :, None]
-        covariance *= square
-        cross *= beside
+        for first in range(0, K, PIECE):
+            here, beside = slice(first, first + PIECE), slice(first, min(first + PIECE, K - 1))
+            after = slice(first + 1, beside.stop + 1)
+            covariance[here] += weighted[here] @ influence_t[here]
+            cross[beside] += weighted[beside] @ influence_t[after]
+        constants_cross = -weighted
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
     return ChainSolution(
-        solution * scale,
+        solution,
         constants,
         covariance,
         cross,
         constants_covariance,
         constants_cross,
         log_determinant,
-        ChainFactor(levels, root[0][0], scale, influence, constants_covariance) if with_covariance else None,
+        ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
     )
 
 
@@ -162,42 +160,59 @@ def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], li
     offsets: list[Array] = []
     log_determinant = 0.0
     while diagonal.shape[0] > 1:
-        n_nodes = diagonal.shape[0]
-        odd = diagonal[1::2]
-        n_odd = odd.shape[0]
-        left = upper[0::2].transpose(0, 2, 1)  # A(odd, left even)
-        right = np.zeros_like(odd)
-        right[: upper[1::2].shape[0]] = upper[1::2]  # A(odd, right even)
-
-        factor = _cholesky(odd)
-        log_determinant += 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
-        inverse = _inverse_from_cholesky(factor)
-        to_left, to_right, offset = inverse @ left, inverse @ right, inverse @ rhs[1::2]
-        levels.append(_Level(inverse, to_left, to_right, n_nodes))
+        level, offset, of_level, (diagonal, upper, rhs) = _eliminate_odd(diagonal, upper, rhs)
+        levels.append(level)
         offsets.append(offset)
-
-        next_diagonal, next_rhs = diagonal[0::2].copy(), rhs[0::2].copy()
-        n_right = next_diagonal.shape[0] - 1  # odd nodes that have a right neighbour
-        left_t, right_t = left.transpose(0, 2, 1), right[:n_right].transpose(0, 2, 1)
-        next_diagonal[:n_odd] -= left_t @ to_left
-        next_rhs[:n_odd] -= left_t @ offset
-        next_diagonal[1:] -= right_t @ to_right[:n_right]
-        next_rhs[1:] -= right_t @ offset[:n_right]
-        diagonal, rhs, upper = next_diagonal, next_rhs, -(left_t[:n_right] @ to_right[:n_right])
+        log_determinant += of_level
     factor = _cholesky(diagonal)
-    log_determinant += 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
+    log_determinant += _log_determinant(factor)
     inverse = _inverse_from_cholesky(factor)
     return levels, offsets, (inverse, inverse @ rhs), log_determinant
+
+
+def _eliminate_odd(
+    diagonal: Array, upper: Array, rhs: Array
+) -> tuple[_Level, Array, float, tuple[Array, Array, Array]]:
+    """Eliminate every second node. Returns what is left behind, D^-1 rhs, log det, and the system of the even nodes.
+
+    In pieces whose matrices stay in the processor's cache: each odd node takes part in a dozen small products.
+    """
+    (n_nodes, n), n_odd, n_right = diagonal.shape[:2], len(diagonal) // 2, (len(diagonal) - 1) // 2
+    level = _Level(np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), n_nodes)
+    offset, log_determinant = np.empty((n_odd, *rhs.shape[1:])), 0.0
+    even_diagonal, even_rhs, even_upper = diagonal[0::2].copy(), rhs[0::2].copy(), np.empty((n_right, n, n))
+    for first in range(0, n_odd, PIECE):
+        here = slice(first, min(first + PIECE, n_odd))
+        beside = slice(first, min(here.stop, n_right))  # those that have a right neighbour
+        after, n_beside = slice(first + 1, beside.stop + 1), beside.stop - first
+        left = upper[0::2][here]  # A(left even, odd)
+        right = np.zeros_like(left)
+        right[:n_beside] = upper[1::2][beside]  # A(odd, right even)
+        factor = _cholesky(diagonal[1::2][here])
+        log_determinant += _log_determinant(factor)
+        inverse = _inverse_from_cholesky(factor)
+        gains = inverse @ np.concatenate([left.transpose(0, 2, 1), right, rhs[1::2][here]], axis=2)
+        by_left, by_right = left @ gains, right[:n_beside].transpose(0, 2, 1) @ gains[:n_beside, :, n:]
+        even_diagonal[here] -= by_left[:, :, :n]
+        even_upper[beside] = -by_left[:n_beside, :, n : 2 * n]
+        even_rhs[here] -= by_left[:, :, 2 * n :]
+        even_diagonal[after] -= by_right[:, :, :n]
+        even_rhs[after] -= by_right[:, :, n:]
+        level.inverse[here] = inverse
+        level.to_left[here], level.to_right[here] = gains[:, :, :n], gains[:, :, n : 2 * n]
+        offset[here] = gains[:, :, 2 * n :]
+    return level, offset, log_determinant, (even_diagonal, even_upper, even_rhs)
 
 
 def _substitute(levels: list[_Level], offsets: list[Array], root: Array) -> Array:
     x = root
     for level, offset in zip(reversed(levels), reversed(offsets), strict=True):
-        n_odd = level.inverse.shape[0]
-        right = _right_neighbours(x, n_odd)
         fine = np.empty((level.n_nodes, *x.shape[1:]))
         fine[0::2] = x
-        fine[1::2] = offset - level.to_left @ x[:n_odd] - level.to_right @ right
+        for here, beside in _pieces(level):
+            odd = offset[here] - level.to_left[here] @ x[here]
+            odd[: beside.stop - beside.start] -= level.to_right[beside] @ x[_next(beside)]
+            fine[1::2][here] = odd
         x = fine
     return x
 
@@ -205,26 +220,37 @@ def _substitute(levels: list[_Level], offsets: list[Array], root: Array) -> Arra
 def _selected_inverse(levels: list[_Level], root: Array) -> tuple[Array, Array]:
     P, cross = root, np.empty((0, *root.shape[1:]))
     for level in reversed(levels):
-        n_odd = level.inverse.shape[0]
-        P_left, P_right, P_left_right = P[:n_odd], _right_neighbours(P, n_odd), np.zeros((n_odd, *P.shape[1:]))
-        P_left_right[: cross.shape[0]] = cross
-        odd_left = -(level.to_left @ P_left + level.to_right @ P_left_right.transpose(0, 2, 1))
-        odd_right = -(level.to_left @ P_left_right + level.to_right @ P_right)
-        odd = (
-            level.inverse - odd_left @ level.to_left.transpose(0, 2, 1) - odd_right @ level.to_right.transpose(0, 2, 1)
-        )
         fine, fine_cross = np.empty((level.n_nodes, *P.shape[1:])), np.empty((level.n_nodes - 1, *P.shape[1:]))
-        fine[0::2], fine[1::2] = P, 0.5 * (odd + odd.transpose(0, 2, 1))
-        fine_cross[0::2] = odd_left.transpose(0, 2, 1)
-        fine_cross[1::2] = odd_right[: fine_cross[1::2].shape[0]]
+        fine[0::2] = P
+        for here, beside in _pieces(level):
+            n_beside = beside.stop - beside.start
+            to_left, to_right = level.to_left[here], level.to_right[beside]
+            odd_left = -(to_left @ P[here])
+            odd_left[:n_beside] -= to_right @ cross[beside].transpose(0, 2, 1)
+            odd_right = -(to_left[:n_beside] @ cross[beside] + to_right @ P[_next(beside)])
+            odd = level.inverse[here] - odd_left @ to_left.transpose(0, 2, 1)
+            odd[:n_beside] -= odd_right @ to_right.transpose(0, 2, 1)
+            fine[1::2][here] = 0.5 * (odd + odd.transpose(0, 2, 1))
+            fine_cross[0::2][here] = odd_left.transpose(0, 2, 1)
+            fine_cross[1::2][beside] = odd_right
         P, cross = fine, fine_cross
     return P, cross
 
 
-def _right_neighbours(x: Array, n_odd: int) -> Array:
-    right = np.zeros((n_odd, *x.shape[1:]))
-    right[: x.shape[0] - 1] = x[1 : n_odd + 1]
-    return right
+def _pieces(level: _Level) -> Iterator[tuple[slice, slice]]:
+    """Odd nodes of a level, a piece at a time, and those among them that have a right neighbour."""
+    n_odd, n_right = level.n_nodes // 2, (level.n_nodes - 1) // 2
+    for first in range(0, n_odd, PIECE):
+        last = min(first + PIECE, n_odd)
+        yield slice(first, last), slice(first, min(last, n_right))
+
+
+def _next(nodes: slice) -> slice:
+    return slice(nodes.start + 1, nodes.stop + 1)
+
+
+def _log_determinant(factor: Array) -> float:
+    return 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
 
 
 def _cholesky(blocks: Array) -> Array:
