@@ -24,23 +24,41 @@ class CubicSpline:
         h = np.diff(x)[:, None]
         slope = np.diff(values, axis=0) / h - h * (2.0 * bend[:-1] + bend[1:]) / 6.0
         self._x = x
-        self._powers = (values[:-1], slope, 0.5 * bend[:-1], np.diff(bend, axis=0) / (6.0 * h))
+        powers = (values[:-1], slope, 0.5 * bend[:-1], np.diff(bend, axis=0) / (6.0 * h))
+        self._powers = np.ascontiguousarray(np.stack(powers).transpose(0, 2, 1))  # (4, c, K - 1)
 
     def __call__(self, x: Array) -> Array:
         """Value (N, c) at x (N,), within the points."""
-        d, constant, linear, quadratic, cubic = self._piece(x)
-        return np.asarray(((cubic * d + quadratic) * d + linear) * d + constant)
+        d, powers = self._piece(x)
+        return _value(d, *powers).T
 
     def with_slope(self, x: Array) -> tuple[Array, Array]:
         """Value and first derivative, each (N, c), at x (N,), within the points."""
-        d, constant, linear, quadratic, cubic = self._piece(x)
-        value = ((cubic * d + quadratic) * d + linear) * d + constant
-        return value, (3.0 * cubic * d + 2.0 * quadratic) * d + linear
+        d, powers = self._piece(x)
+        value, (_, linear, quadratic, slope) = _value(d, *powers), powers
+        slope *= 3.0  # in place from here on, as in _value: long arrays cost more to come by than to multiply
+        slope *= d
+        quadratic *= 2.0
+        slope += quadratic
+        slope *= d
+        slope += linear
+        return value.T, slope.T
 
-    def _piece(self, x: Array) -> tuple[Array, ...]:
-        """Distance (N, 1) from the point before x (N,), and the coefficients (N, c) of its powers there."""
+    def _piece(self, x: Array) -> tuple[Array, Array]:
+        """Distance (N,) from the point before x (N,), and the coefficients (4, c, N) of its powers there."""
         k = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
-        return ((x - self._x[k])[:, None], *(power[k] for power in self._powers))
+        return x - self._x[k], self._powers.take(k, axis=2)
+
+
+def _value(d: Array, constant: Array, linear: Array, quadratic: Array, cubic: Array) -> Array:
+    """The cubics (c, N) at d (N,)."""
+    value = cubic * d
+    value += quadratic
+    value *= d
+    value += linear
+    value *= d
+    value += constant
+    return value
 
 
 def _bend_of_closed(x: Array, values: Array) -> Array:
@@ -50,10 +68,11 @@ def _bend_of_closed(x: Array, values: Array) -> Array:
     slope = np.diff(values, axis=0) / after[:, None]
     wanted = 3.0 * (slope - np.roll(slope, 1, axis=0)) / (before + after)[:, None]
     by_before, by_after = (0.5 * part[:, None] / (before + after)[:, None] for part in (before, after))
-    bend = wanted
+    bend = np.concatenate([wanted[-1:], wanted, wanted[:1]])  # with the neighbours of both ends
     for _ in range(ITERATIONS):
-        bend = wanted - by_before * np.roll(bend, 1, axis=0) - by_after * np.roll(bend, -1, axis=0)
-    return np.concatenate([bend, bend[:1]])
+        bend[1:-1] = wanted - by_before * bend[:-2] - by_after * bend[2:]
+        bend[0], bend[-1] = bend[-2], bend[1]
+    return bend[1:].copy()
 
 
 def _bend_of_open(x: Array, values: Array) -> Array:

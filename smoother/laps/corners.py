@@ -15,7 +15,7 @@ from smoother.laps.delta import GRID, SURE
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
-from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.laps.sigma import Crossed, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
 
@@ -142,23 +142,20 @@ def _lost_sigma(
     out = np.full((len(at_bounds), len(bounds) - 1), np.nan)
     if errors is None:
         return out
-    normal = curve.tangent(bounds)
-    for lap, ours in enumerate(at_bounds):
-        theirs = np.empty(0) if reference is None or reference == lap else at_bounds[reference]
-        times = np.concatenate([ours, theirs])
-        known = np.isfinite(times)
-        if not known[: len(ours)].any():
-            continue
-        filled = np.where(known, times, path.t[0])
-        normals = np.concatenate([normal, normal[: len(theirs)]])
-        covariance = time_covariance(errors, filled, normals, path.at(filled)[1])
-        step = np.eye(len(bounds))[1:] - np.eye(len(bounds))[:-1]
-        weights = np.concatenate([step, -step], axis=1) if theirs.size else step
-        usable = np.all(known[None, :] | (weights == 0.0), axis=1)
-        both = 1.0 if reference is not None else np.sqrt(2.0)
-        out[lap] = np.where(usable, both * sigma_of(covariance, weights), np.nan)
-        if reference == lap:
-            out[lap] = np.where(usable, 0.0, np.nan)
+    normal, laps = curve.tangent(bounds), np.flatnonzero(np.isfinite(at_bounds).any(axis=1))
+    step = np.eye(len(bounds))[1:] - np.eye(len(bounds))[:-1]
+    groups, usable, weights = [], [], []
+    for lap in laps:
+        both = reference is not None and reference != lap
+        times = np.concatenate([at_bounds[lap], at_bounds[reference]]) if both else at_bounds[lap]
+        weights.append(np.concatenate([step, -step], axis=1) if both else step)
+        usable.append(np.all(np.isfinite(times)[None, :] | (weights[-1] == 0.0), axis=1))
+        filled = np.where(np.isfinite(times), times, path.t[0])
+        groups.append(Crossed(filled, np.tile(normal, (2 if both else 1, 1)), path.at(filled)[1]))
+    alike = 1.0 if reference is not None else np.sqrt(2.0)
+    for i, covariance in enumerate(time_covariances(errors, groups)):
+        sigma = np.zeros(len(step)) if laps[i] == reference else alike * sigma_of(covariance, weights[i])
+        out[laps[i]] = np.where(usable[i], sigma, np.nan)
     return out
 
 

@@ -16,7 +16,7 @@ from smoother.laps.passages import Passage
 from smoother.laps.path import PlanPath, level_acceleration, plan_path
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
-from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.laps.sigma import Crossed, covariances, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
 
@@ -202,13 +202,12 @@ def _lateral_sigma(
     if errors is None:
         return out
     places = sigma_places(distance)
-    tangent = curve.tangent(distance[places])
-    for place, (north, west) in zip(places, tangent, strict=True):
-        laps = np.flatnonzero(np.isfinite(t[:, place]))
-        if len(laps) == 0:
-            continue
-        left = np.tile([-west, north, 0.0], (len(laps), 1))
-        covariance = errors.covariance(t[laps, place], left)
+    there = [np.flatnonzero(np.isfinite(t[:, place])) for place in places]
+    there, places = [laps for laps in there if laps.size], places[[laps.size > 0 for laps in there]]
+    left = [np.array([-west, north, 0.0]) for north, west in curve.tangent(distance[places])]
+    directions = [np.tile(one, (len(laps), 1)) for one, laps in zip(left, there, strict=True)]
+    times = [t[laps, place] for laps, place in zip(there, places, strict=True)]
+    for place, laps, covariance in zip(places, there, covariances(errors, times, directions), strict=True):
         if counting is None:
             out[laps, place] = np.sqrt(2.0 * np.diag(covariance))
             continue
@@ -237,23 +236,22 @@ def delta_sigma(
     places = sigma_places(distance)
     normal = curve.tangent(distance[places])
     theirs = np.empty(0) if reference is None else traces_t[reference, places]
+    laps = [lap for lap in range(len(traces_t)) if lap != reference and np.isfinite(traces_t[lap, 0])]
+    known = {lap: np.isfinite(traces_t[lap, places]) & (np.isfinite(theirs) if theirs.size else True) for lap in laps}
+    groups = []
+    for lap in laps:
+        times = np.concatenate([values[known[lap]] for values in (traces_t[lap, places], theirs) if values.size])
+        normals = np.tile(normal[known[lap]], (2 if theirs.size else 1, 1))
+        groups.append(Crossed(times, normals, path.at(times)[1]))
     out = np.full(traces_t.shape, np.nan)
-    for lap in range(len(traces_t)):
-        if lap == reference or not np.isfinite(traces_t[lap, 0]):
-            continue
-        ours = traces_t[lap, places]
-        both = np.isfinite(ours) if reference is None else np.isfinite(ours) & np.isfinite(theirs)
-        times = ours[both] if reference is None else np.concatenate([ours[both], theirs[both]])
-        normals = np.tile(normal[both], (1 if reference is None else 2, 1))
-        covariance = time_covariance(errors, times, normals, path.at(times)[1])
-        elapsed = np.eye(int(np.count_nonzero(both)))
+    for lap, covariance in zip(laps, time_covariances(errors, groups), strict=True):
+        elapsed = np.eye(int(np.count_nonzero(known[lap])))
         elapsed[:, 0] -= 1.0  # since the line
-        weights = elapsed if reference is None else np.concatenate([elapsed, -elapsed], axis=1)
-        out[lap, places[both]] = sigma_of(covariance, weights)
-    known = np.isfinite(traces_t)
-    filled = _between(distance, places, out, known)
+        weights = np.concatenate([elapsed, -elapsed], axis=1) if theirs.size else elapsed
+        out[lap, places[known[lap]]] = sigma_of(covariance, weights)
+    filled = _between(distance, places, out, np.isfinite(traces_t))
     if reference is not None:
-        filled[reference] = np.where(known[reference], 0.0, np.nan)
+        filled[reference] = np.where(np.isfinite(traces_t[reference]), 0.0, np.nan)
     return filled
 
 

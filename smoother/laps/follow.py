@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 
@@ -17,6 +17,8 @@ LOST_BEYOND = 15.0  # m from the line: half a track's width, the wander of the G
 FOUND_WITHIN = 12.0  # m
 AHEAD = (10.0, 20.0, 35.0)  # m of path that must also be on the line before the kart counts as found
 BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond what was driven, ahead
+TOGETHER = 40  # places that are looked for together: 6 s
+ASTRAY = 8.0  # m by which line and distance driven may part over these
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
 TURNED_FOR = 1.0  # s against the direction of the line, after which the kart is not on a lap
@@ -36,7 +38,7 @@ class Followed:
 def follow(path: PlanPath, curve: Curve) -> Followed:
     """Return where the path is on the line."""
     rows = _rows(path)
-    distance = _Pursuit(path, curve).run(rows)
+    distance = _Pursuit(path, curve, rows).run()
     return _refined(path, curve, path.t[rows], distance)
 
 
@@ -54,61 +56,99 @@ def refollow(path: PlanPath, before: Curve, followed: Followed, curve: Curve) ->
     return _refined(path, curve, path.t, np.where(followed.is_on, moved, np.nan))
 
 
-def _rows(path: PlanPath) -> np.ndarray:
+def _rows(path: PlanPath) -> IntArray:
     wanted = np.arange(path.t[0], path.t[-1] + EVERY, EVERY)
-    return np.unique(np.clip(np.searchsorted(path.t, wanted), 0, len(path.t) - 1))
+    return np.unique(np.clip(np.searchsorted(path.t, wanted), 0, len(path.t) - 1)).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ahead:
+    """The points of the line nearest to the next places, looked for together within `low` to `high` steps of the line.
+
+    All (K,): step, the nearest; is_near, whether it is not too far away; is_along, whether the kart went that way.
+    """
+
+    low: list[int]
+    high: list[int]
+    step: list[int]
+    is_near: list[bool]
+    is_along: list[bool]
 
 
 class _Pursuit:
     """Follows the path along the line, one place after the other."""
 
-    def __init__(self, path: PlanPath, curve: Curve) -> None:
-        self.path, self.curve = path, curve
+    def __init__(self, path: PlanPath, curve: Curve, rows: IntArray) -> None:
+        self.path, self.curve, self.rows = path, curve, rows
         self.points, self.tangents = curve.line.position_n, curve.line.tangent_n
         self.spacing = curve.length / len(self.points)
+        self.ahead, self.ahead_from = _Ahead([], [], [], [], []), 0
 
-    def run(self, rows: np.ndarray) -> Array:
-        """Unwrapped distance (len(rows),), NaN where the kart is not on the line."""
-        path = self.path
-        found = np.full(len(rows), np.nan)
-        last, last_row, turned = np.nan, -1, 0.0
+    def run(self) -> Array:
+        """Unwrapped distance (K,) at the rows, NaN where the kart is not on the line."""
+        found = np.full(len(self.rows), np.nan)
+        rows, driven = self.rows.tolist(), self.path.driven[self.rows].tolist()
+        t, speed = self.path.t[self.rows].tolist(), self.path.speed[self.rows].tolist()
+        last, on_the_way, turned = np.nan, 0.0, 0.0
         is_on = False
         for k, row in enumerate(rows):
-            driven = 0.0 if last_row < 0 else path.driven[row] - path.driven[last_row]
             here: float | None = None
             if is_on:
-                here = self._near(row, last - BACK, last + driven + ON)
-                turned = self._turned(row, turned, k, rows, here)
+                here, is_along = self._next(k, last, driven[k] - on_the_way)
+                if here is not None and speed[k] >= MOVING:
+                    turned = 0.0 if is_along else turned + t[k] - t[k - 1]
                 if turned > TURNED_FOR:
                     here = None
             if here is None:
                 turned = 0.0
-                here = self._anywhere(row, last + driven)
+                here = self._anywhere(row, last + driven[k] - on_the_way)
             is_on = here is not None
             if here is not None:
-                found[k], last, last_row = here, here, int(row)
+                found[k], last, on_the_way = here, here, driven[k]
         return found
 
-    def _turned(self, row: int, turned: float, k: int, rows: np.ndarray, here: float | None) -> float:
-        """Seconds for which the kart has been moving against the line."""
-        if here is None or k == 0 or self.path.speed[row] < MOVING:
-            return turned
-        if self._along(row, round(here / self.spacing)) > 0.0:
-            return 0.0
-        return turned + float(self.path.t[row] - self.path.t[rows[k - 1]])
+    def _next(self, k: int, last: float, driven: float) -> tuple[float | None, bool]:
+        """Distance of place k, `driven` m after a place at `last` m, None where it left the line; whether it is along.
+
+        Most places are found in those looked for together, which gives the same as looking for one after the other.
+        """
+        low, high = int((last - BACK) / self.spacing), int((last + driven + ON) / self.spacing) + 1
+        i = k - self.ahead_from
+        if not 0 <= i < len(self.ahead.step) or self.ahead.low[i] > low or self.ahead.high[i] < high:
+            self.ahead, self.ahead_from, i = self._look_ahead(k, last + driven), k, 0
+        step = self.ahead.step[i]
+        if self.ahead.low[i] <= low <= step <= high <= self.ahead.high[i]:
+            return (step * self.spacing if self.ahead.is_near[i] else None), self.ahead.is_along[i]
+        return self._between(int(self.rows[k]), low, high)
+
+    def _between(self, row: int, low: int, high: int) -> tuple[float | None, bool]:
+        """The same for one row, looked for between two steps of the line."""
+        steps = np.arange(low, high + 1)
+        away = self.points[self._index(steps)] - self.path.position_n[row]
+        squared = np.einsum("ij,ij->i", away, away)
+        best = int(np.argmin(squared))
+        is_near = bool(squared[best] < LOST_BEYOND**2)
+        return (float(steps[best] * self.spacing) if is_near else None), self._along(row, int(steps[best])) > 0.0
+
+    def _look_ahead(self, k: int, expected: float) -> _Ahead:
+        """Look for the places from k on, the first of which is expected at a distance, along the line."""
+        rows = self.rows[k : k + TOGETHER]
+        driven = expected + self.path.driven[rows] - self.path.driven[rows[0]]
+        low = np.floor((driven - BACK - ASTRAY) / self.spacing).astype(np.int64)
+        steps = low[:, None] + np.arange(int((BACK + ON + 2.0 * ASTRAY) / self.spacing) + 3)
+        x, y = (self.points[:, i].take(self._index(steps)) - self.path.position_n[rows, i, None] for i in (0, 1))
+        squared = x * x + y * y
+        best = np.argmin(squared, axis=1)
+        step = np.take_along_axis(steps, best[:, None], axis=1)[:, 0]
+        along = np.sum(self.path.velocity_n[rows] * self.tangents[self._index(step)], axis=1)
+        is_near = squared.min(axis=1) < LOST_BEYOND**2
+        ends = steps[:, 0].tolist(), steps[:, -1].tolist()
+        return _Ahead(*ends, step.tolist(), is_near.tolist(), (along > 0.0).tolist())
 
     def _along(self, row: int, index: int) -> float:
         """Cosine between path and line."""
         tangent = self.tangents[self._index(np.array([index]))[0]]
         return float(self.path.velocity_n[row] @ tangent / max(self.path.speed[row], 1e-6))
-
-    def _near(self, row: int, low: float, high: float) -> float | None:
-        """Distance of the nearest point of the line between two distances, None if it is too far away."""
-        steps = np.arange(int(low / self.spacing), int(high / self.spacing) + 2)
-        away = self.points[self._index(steps)] - self.path.position_n[row]
-        squared = np.einsum("ij,ij->i", away, away)
-        best = int(np.argmin(squared))
-        return float(steps[best] * self.spacing) if squared[best] < LOST_BEYOND**2 else None
 
     def _anywhere(self, row: int, expected: float) -> float | None:
         """Distance of a kart that was lost: the place on the line that the path follows best for a while."""

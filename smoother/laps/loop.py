@@ -62,24 +62,24 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     position, driven = path.position_n[row], path.driven[row]
     direction = path.velocity_n[row] / np.maximum(path.speed[row], 1e-6)[:, None]
     chosen = np.unique(np.linspace(0, len(row) - 1, min(MOST_PLACES, len(row))).astype(np.int64))
-    found = _within(position, position[chosen], SAME_PLACE)
-    i, j = np.repeat(chosen, [len(near) for near in found]), np.concatenate(found)
+    i, j = _within(position, chosen, SAME_PLACE)
     apart = driven[j] - driven[i]
     good = (apart > shortest) & (apart < LONGEST_LAP)
     good &= np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
     return i[good], j[good]
 
 
-def _within(points: Array, around: Array, distance: float) -> list[IntArray]:
-    """For each place of `around` (K, 2) the indices of the `points` (N, 2) within `distance` m of it."""
+def _within(points: Array, around: IntArray, distance: float) -> tuple[IntArray, IntArray]:
+    """Pairs (i, j): of each of the `points` (N, 2) named in `around` (K,) those within `distance` m of it."""
     order = np.argsort(points[:, 0], kind="stable")
-    north = points[order, 0]
-    first, last = np.searchsorted(north, around[:, 0] - distance), np.searchsorted(north, around[:, 0] + distance)
-    found = []
-    for place, i, j in zip(around, first, last, strict=True):
-        away = points[order[i:j]] - place
-        found.append(order[i:j][np.hypot(away[:, 0], away[:, 1]) <= distance])
-    return found
+    north, west = points[order, 0], points[order, 1]
+    first = np.searchsorted(north, points[around, 0] - distance)
+    count = np.searchsorted(north, points[around, 0] + distance) - first
+    which = np.repeat(np.arange(len(around)), count)
+    near = np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count)  # first, first + 1, ... of each
+    away = (north[near] - points[around, 0][which]) ** 2 + (west[near] - points[around, 1][which]) ** 2
+    found = np.flatnonzero(away <= distance**2)
+    return around[which[found]], order[near[found]]
 
 
 def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:

@@ -41,13 +41,11 @@ class Curve:
 
     def place(self, distance: Array) -> tuple[Array, Array]:
         """Position (K, 2) m in n, and unit tangent (K, 2)."""
-        position, slope = self._spline.with_slope(self.wrapped(distance))
-        return position, slope / np.hypot(slope[:, 0], slope[:, 1])[:, None]
+        return self._place_within(self.wrapped(distance))
 
     def curvature(self, distance: Array) -> Array:
         """Curvature (K,) 1/m, positive to the left."""
-        period = self.length if self.line.is_closed else None
-        return np.asarray(np.interp(self.wrapped(distance), self.line.distance, self.line.curvature, period=period))
+        return np.interp(self.wrapped(distance), *self._bends)
 
     def up(self, distance: Array) -> Array:
         """Mean height (K,) m."""
@@ -67,13 +65,27 @@ class Curve:
         """
         distance = np.asarray(guess, dtype=np.float64)
         for _ in range(rounds):
-            there, tangent = self.place(distance)
+            within = self.wrapped(distance)
+            there, tangent = self._place_within(within)
             away = position_n - there
-            lateral = _left(tangent, away)
-            stretch = 1.0 - np.clip(lateral * self.curvature(distance), -BENT, BENT)
-            distance = distance + np.clip(np.sum(away * tangent, axis=1) / stretch, -5.0, 5.0)
+            stretch = 1.0 - np.clip(_left(tangent, away) * np.interp(within, *self._bends), -BENT, BENT)
+            along = tangent[:, 0] * away[:, 0] + tangent[:, 1] * away[:, 1]
+            distance = distance + np.clip(along / stretch, -5.0, 5.0)
         there, tangent = self.place(distance)
         return distance, _left(tangent, position_n - there)
+
+    def _place_within(self, within: Array) -> tuple[Array, Array]:
+        """Position and unit tangent at distances within the lap."""
+        position, slope = self._spline.with_slope(within)
+        return position, slope / np.hypot(slope[:, 0], slope[:, 1])[:, None]
+
+    @cached_property
+    def _bends(self) -> tuple[Array, Array]:
+        """Distances from 0 to the length, and the curvature there."""
+        line = self.line
+        if not line.is_closed:
+            return line.distance, line.curvature
+        return np.append(line.distance, line.length), np.append(line.curvature, line.curvature[0])
 
     @cached_property
     def _spline(self) -> CubicSpline:

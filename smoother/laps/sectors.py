@@ -9,7 +9,7 @@ from smoother.laps.passages import Passage
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Line
-from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.laps.sigma import Crossed, sigma_of, time_covariances
 from smoother.laps.timing import crossings, forward_normal, gate_crossings
 from smoother.trajectory import JointPosition
 
@@ -67,18 +67,16 @@ def lap_sigmas(
     lap_sigma, sector_sigma = np.full(len(times), np.nan), np.full((len(times), len(lines) + 1), np.nan)
     if errors is None:
         return lap_sigma, sector_sigma
-    for i, crossed in enumerate(times):
-        known = np.isfinite(crossed)
-        if np.count_nonzero(known) < 2:
-            continue
-        at = crossed[known]
-        weights = np.zeros((len(lines) + 2, len(crossed)))
-        weights[0, [0, -1]] = -1.0, 1.0
-        for s in range(len(lines) + 1):
-            weights[s + 1, [s, s + 1]] = -1.0, 1.0
-        covariance = time_covariance(errors, at, normal[known], path.at(at)[1])
-        sigma = sigma_of(covariance, weights[:, known])
-        whole = np.all(known[None, :] | (weights == 0.0), axis=1)
-        sigma = np.where(whole, sigma, np.nan)
-        lap_sigma[i], sector_sigma[i] = sigma[0], sigma[1:]
+    weights = np.zeros((len(lines) + 2, len(lines) + 2))  # the lap, then its sectors
+    weights[0, [0, -1]] = -1.0, 1.0
+    for s in range(len(lines) + 1):
+        weights[s + 1, [s, s + 1]] = -1.0, 1.0
+    laps = np.flatnonzero(np.count_nonzero(np.isfinite(times), axis=1) >= 2)
+    known = [np.isfinite(times[lap]) for lap in laps]
+    at = [times[lap, there] for lap, there in zip(laps, known, strict=True)]
+    groups = [Crossed(t, normal[there], path.at(t)[1]) for t, there in zip(at, known, strict=True)]
+    for lap, there, covariance in zip(laps, known, time_covariances(errors, groups), strict=True):
+        sigma = sigma_of(covariance, weights[:, there])
+        sigma = np.where(np.all(there[None, :] | (weights == 0.0), axis=1), sigma, np.nan)
+        lap_sigma[lap], sector_sigma[lap] = sigma[0], sigma[1:]
     return lap_sigma, sector_sigma

@@ -6,6 +6,7 @@ covariance. The estimator's own is best ("joint"); results read from files carry
 time ("stored"); failing both, a model of the receiver's offset does ("model").
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten
 SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
 LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
 SAMPLES = 40  # pairs of positions per lag
+TOGETHER = 160  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +115,42 @@ def _identified(trajectory: Trajectory, name: str) -> float | None:
     return value if np.isfinite(value) and value >= 0.0 else None
 
 
-def time_covariance(errors: JointPosition, t: Array, normal_n: Array, velocity_n: Array) -> Array:
-    """Covariance (m, m) s^2 of crossing times t (m,) s of lines with forward normals (m, 2), at velocities (m, 2)."""
-    closing = np.maximum(np.sum(normal_n * velocity_n, axis=1), SLOWEST)
-    direction = np.concatenate([normal_n, np.zeros((len(t), 1))], axis=1)
-    return np.asarray(errors.covariance(t, direction) / (closing[:, None] * closing[None, :]))
+@dataclass(frozen=True, eq=False)
+class Crossed:
+    """Crossings whose times are compared: t (m,) s, forward normals (m, 2) of the lines, velocity (m, 2) m/s."""
+
+    t: Array
+    normal_n: Array
+    velocity_n: Array
+
+
+def time_covariance(errors: JointPosition, crossed: Crossed) -> Array:
+    """Covariance (m, m) s^2 of crossing times."""
+    return time_covariances(errors, [crossed])[0]
+
+
+def time_covariances(errors: JointPosition, groups: Sequence[Crossed]) -> list[Array]:
+    """Covariance (m, m) s^2 of the crossing times of each group."""
+    closing = [np.maximum(np.sum(g.normal_n * g.velocity_n, axis=1), SLOWEST) for g in groups]
+    directions = [np.concatenate([g.normal_n, np.zeros((len(g.t), 1))], axis=1) for g in groups]
+    along = covariances(errors, [g.t for g in groups], directions)
+    return [c / (speed[:, None] * speed[None, :]) for c, speed in zip(along, closing, strict=True)]
+
+
+def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> list[Array]:
+    """Covariance (m, m) m^2 of positions at t (m,) s along direction_n (m, 3), for each of several groups.
+
+    Groups are asked for together: a question costs more than its size does.
+    """
+    ends = np.cumsum([len(group) for group in t])
+    out: list[Array] = []
+    while len(out) < len(t):
+        first, before = len(out), ends[len(out)] - len(t[len(out)])
+        last = max(first + 1, int(np.searchsorted(ends, before + TOGETHER, side="right")))
+        whole = errors.covariance(np.concatenate(t[first:last]), np.concatenate(direction_n[first:last]))
+        starts = ends[first:last] - before - [len(group) for group in t[first:last]]
+        out += [whole[i : i + len(group), i : i + len(group)] for i, group in zip(starts, t[first:last], strict=True)]
+    return out
 
 
 def sigma_of(covariance: Array, weights: Array) -> Array:

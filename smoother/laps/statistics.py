@@ -8,7 +8,7 @@ from smoother.arrays import Array
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Lap, OfficialTime, Statistics, Traces
-from smoother.laps.sigma import sigma_of, time_covariance
+from smoother.laps.sigma import Crossed, sigma_of, time_covariance
 from smoother.trajectory import JointPosition
 
 TENTH = 0.1  # s
@@ -114,7 +114,7 @@ def _rolling(
         return best
     ends = np.array([best[3], best[3] + best[0]])
     normal = np.tile(curve.tangent(np.array([best[2]])), (2, 1))
-    covariance = time_covariance(errors, ends, normal, path.at(ends)[1])
+    covariance = time_covariance(errors, Crossed(ends, normal, path.at(ends)[1]))
     return best[0], float(sigma_of(covariance, np.array([[-1.0, 1.0]]))[0]), best[2], best[3]
 
 

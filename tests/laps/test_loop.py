@@ -8,8 +8,10 @@ import pytest
 from smoother.arrays import Array
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.circuit import find_circuit
+from smoother.laps.follow import follow
 from smoother.laps.loop import find_loop
 from smoother.laps.path import plan_path
+from smoother.laps.reference import Curve, first_line
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.sim.truth import Truth
 from smoother.trajectory import Trajectory
@@ -102,6 +104,21 @@ def test_less_than_a_lap_is_no_lap(make: Made, round_trip: RoundTrip, fixes: Fix
     found = analyse(make(t, position), fixes(make(t, position)))
     assert not timed(found)
     assert [problem.code for problem in found.problems] == ["no_laps"]
+
+
+def test_places_looked_for_together_are_those_looked_for_one_by_one(
+    make: Made, round_trip: RoundTrip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    t, position = round_trip(PAPERCLIP, 12.0, 4.5)
+    wander = 4.0 * np.stack([np.sin(t / 7.0), np.cos(t / 11.0)], axis=1)
+    away = 70.0 * np.exp(-(((t - 90.0) / 5.0) ** 2))  # lost for a while, and found again
+    path = plan_path(make(t, position + wander + away[:, None]))
+    curve = Curve(first_line(path, 0.0, float(t[-1]) / 4.5))
+    together = follow(path, curve)
+    monkeypatch.setattr("smoother.laps.follow.TOGETHER", 1)
+    alone = follow(path, curve)
+    np.testing.assert_array_equal(together.distance, alone.distance)
+    assert 0.5 < np.mean(together.is_on) < 0.99
 
 
 def test_one_lap_and_a_little_is_one_lap(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:

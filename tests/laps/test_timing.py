@@ -8,7 +8,7 @@ import pytest
 from smoother.arrays import Array
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import FixPath, GivenLines
-from smoother.laps.sigma import Drift, OffsetModel, drift_of, position_errors, time_covariance
+from smoother.laps.sigma import Crossed, Drift, OffsetModel, covariances, drift_of, position_errors, time_covariance
 from smoother.sim.track import TRACKS
 from smoother.sim.truth import Truth
 from smoother.trajectory import Trajectory
@@ -147,7 +147,7 @@ def test_the_stored_drift_gives_back_the_sigma_of_the_model_it_was_taken_from() 
     moving = np.tile([14.0, 0.0], (2, 1))
     sigma = []
     for errors in (model, stored):
-        c = time_covariance(errors, ends, north, moving)
+        c = time_covariance(errors, Crossed(ends, north, moving))
         sigma.append(np.sqrt(c[0, 0] + c[1, 1] - 2.0 * c[0, 1]))
     assert sigma[1] == pytest.approx(sigma[0], rel=0.03)  # interpolated between the stored lags
 
@@ -159,6 +159,17 @@ def test_a_trajectory_without_sigmas_gives_times_without_sigmas(circle: Trajecto
     assert all(np.isnan(lap.sigma) for lap in found.laps)
     assert found.statistics is not None
     assert np.isfinite(found.statistics.theoretical)
+
+
+def test_groups_asked_for_together_get_their_own_covariances() -> None:
+    model = OffsetModel(np.array([0.0, 900.0]), np.array([0.1, 0.4]), 2.0, 60.0)
+    rng = np.random.default_rng(3)
+    sizes = (3, 1, 200, 90, 40, 5)  # one is larger than what is asked for together, others share a question
+    t = [np.sort(rng.uniform(0.0, 900.0, size)) for size in sizes]
+    directions = [rng.normal(size=(size, 3)) for size in sizes]
+    assert covariances(model, [], []) == []
+    for group, times, direction in zip(covariances(model, t, directions), t, directions, strict=True):
+        np.testing.assert_allclose(group, model.covariance(times, direction), rtol=1e-12)
 
 
 def test_drift_needs_increasing_lags() -> None:
