@@ -9,6 +9,7 @@ from typing import TypeGuard
 import numpy as np
 
 from smoother.arrays import Array, frozen
+from smoother.disc import pieces, release, roomy
 from smoother.documents import load_toml, replacing
 from smoother.errors import ConfigError
 from smoother.frames import Origin
@@ -78,8 +79,14 @@ class Calibration:
 
     def apply_to_imu(self, raw: RawImu) -> ImuSamples:
         """Return inertial samples in SI, still in axes s."""
-        force = (raw.accel * raw.accel_scale - self.accel_offset) @ self.accel_matrix.T
-        rate = (raw.gyro * raw.gyro_scale - self.gyro_bias_at(raw.temperature)) @ self.gyro_matrix.T
+        force, rate, temperature = roomy(raw.accel.shape), roomy(raw.gyro.shape), raw.temperature
+        for part in pieces(len(raw.t)):
+            bias = self.gyro_bias_at(None if temperature is None else temperature[part])
+            force[part] = (raw.accel[part] * raw.accel_scale - self.accel_offset) @ self.accel_matrix.T
+            rate[part] = (raw.gyro[part] * raw.gyro_scale - bias) @ self.gyro_matrix.T
+            release(raw, force, rate)
+        for values in (force, rate):
+            values.flags.writeable = False
         return ImuSamples(raw.t, force, rate, raw.accel_full_scale, raw.gyro_full_scale)
 
     def gyro_bias_at(self, temperature: Array | None) -> Array:

@@ -11,6 +11,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "errors",
     "documents",
     "arrays",
+    "disc",
     "units",
     "so3",
     "frames",
@@ -27,6 +28,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "report",
     "export",
     "live",
+    "batch",
     "cli",
 ]
 

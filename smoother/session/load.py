@@ -15,6 +15,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
+from smoother.disc import kept, release
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
+ENOUGH_SAMPLES = 500_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 FEWEST_FIXES_FOR_CLOCK = 32
@@ -125,7 +127,9 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
         problems.append(Problem(code, f"{file}: {reason}: smoothed from GPS alone"))
         return None
     problems += describe_time_base(base, "imu", file)
-    return replace(imu, t=base.t)
+    imu = replace(imu, t=kept(base.t))
+    release(imu)
+    return imu
 
 
 def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
@@ -135,10 +139,11 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         return
     if period * SLOWEST_IMU > 1.0:
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f})"
-    force = float(np.median(np.linalg.norm(imu.accel, axis=1))) * imu.accel_scale
+    some = slice(None, None, max(1, imu.t.size // ENOUGH_SAMPLES))
+    force = float(np.median(np.linalg.norm(imu.accel[some], axis=1))) * imu.accel_scale
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
         yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
-    rate = float(np.median(np.linalg.norm(imu.gyro, axis=1))) * imu.gyro_scale
+    rate = float(np.median(np.linalg.norm(imu.gyro[some], axis=1))) * imu.gyro_scale
     if rate > PLAUSIBLE_RATE:
         yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
 

@@ -5,11 +5,14 @@ A recording is every block with one session id, in whichever files of a director
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from mmap import mmap
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from smoother.arrays import Array, IntArray
+from smoother.disc import contents, kept, pieces, release, roomy
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.log_decode import Blocks, Losses, decode, find_blocks
@@ -86,9 +89,9 @@ def _files(session: int, parts: list[tuple[int, Path, Setup | None]]) -> LogFile
 
 def _head(path: Path) -> Blocks:
     """The blocks of its recording at the head of a file; where the head is damaged, all of them."""
-    blocks, _ = find_blocks(_read_bytes(path, HEAD_BYTES))
+    blocks, _ = find_blocks(_first_bytes(path))
     if len(blocks) == 0:
-        blocks, _ = find_blocks(_read_bytes(path))
+        blocks, _ = find_blocks(_all_bytes(path))
     return _own(blocks)
 
 
@@ -97,17 +100,28 @@ def _own(blocks: Blocks) -> Blocks:
     return blocks if len(blocks) == 0 else blocks.select(blocks.head["session"] == blocks.head["session"][0])
 
 
-def _read_bytes(path: Path, size: int = -1) -> bytes:
+def _first_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(size)
+            return file.read(HEAD_BYTES)
     except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+        raise _unreadable(path, error) from error
+
+
+def _all_bytes(path: Path) -> bytes | mmap:
+    try:
+        return contents(path)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> SessionError:
+    return SessionError(f"{path.name}: cannot be read ({error.strerror or error})")
 
 
 def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:
     """Return the records of a recording and what it lacks. Raises SessionError if a file cannot be read."""
-    parts = [_own(find_blocks(_read_bytes(path))[0]) for path in files.paths]
+    parts = [_own(find_blocks(_all_bytes(path))[0]) for path in files.paths]
     if len(parts) == 1:
         return decode(parts[0])
     return decode(Blocks.of(np.concatenate([part.content for part in parts if len(part)])))
@@ -144,9 +158,9 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
     counts = records.imu if index.size == len(records.imu) else records.imu[index]
     accel_full_scale, gyro_full_scale = setup.accel_range_g * STANDARD_GRAVITY, setup.gyro_range_dps * DEG
     imu = RawImu(
-        t,
-        counts[:, :3].astype(np.float64),
-        counts[:, 3:].astype(np.float64),
+        kept(t),
+        _as_numbers(counts[:, :3]),
+        _as_numbers(counts[:, 3:]),
         accel_full_scale / COUNTS,
         gyro_full_scale / COUNTS,
         accel_full_scale,
@@ -156,13 +170,23 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
     return imu, rows.problems
 
 
+def _as_numbers(counts: npt.NDArray[np.int16]) -> Array:
+    """Counts (N, 3) as a read-only float64 array, not all of it in memory where it is large."""
+    out = roomy(counts.shape)
+    for part in pieces(len(counts)):
+        out[part] = counts[part]
+        release(out, counts)
+    out.flags.writeable = False
+    return out
+
+
 def _temperature(records: LogRecords, t: Array) -> Array | None:
     """Temperature (N,) deg C at t (N,) s; None if it was never recorded."""
     if records.temperature_t.size == 0:
         return None
     celsius = TEMPERATURE_OFFSET + records.temperature / TEMPERATURE_SCALE
     order = np.argsort(records.temperature_t, kind="stable")
-    return np.interp(t, seconds(records.temperature_t[order]), celsius[order])
+    return kept(np.interp(t, seconds(records.temperature_t[order]), celsius[order]))
 
 
 def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Problem]]:

@@ -7,12 +7,14 @@ import struct
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from mmap import mmap
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from smoother.arrays import IntArray
+from smoother.disc import pieces, release, roomy
 from smoother.session.log_format import (
     BLOCK_BYTES,
     CAPACITY,
@@ -49,6 +51,7 @@ from smoother.session.log_format import (
 )
 
 Bytes = npt.NDArray[np.uint8]
+TOGETHER = 1 << 15  # blocks that are worked on together, 16 MB of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +67,11 @@ class Blocks:
         """Wrap blocks (K, 512) whose CRC is right."""
         head = np.ascontiguousarray(content[:, :RECORDS_AT]).view(HEAD_LAYOUT)[:, 0]
         base = head["base_low"].astype(np.int64) + (head["base_high"].astype(np.int64) << 32)
+        release(content)
         return Blocks(content, head, base)
 
-    def select(self, keep: npt.NDArray[np.generic]) -> "Blocks":
-        """Return the blocks chosen by a mask (K,) or by indices."""
+    def select(self, keep: npt.NDArray[np.generic] | slice) -> "Blocks":
+        """Return the blocks chosen by a mask (K,), by indices, or by a slice, which copies nothing."""
         return Blocks(self.content[keep], self.head[keep], self.base_us[keep])
 
     def __len__(self) -> int:
@@ -85,10 +89,10 @@ class Losses:
     duplicates: int = 0
 
 
-def find_blocks(data: bytes) -> tuple[Blocks, int]:
+def find_blocks(data: bytes | mmap) -> tuple[Blocks, int]:
     """Return the blocks in `data` that are whole, wherever they begin, and how many damaged ones show their magic."""
     positions, damaged, view = [], 0, memoryview(data)
-    at = data.find(MAGIC)
+    at = data.find(MAGIC, 0)
     while at >= 0:
         if _is_whole(view, at):
             positions.append(at)
@@ -96,6 +100,8 @@ def find_blocks(data: bytes) -> tuple[Blocks, int]:
         else:
             damaged += 1
             at += 1
+        if len(positions) % TOGETHER == 0:
+            release(data)
         at = data.find(MAGIC, at)
     return Blocks.of(_blocks_at(np.frombuffer(data, dtype=np.uint8), np.array(positions, dtype=np.int64))), damaged
 
@@ -128,21 +134,58 @@ def in_sequence(blocks: Blocks) -> tuple[Blocks, int]:
 def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
     """Return the records of one recording, and what it lacks. The blocks may come in any order."""
     blocks, duplicates = in_sequence(blocks)
+    parts = [_decode_some(blocks.select(some)) for some in [*pieces(len(blocks), TOGETHER)] or [slice(0)]]
+    release(blocks)
+    short: dict[str, Any] = {}
+    for name in list(parts[0].short):
+        short[name] = _joined([part.short.pop(name) for part in parts])
+    records = LogRecords(**short, **_long_records([part.long for part in parts]))  # type: ignore[arg-type]
+    in_block = np.concatenate([np.zeros(0, dtype=np.int64), *(part.imu_in_block for part in parts)])
+    missing_blocks, missing_samples = _missing(blocks, in_block)
+    return records, Losses(missing_blocks, missing_samples, sum(part.unreadable for part in parts), duplicates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Records of some blocks: short ones as arrays by field of LogRecords, long ones as (us, bytes) by type.
+
+    imu_in_block: samples of the IMU in each block or known to be lost in it. unreadable: see Losses.
+    """
+
+    short: dict[str, npt.NDArray[Any]]
+    long: dict[int, list[tuple[int, bytes]]]
+    imu_in_block: IntArray
+    unreadable: int
+
+
+def _decode_some(blocks: Blocks) -> _Part:
     octets = blocks.content.reshape(-1)
     position, unreadable = walk(blocks)
     kind = octets[position]
     long = position[kind >= FIRST_LONG]
-    parts: dict[str, object] = {}
-    for name, short in (("imu", IMU), ("mag", MAG), ("temperature", TEMPERATURE)):
-        rows, times = _short_records(octets, blocks.base_us, position[kind == short], short)
-        parts[name], parts[f"{name}_t"] = np.ascontiguousarray(rows["counts"]), times
-        if short == MAG:
-            parts["mag_flags"] = np.ascontiguousarray(rows["flags"])
-    records = LogRecords(**parts, **_long_records(octets, blocks.base_us, long))  # type: ignore[arg-type]
+    short: dict[str, npt.NDArray[Any]] = {}
+    for name, layout in (("imu", IMU), ("mag", MAG), ("temperature", TEMPERATURE)):
+        rows, short[f"{name}_t"] = _short_records(octets, blocks.base_us, position[kind == layout], layout)
+        short[name] = np.ascontiguousarray(rows["counts"])
+        if layout == MAG:
+            short["mag_flags"] = np.ascontiguousarray(rows["flags"])
     imu_in_block = np.bincount(position[kind == IMU] // BLOCK_BYTES, minlength=len(blocks))
-    lost_in_block = _imu_gaps(octets, long, len(blocks))
-    missing_blocks, missing_samples = _missing(blocks, imu_in_block + lost_in_block)
-    return records, Losses(missing_blocks, missing_samples, unreadable, duplicates)
+    imu_in_block += _imu_gaps(octets, long, len(blocks))
+    part = _Part(short, _long_by_type(octets, blocks.base_us, long), imu_in_block, unreadable)
+    release(blocks.content)
+    return part
+
+
+def _joined(parts: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    """The parts one behind the other; each is given up as soon as it is copied."""
+    out = roomy((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
+    first = 0
+    while parts:
+        part = parts.pop(0)
+        out[first : first + len(part)] = part
+        first += len(part)
+    release(out)
+    return out
 
 
 _SHORT_LENGTH = np.array([SHORT_LAYOUTS[kind].itemsize if kind in SHORT_LAYOUTS else 0 for kind in range(256)])
@@ -189,8 +232,8 @@ def _short_records(
     return rows, base_us[position // BLOCK_BYTES] + rows["since"]
 
 
-def _long_records(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[str, object]:
-    """The long records as fields of LogRecords."""
+def _long_by_type(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[int, list[tuple[int, bytes]]]:
+    """Time and content of the long records."""
     head = _layout_at(octets, position, LONG_LAYOUT)
     times = (base_us[position // BLOCK_BYTES] + head["since"]).tolist()
     of_kind: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(GPS, STOP + 1)}
@@ -200,6 +243,12 @@ def _long_records(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[
         if kind in of_kind:
             start = at + LONG_LAYOUT.itemsize
             of_kind[kind].append((t_us, octets[start : start + length].tobytes()))
+    return of_kind
+
+
+def _long_records(parts: Sequence[dict[int, list[tuple[int, bytes]]]]) -> dict[str, object]:
+    """The long records as fields of LogRecords."""
+    of_kind = {kind: [record for part in parts for record in part[kind]] for kind in parts[0]}
     setups, stops = _whole(of_kind[SETUP], _setup), _whole(of_kind[STOP], _stop)
     return {
         "sentences": tuple(of_kind[GPS]),

@@ -1,0 +1,102 @@
+"""Arrays that would fill the memory of a small computer: from a size on they live in unnamed files on the disc.
+
+A file is unlinked as soon as it is open, so that nothing is left of it when the array or the process ends, however it
+ends. What was read or written stays in memory until it is released; who goes through a large array in pieces releases
+it after each.
+"""
+
+import contextlib
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+LARGE = 32 << 20  # bytes; five hours of one column at 200 Hz
+PIECE = 1 << 19  # rows that are worked on together; six columns of them are 25 MB
+PLACE = Path("/var/tmp")  # where systems keep large temporary files, whose /tmp may be memory
+
+
+def roomy(shape: int | tuple[int, ...], dtype: npt.DTypeLike = np.float64, large: int = LARGE) -> npt.NDArray[Any]:
+    """Return an array of unset values: in memory, or from `large` bytes on in a file, if the disc has room for it."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    if size >= max(large, 1):
+        with contextlib.suppress(OSError):  # a disc that is full or locked; the memory may do
+            return np.ndarray(shape, dtype, buffer=_file(size))
+    return np.empty(shape, dtype)
+
+
+def kept(values: npt.NDArray[Any], large: int = LARGE) -> npt.NDArray[Any]:
+    """Return a read-only copy made by :func:`roomy`."""
+    out = roomy(values.shape, values.dtype, large)
+    out[...] = values
+    out.flags.writeable = False
+    release(out)
+    return out
+
+
+def release(*values: object) -> None:
+    """Give back the memory of arrays in files, also of those in dataclasses and sequences; their values stay."""
+    for value in values:
+        if isinstance(value, (np.ndarray, mmap.mmap)):
+            _forget(value)
+        elif is_dataclass(value) and not isinstance(value, type):
+            release(*(getattr(value, field.name) for field in fields(value)))
+        elif isinstance(value, (tuple, list)):
+            release(*value)
+
+
+def pieces(n: int, size: int = PIECE) -> Iterator[slice]:
+    """Slices of at most `size` rows that make up n rows."""
+    for first in range(0, n, size):
+        yield slice(first, min(first + size, n))
+
+
+def contents(path: Path, large: int = LARGE) -> bytes | mmap.mmap:
+    """Return the bytes of a file, a large one copied so that it need not be in memory. Raises OSError.
+
+    A map of the file itself would end the process where a card is damaged or pulled out.
+    """
+    with path.open("rb") as source:
+        size = os.fstat(source.fileno()).st_size
+        if size >= large:
+            with contextlib.suppress(OSError):
+                return _copied(source, _file(size))
+            source.seek(0)
+        return source.read()
+
+
+def _copied(source: BinaryIO, copy: mmap.mmap) -> mmap.mmap:
+    while part := source.read(min(PIECE, len(copy) - copy.tell())):
+        copy.write(part)
+    release(copy)
+    if copy.tell() < len(copy):
+        raise OSError("the file became shorter")
+    copy.seek(0)
+    return copy
+
+
+def _file(size: int) -> mmap.mmap:
+    place = None if "TMPDIR" in os.environ or not PLACE.is_dir() else PLACE
+    with tempfile.TemporaryFile(dir=place) as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)  # a hole that the disc cannot fill later would end the process
+        else:
+            for part in pieces(size, 1 << 20):
+                file.write(bytes(part.stop - part.start))
+            file.flush()
+        return mmap.mmap(file.fileno(), size)
+
+
+def _forget(values: npt.NDArray[Any] | mmap.mmap) -> None:
+    """Drop the pages of the file that values lie in."""
+    base: object = values
+    while isinstance(base, (np.ndarray, memoryview)):
+        base = base.base if isinstance(base, np.ndarray) else base.obj
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
