@@ -34,7 +34,7 @@ enum { TXE = 0x80, RXNE_U = 0x20, IDLE = 0x10, ORE = 0x08, TC = 0x40 };
 enum { CCR_EN = 1, CCR_TCIE = 2, CCR_HTIE = 4, CCR_TEIE = 8, CCR_DIR = 0x10, CCR_CIRC = 0x20, CCR_MINC = 0x80 };
 enum { SPI_RX_DMA = 1, SPI_TX_DMA = 2, SPI_ON = 0x40 };
 enum { IRQ_EXTI0 = 6, IRQ_DMA1 = 11, IRQ_TIM2 = 28, IRQ_USART1 = 37, IRQ_USART2 = 38 };
-enum { BITS_A_BYTE = 10, LSI_HZ = 40000, WATCHDOG_CAUSE = 0x20, SOFTWARE_CAUSE = 0x10 };
+enum { BITS_A_BYTE = 10, INTERNAL_MHZ = 64, LSI_HZ = 40000, WATCHDOG_CAUSE = 0x20, SOFTWARE_CAUSE = 0x10 };
 
 static const struct {
     uint32_t base;
@@ -67,11 +67,19 @@ static uint64_t sooner(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
+/* So many cycles of the core's clock: 64 MHz when the PLL runs from the internal oscillator. */
+static uint64_t core_cycles(const chip_t *chip, uint64_t cycles)
+{
+    const uint32_t config = look(chip, RCC + 4);
+    const bool is_internal = (config & 3) == 2 && !(config & 1u << 16);
+    return is_internal ? cycles * CYCLES_PER_US / INTERNAL_MHZ : cycles;
+}
+
 /* ---- TIM2 ---- */
 
 static uint64_t count_cycles(const chip_t *chip)
 {
-    return look(chip, TIM2 + T_PSC) + 1u;
+    return core_cycles(chip, look(chip, TIM2 + T_PSC) + 1u);
 }
 
 static uint32_t timer_count(const chip_t *chip)
@@ -202,7 +210,7 @@ static void write_dma(chip_t *chip, uint32_t reg, uint32_t value)
 
 static uint64_t spi_byte_cycles(const chip_t *chip, int which)
 {
-    return 8u * (2u << (look(chip, spis[which].base + S_CR1) >> 3 & 7)) * spis[which].bus_divider;
+    return core_cycles(chip, 8u * (2u << (look(chip, spis[which].base + S_CR1) >> 3 & 7)) * spis[which].bus_divider);
 }
 
 static void imu_bytes(chip_t *chip, const uint8_t *out, uint8_t *in, size_t length)
@@ -317,7 +325,7 @@ static uint32_t read_spi(chip_t *chip, int which, uint32_t reg)
 
 static uint64_t receiver_byte_cycles(const chip_t *chip)
 {
-    return 2ull * BITS_A_BYTE * look(chip, USART2 + U_BRR); /* on the slower bus */
+    return core_cycles(chip, 2ull * BITS_A_BYTE * look(chip, USART2 + U_BRR)); /* on the slower bus */
 }
 
 /* The rate that a divider comes near to: within 2 percent a line works. */
@@ -327,7 +335,7 @@ uint32_t chip_receiver_baud(const chip_t *chip)
     const uint32_t divider = look(chip, USART2 + U_BRR);
     if (!divider || (look(chip, USART2 + U_CR1) & 0x2004) != 0x2004)
         return 0;
-    const uint32_t baud = CYCLES_PER_US * 500000u / divider;
+    const uint32_t baud = (uint32_t)(CYCLES_PER_US * 1000000ull / core_cycles(chip, 2ull * divider));
     for (size_t i = 0; i < sizeof known / sizeof *known; i++)
         if (baud > known[i] - known[i] / 50 && baud < known[i] + known[i] / 50)
             return known[i];
@@ -412,7 +420,7 @@ static void write_serial(chip_t *chip, uint32_t reg, uint32_t value)
         *at(chip, USART1 + reg) = value;
         return;
     }
-    chip->serial_free = now(chip) + (uint64_t)BITS_A_BYTE * look(chip, USART1 + U_BRR);
+    chip->serial_free = now(chip) + core_cycles(chip, (uint64_t)BITS_A_BYTE * look(chip, USART1 + U_BRR));
     chip->pins.to_serial(chip->pins.context, (uint8_t)value);
 }
 

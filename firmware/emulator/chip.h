@@ -1,5 +1,6 @@
 /* The parts of an STM32F103C8 that the port uses, in cycles of 72 MHz: TIM2, SPI1 and 2, USART1 and 2, DMA1, GPIO, EXTI,
- * RCC, PWR, BKP, IWDG. All other registers keep what is written. Source: ST RM0008. */
+ * RCC, PWR, BKP, IWDG. All other registers keep what is written. On the internal oscillator (64 MHz) timer and buses run
+ * slower; instructions still cost what they do at 72 MHz. Source: ST RM0008. */
 #ifndef EMULATOR_CHIP_H
 #define EMULATOR_CHIP_H
 

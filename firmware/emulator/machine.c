@@ -5,6 +5,7 @@
 
 enum {
     OPCODE_WFI = 0xBF30,
+    OPCODE_SELF = 0xE7FE, /* a branch to itself */
     EXCEPTION_EXIT = 8, /* Unicorn's number for a branch to EXC_RETURN */
     ENTRY_CYCLES = 12,
     CHAIN_CYCLES = 6,
@@ -12,6 +13,7 @@ enum {
     COST_MASK = 0x3F,
     COST_MASKING = 0x40, /* changes what interrupts may come: look again after it */
     COST_IT = 0x80,
+    HIT = 1,
     FIRST_IRQ = 16,
     NO_IRQ = -1
 };
@@ -156,6 +158,9 @@ static void enter(machine_t *machine, int irq)
 {
     const uint32_t stack = get(machine, UC_ARM_REG_SP), at = (stack - 32) & ~7u;
     uint32_t *frame = stack_at(machine, at), handler;
+    const uint32_t from = get(machine, UC_ARM_REG_PC) - FLASH_AT;
+    if (from < FLASH_BYTES)
+        machine->interrupted[from / 2] = HIT;
     for (int i = 0; i < 8; i++)
         frame[i] = get(machine, frame_registers[i]);
     frame[6] &= ~1u;
@@ -228,7 +233,8 @@ static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void 
         machine->in_it_block--;
     } else if (machine->is_attention) {
         machine->is_attention = false;
-        if (machine->is_over || machine->is_reset_wanted || find_deliverable(machine) != NO_IRQ) {
+        const bool is_to_stick = machine->is_stuck_wanted && machine->depth == 0;
+        if (machine->is_over || machine->is_reset_wanted || is_to_stick || find_deliverable(machine) != NO_IRQ) {
             machine->is_attention = true;
             uc_emu_stop(uc); /* before this instruction */
             return;
@@ -311,8 +317,9 @@ int machine_init(machine_t *machine, const uint8_t *image, size_t size)
     machine->flash = calloc(1, FLASH_BYTES);
     machine->ram = calloc(1, RAM_BYTES);
     machine->cost = calloc(1, FLASH_BYTES / 2);
+    machine->interrupted = calloc(1, FLASH_BYTES / 2);
     uint8_t *id = calloc(1, ID_BYTES);
-    if (!machine->flash || !machine->ram || !machine->cost || !id || size > FLASH_BYTES)
+    if (!machine->flash || !machine->ram || !machine->cost || !machine->interrupted || !id || size > FLASH_BYTES)
         return -1;
     memcpy(machine->flash, image, size);
     memcpy(id + ID_OFFSET, "emulated, no", 12);
@@ -371,9 +378,25 @@ static void sleep_until_interrupt(machine_t *machine)
     }
 }
 
+/* Let the main loop turn on the spot, with its stack as it is; interrupts go on. */
+static void stick(machine_t *machine)
+{
+    machine->is_stuck_wanted = false;
+    for (uint32_t at = 0; at < FLASH_BYTES; at += 2) {
+        uint16_t op;
+        memcpy(&op, machine->flash + at, 2);
+        if (op == OPCODE_SELF) {
+            set(machine, UC_ARM_REG_PC, (FLASH_AT + at) | 1);
+            return;
+        }
+    }
+}
+
 static void step(machine_t *machine)
 {
     machine->starts++;
+    if (machine->is_stuck_wanted && machine->depth == 0)
+        stick(machine);
     const uc_err error = uc_emu_start(machine->uc, get(machine, UC_ARM_REG_PC) | 1, 0xFFFFFFFEu, 0, 0);
     if (machine->is_returning) {
         machine->is_returning = false;
@@ -396,6 +419,15 @@ static void step(machine_t *machine)
     const int irq = find_deliverable(machine);
     if (irq != NO_IRQ && !machine->is_over)
         serve(machine, irq, ENTRY_CYCLES);
+}
+
+void machine_count_places(const machine_t *machine, unsigned *executed, unsigned *interrupted)
+{
+    *executed = *interrupted = 0;
+    for (size_t i = 0; i < FLASH_BYTES / 2; i++) {
+        *executed += machine->cost[i] != 0;
+        *interrupted += machine->interrupted[i] != 0;
+    }
 }
 
 void machine_run(machine_t *machine)

@@ -49,6 +49,7 @@ struct machine {
     bool is_waiting;     /* a WFI was met */
     bool is_returning;   /* an exception return was met */
     bool is_reset_wanted, is_over;
+    bool is_stuck_wanted; /* the main loop shall not come back from where it is */
     const char *fault;
     uint32_t fault_pc;
 
@@ -62,6 +63,7 @@ struct machine {
     uint64_t instructions, slept, starts;
     irq_stats_t irqs[IRQS];
     uint32_t lowest_stack;
+    uint8_t *interrupted; /* at each half word of the flash: whether an interrupt came before it */
 };
 
 int machine_init(machine_t *machine, const uint8_t *image, size_t size);
@@ -71,6 +73,9 @@ void machine_reset(machine_t *machine);
 
 /* Run until is_over or a fault. */
 void machine_run(machine_t *machine);
+
+/* How many of the image's instructions were executed, and before how many of them an interrupt has come. */
+void machine_count_places(const machine_t *machine, unsigned *executed, unsigned *interrupted);
 
 /* A line may have changed, or an event come nearer. */
 void machine_attend(machine_t *machine);

@@ -1,6 +1,7 @@
 /* emulator IMAGE STIMULUS SCRIPT OUT: run logger.bin in the world that the files describe, until its script says "end".
  *
- * Leaves the card's volume and its recordings in the folder OUT, what came out of USART1 in serial.txt, and prints what was
+ * Leaves the card's volume and its recordings in the folder OUT, what came out of USART1 in serial.txt, the LED's changes
+ * in led.txt, and prints what was
  * measured. A power cut of the script runs in a copy of the world, which leaves its own in OUT/cutNNNNN. */
 #include "world.h"
 
@@ -12,7 +13,7 @@ static int finish_child(void)
 {
     char path[600];
     snprintf(path, sizeof path, "%s/cut%05u", world.out, world.cuts);
-    return world_save(&world, path, true) || world.machine.fault ? 1 : 0;
+    return world_save(&world, path) || world.machine.fault ? 1 : 0;
 }
 
 int main(int count, char **arguments)
@@ -28,6 +29,8 @@ int main(int count, char **arguments)
         return 2;
     }
     world.serial = fopen(path, "wb");
+    snprintf(path, sizeof path, "%s/led.txt", arguments[4]);
+    world.panel = fopen(path, "w");
     machine_run(&world.machine);
     if (world.serial)
         fclose(world.serial);
@@ -35,6 +38,8 @@ int main(int count, char **arguments)
         _Exit(finish_child());
     if (world.writes)
         fclose(world.writes);
+    if (world.panel)
+        fclose(world.panel);
     world_report(&world);
-    return world_save(&world, arguments[4], true) || world.machine.fault ? 1 : 0;
+    return world_save(&world, arguments[4]) || world.machine.fault ? 1 : 0;
 }

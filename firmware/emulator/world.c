@@ -10,7 +10,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-enum { PARTITION = 2048, POWER_ON = 0x0C, WATCHDOG = 0x24, SOFTWARE = 0x14, MOST_FILES = 64, LONGEST_PATH = 600 };
+enum { PARTITION = 2048, POWER_ON = 0x0C, WATCHDOG = 0x24, SOFTWARE = 0x14, MOST_FILES = 64, LONGEST_PATH = 600, USUAL_CLUSTERS = 131072 };
 
 static world_t *of(void *context)
 {
@@ -34,18 +34,34 @@ static uint64_t exponential(world_t *world, uint32_t mean)
 
 /* ---- the card ---- */
 
+static void note_stall(world_t *world, uint32_t stall_us)
+{
+    world->stalls++;
+    world->stall_from_us = world->now_us;
+    world->stall_until_us = world->now_us + stall_us;
+    if (stall_us > world->longest_stall_us)
+        world->longest_stall_us = stall_us;
+}
+
+static uint32_t take_exact_stall(world_t *world)
+{
+    const uint32_t stall_us = world->exact_stall_us;
+    world->exact_stall_us = 0;
+    note_stall(world, stall_us);
+    return stall_us;
+}
+
 static uint32_t draw_busy(world_t *world)
 {
     const delays_t *delays = &world->delays;
+    if (world->exact_stall_us)
+        return take_exact_stall(world);
     if (!delays->stall_us || world->now_us < world->next_stall_us)
         return delays->busy_us + (uint32_t)exponential(world, delays->busy_us);
-    const bool is_longest = ++world->stalls % 3 == 0;
+    const bool is_longest = (world->stalls + 1) % 3 == 0;
     const uint32_t stall = is_longest ? delays->stall_us : (uint32_t)(chance(world) * delays->stall_us);
-    world->stall_from_us = world->now_us;
-    world->stall_until_us = world->now_us + stall;
+    note_stall(world, stall);
     world->next_stall_us = world->stall_until_us + delays->stall_rest_us + exponential(world, delays->stall_pause_us);
-    if (stall > world->longest_stall_us)
-        world->longest_stall_us = stall;
     return stall;
 }
 
@@ -62,15 +78,15 @@ static void remember_write(world_t *world, written_t *write)
     sd_model_peek(card, card->address, write->before);
 }
 
-static uint32_t first_file_sector(void)
+static uint32_t first_file_sector(const world_t *world)
 {
-    return PARTITION + 32 + 2 * ((CARD_CLUSTERS + 2) * 4 / SD_MODEL_SECTOR + 1) + CARD_CLUSTER_SECTORS;
+    return PARTITION + 32 + 2 * ((world->plan.clusters + 2) * 4 / SD_MODEL_SECTOR + 1) + CARD_CLUSTER_SECTORS;
 }
 
 static void note_write(world_t *world, const written_t *write)
 {
     world->journal_writes++;
-    if (world->is_measuring && write->sector < first_file_sector())
+    if (world->is_measuring && write->sector < first_file_sector(world))
         world->metadata_writes++;
     if (world->writes && !world->is_child)
         fprintf(world->writes, "%" PRIu64 " %u %" PRIu64 "\n", write->time_us, write->sector, world->card.busy_until_us);
@@ -210,8 +226,10 @@ static void to_serial(void *context, uint8_t byte)
 
 static void led(void *context, bool is_on)
 {
-    (void)is_on;
-    of(context)->led_changes++;
+    world_t *world = of(context);
+    world->led_changes++;
+    if (world->panel && !world->is_child)
+        fprintf(world->panel, "%" PRIu64 " %d\n", world->machine.cycles / CYCLES_PER_US, is_on);
 }
 
 static bool is_button_pressed(void *context)
@@ -253,6 +271,18 @@ static void do_card_mishear(world_t *world, uint64_t value) { world->card.mishea
 static void do_card_hang(world_t *world, uint64_t value) { world->card.hang_at = world->card.writes + (uint32_t)value; }
 static void do_card_misread(world_t *world, uint64_t value) { world->card.misread_at = world->card.reads + (uint32_t)value; }
 static void do_card_no_crc(world_t *world, uint64_t value) { world->card.is_crc_unknown = value != 0; }
+static void do_card_protect(world_t *world, uint64_t value) { world->card.is_protected = value != 0; }
+static void do_card_read(world_t *world, uint64_t value) { world->card.read_us = (uint32_t)value; }
+static void do_card_stall(world_t *world, uint64_t value) { world->exact_stall_us = (uint32_t)value; }
+static void do_card_other(world_t *world, uint64_t value)
+{
+    const sd_model_t card = world->card;
+    (void)value;
+    world->is_other_card = true;
+    world->card = world->other_card;
+    world->other_card = card;
+    sd_model_power_cycle(&world->card);
+}
 static void do_card_busy(world_t *world, uint64_t value) { world->delays.busy_us = (uint32_t)value; }
 static void do_stall(world_t *world, uint64_t value) { world->delays.stall_us = (uint32_t)value; }
 static void do_who(world_t *world, uint64_t value) { world->imu.who_am_i = world->imu.registers[0x75] = (uint8_t)value; }
@@ -264,6 +294,30 @@ static void do_mag_overflow(world_t *world, uint64_t value) { world->imu.mag_ove
 static void do_gps_absent(world_t *world, uint64_t value) { world->receiver.is_absent = value != 0; }
 static void do_gps_deaf(world_t *world, uint64_t value) { world->receiver.is_deaf = value != 0; }
 static void do_gps_chatter(world_t *world, uint64_t value) { world->receiver.chatter = (uint32_t)value; }
+static void do_gps_garble(world_t *world, uint64_t value) { world->receiver.is_garbled = value != 0; }
+static void do_gps_refuse(world_t *world, uint64_t value) { world->receiver.refuse_class_id = (uint32_t)value; }
+static void do_gps_restart(world_t *world, uint64_t value)
+{
+    (void)value;
+    neo_model_power_cycle(&world->receiver);
+}
+static void do_imu_wire(world_t *world, uint64_t value) { world->is_wire_broken = value == 0; }
+static void do_imu_storm(world_t *world, uint64_t value)
+{
+    world->storm_us = (uint32_t)value;
+    world->next_storm_us = world->now_us;
+}
+static void do_stick(world_t *world, uint64_t value)
+{
+    (void)value;
+    world->machine.is_stuck_wanted = true;
+    machine_attend(&world->machine);
+}
+static void do_restart(world_t *world, uint64_t value)
+{
+    (void)value;
+    world->is_restart_wanted = world->machine.is_reset_wanted = true;
+}
 static void do_crystal(world_t *world, uint64_t value) { world->chip.has_crystal = value != 0; }
 static void do_measure(world_t *world, uint64_t value)
 {
@@ -300,7 +354,10 @@ static const verb_t verbs[] = {
     {"mag_absent", do_mag_absent},   {"mag_overflow", do_mag_overflow}, {"gps_absent", do_gps_absent},
     {"gps_deaf", do_gps_deaf},       {"gps_chatter", do_gps_chatter}, {"crystal", do_crystal},
     {"measure", do_measure},         {"measured", do_measured},       {"cut", do_cut},
-    {"end", do_end},
+    {"end", do_end},                 {"card_protect", do_card_protect}, {"card_read", do_card_read},
+    {"card_stall", do_card_stall},   {"card_other", do_card_other},   {"gps_garble", do_gps_garble},
+    {"imu_wire", do_imu_wire},       {"imu_storm", do_imu_storm},     {"stick", do_stick},
+    {"restart", do_restart},         {"gps_refuse", do_gps_refuse},   {"gps_restart", do_gps_restart},
 };
 
 static void act(world_t *world, const char *line)
@@ -333,7 +390,7 @@ static uint64_t step_imu(world_t *world)
     mpu_model_step(&world->imu);
     if (world->imu.sample_number != world->seen_samples) {
         world->seen_samples = world->imu.sample_number;
-        if (mpu_model_has_sample(&world->imu)) { /* the interrupt is switched on */
+        if (mpu_model_has_sample(&world->imu) && !world->is_wire_broken) { /* the interrupt is switched on */
             world->edges++;
             chip_imu_edge(&world->chip);
         }
@@ -365,21 +422,33 @@ static uint64_t step_pulse(world_t *world)
     return world->next_pulse_us;
 }
 
-/* An interrupt that nobody asked for, of those that are switched on. */
+/* A pin that oscillates. */
+static uint64_t step_storm(world_t *world)
+{
+    if (!world->storm_us)
+        return NEVER;
+    if (world->now_us >= world->next_storm_us) {
+        world->next_storm_us = world->now_us + world->storm_us;
+        chip_imu_edge(&world->chip);
+    }
+    return world->next_storm_us;
+}
+
+/* An interrupt that nobody asked for, of those that are switched on, at any cycle. */
 static uint64_t step_spurious(world_t *world)
 {
     if (!world->spurious_us)
         return NEVER;
-    if (world->now_us >= world->next_spurious_us) {
+    if (world->machine.cycles >= world->next_spurious) {
         const unsigned irq = (unsigned)(chance(world) * IRQS);
         if (world->machine.enabled >> irq & 1) {
             world->machine.pending |= 1ull << irq;
             world->machine.pending_since[irq] = world->machine.cycles;
             world->spurious++;
         }
-        world->next_spurious_us = world->now_us + 1 + exponential(world, world->spurious_us);
+        world->next_spurious = world->machine.cycles + 1 + exponential(world, world->spurious_us * CYCLES_PER_US);
     }
-    return world->next_spurious_us;
+    return world->next_spurious;
 }
 
 static uint64_t earlier(uint64_t a, uint64_t b)
@@ -393,14 +462,16 @@ static uint64_t advance(void *context)
     world->now_us = world->machine.cycles / CYCLES_PER_US;
     const uint64_t chip_next = chip_advance(&world->chip);
     uint64_t next = earlier(step_imu(world), step_receiver(world));
-    next = earlier(next, earlier(step_pulse(world), step_spurious(world)));
+    next = earlier(next, earlier(step_pulse(world), step_storm(world)));
+    const uint64_t spurious_next = step_spurious(world);
     next = earlier(next, step_actions(world));
     if (world->is_child)
         next = earlier(next, world->cut_us + world->after_cut_us);
     if (world->is_child && world->now_us >= world->cut_us + world->after_cut_us)
         world->machine.is_over = true;
     /* what came in by the steps may have brought something of the chip's nearer */
-    return earlier(earlier(chip_next, world->chip.idle_at), next == NEVER ? NEVER : next * CYCLES_PER_US);
+    const uint64_t chip_soon = earlier(earlier(chip_next, world->chip.idle_at), spurious_next);
+    return earlier(chip_soon, next == NEVER ? NEVER : next * CYCLES_PER_US);
 }
 
 /* ---- resets and power ---- */
@@ -460,6 +531,12 @@ static void cut(world_t *world)
     power_on(world);
 }
 
+static void note_reset(world_t *world, const char *kind)
+{
+    if (world->serial)
+        fprintf(world->serial, "\n[%s at %" PRIu64 " us]\n", kind, world->now_us);
+}
+
 static void reset(void *context)
 {
     world_t *world = of(context);
@@ -467,10 +544,15 @@ static void reset(void *context)
         cut(world);
         return;
     }
+    if (world->is_restart_wanted) {
+        world->is_restart_wanted = false;
+        note_reset(world, "power off and on");
+        power_on(world);
+        return;
+    }
     const uint32_t cause = world->chip.registers[(0x21000 + 0x24) / 4] >> 24;
     world->resets++;
-    if (world->serial)
-        fprintf(world->serial, "\n[reset at %" PRIu64 " us]\n", world->now_us);
+    note_reset(world, "reset");
     chip_reset(&world->chip, cause & 0x20 ? WATCHDOG : SOFTWARE);
     machine_reset(&world->machine);
 }
@@ -540,7 +622,9 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
         uint32_t *place;
     } places[] = {{"busy_us", &world->delays.busy_us},           {"stall_us", &world->delays.stall_us},
                   {"stall_pause_us", &world->delays.stall_pause_us}, {"stall_rest_us", &world->delays.stall_rest_us},
-                  {"cache", &world->cache},                      {"spurious_us", &world->spurious_us}};
+                  {"cache", &world->cache},                      {"spurious_us", &world->spurious_us},
+                  {"clusters", &world->plan.clusters},           {"free_clusters", &world->plan.free_clusters},
+                  {"free_run", &world->plan.free_run},           {"blank", &world->plan.is_blank}};
     for (size_t i = 0; i < sizeof places / sizeof *places; i++)
         if (strcmp(places[i].name, name) == 0) {
             *places[i].place = (uint32_t)value;
@@ -557,8 +641,9 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
     return true;
 }
 
-static int read_script(world_t *world, const char *path, char *config, size_t config_size, uint32_t *free_clusters)
+static int read_script(world_t *world, const char *path)
 {
+    char *config = world->plan.config;
     char line[LONGEST_LINE], name[LONGEST_LINE];
     uint64_t value;
     FILE *file = fopen(path, "r");
@@ -568,10 +653,8 @@ static int read_script(world_t *world, const char *path, char *config, size_t co
         int at = 0;
         line[strcspn(line, "\n")] = 0;
         if (strncmp(line, "config ", 7) == 0) {
-            strncat(config, line + 7, config_size - strlen(config) - 2);
+            strncat(config, line + 7, sizeof world->plan.config - strlen(config) - 2);
             strcat(config, "\n");
-        } else if (sscanf(line, "set free_clusters %" SCNu64, &value) == 1) {
-            *free_clusters = (uint32_t)value;
         } else if (sscanf(line, "set %119s %" SCNu64, name, &value) == 2) {
             if (!apply_setting(world, name, value))
                 return -1;
@@ -586,33 +669,37 @@ static int read_script(world_t *world, const char *path, char *config, size_t co
     return 0;
 }
 
-static void make_card(world_t *world, const char *config, uint32_t free_clusters)
+static void make_card(world_t *world, sd_model_t *card)
 {
-    const uint32_t sectors = first_file_sector() + (CARD_CLUSTERS - 1) * CARD_CLUSTER_SECTORS;
-    const fat_image_t layout = {.bits = 32, .cluster_sectors = CARD_CLUSTER_SECTORS, .free_clusters = free_clusters};
-    sd_model_init(&world->card, SD_MODEL_HC, sectors, &world->now_us);
-    fat_format(&world->card, &layout);
-    fat_add_file(&world->card, "MAG00001KLG", "calibrated before\n");
-    if (*config)
-        fat_add_file(&world->card, "CONFIG  TXT", config);
+    const card_plan_t *plan = &world->plan;
+    const uint32_t sectors = first_file_sector(world) + (plan->clusters - 1) * CARD_CLUSTER_SECTORS;
+    const fat_image_t layout = {.bits = 32, .cluster_sectors = CARD_CLUSTER_SECTORS, .free_clusters = plan->free_clusters,
+                                .free_run = plan->free_run};
+    sd_model_init(card, SD_MODEL_HC, sectors, &world->now_us);
+    if (plan->is_blank)
+        return;
+    fat_format(card, &layout);
+    fat_add_file(card, "MAG00001KLG", "calibrated before\n");
+    if (*plan->config)
+        fat_add_file(card, "CONFIG  TXT", plan->config);
 }
 
 int world_init(world_t *world, const char *image, const char *stimulus, const char *script, const char *out)
 {
-    char config[SD_MODEL_SECTOR] = "";
-    uint32_t free_clusters = 0;
     size_t size = 0;
     uint8_t *bytes = read_all(image, &size);
     const pins_t pins = {world, card_byte, card_select, imu_transfer, to_receiver, to_serial, led, is_button_pressed, is_supply_low};
     memset(world, 0, sizeof *world);
     world->out = out;
+    world->plan.clusters = USUAL_CLUSTERS;
     world->delays = (delays_t){.busy_us = 300, .stall_pause_us = 3000000, .stall_rest_us = 500000};
     if (!bytes || machine_init(&world->machine, bytes, size) || read_stimulus(world, stimulus) ||
-        read_script(world, script, config, sizeof config, &free_clusters))
+        read_script(world, script))
         return -1;
     world->machine.bus = (bus_t){world, advance, levels, read_bus, write_bus, reset};
     chip_init(&world->chip, &world->machine, &pins);
-    make_card(world, config, free_clusters);
+    make_card(world, &world->card);
+    make_card(world, &world->other_card);
     neo_model_init(&world->receiver, &world->now_us);
     world->receiver.fixes = world->fixes;
     world->receiver.fix_count = world->fix_count;
@@ -621,17 +708,26 @@ int world_init(world_t *world, const char *image, const char *stimulus, const ch
     return 0;
 }
 
-static int save_file(const sd_model_t *card, const char *path, uint32_t sector, uint64_t bytes)
+static bool is_untouched(const sd_model_t *card, uint32_t sector)
 {
-    FILE *file = fopen(path, "wb");
-    if (!file)
+    return !card->pages[(size_t)sector * SD_MODEL_SECTOR / SD_MODEL_PAGE];
+}
+
+/* Sparse, as the volume is. */
+static int save_file(const sd_model_t *card, const char *path, const fat_file_t *file)
+{
+    FILE *to = fopen(path, "wb");
+    if (!to)
         return -1;
-    for (uint64_t done = 0; done < bytes; done += SD_MODEL_SECTOR) {
-        const uint64_t left = bytes - done;
-        const uint8_t *data = sd_model_view(card, sector + (uint32_t)(done / SD_MODEL_SECTOR));
-        fwrite(data, 1, left < SD_MODEL_SECTOR ? left : SD_MODEL_SECTOR, file);
+    for (uint32_t done = 0; done < file->bytes; done += SD_MODEL_SECTOR) {
+        const uint32_t left = file->bytes - done, sector = file->first_sector + done / SD_MODEL_SECTOR;
+        if (is_untouched(card, sector))
+            continue;
+        fseek(to, (long)done, SEEK_SET);
+        fwrite(sd_model_view(card, sector), 1, left < SD_MODEL_SECTOR ? left : SD_MODEL_SECTOR, to);
     }
-    return fclose(file) ? -1 : 0;
+    const int result = fflush(to) || ftruncate(fileno(to), (off_t)file->bytes);
+    return fclose(to) || result ? -1 : 0;
 }
 
 /* Sparse: sectors of zeros are left out. */
@@ -642,7 +738,7 @@ static int save_volume(const sd_model_t *card, const char *path)
     if (!file)
         return -1;
     for (uint32_t sector = PARTITION; sector < card->sectors; sector++) {
-        if (!card->pages[(size_t)sector * SD_MODEL_SECTOR / SD_MODEL_PAGE])
+        if (is_untouched(card, sector))
             continue;
         const uint8_t *data = sd_model_view(card, sector);
         if (memcmp(data, zeros, sizeof zeros) == 0)
@@ -654,21 +750,40 @@ static int save_volume(const sd_model_t *card, const char *path)
     return fclose(file) || result ? -1 : 0;
 }
 
-int world_save(const world_t *world, const char *out, bool has_image)
+/* A line for each file: name and length; and the recordings themselves. */
+static int save_files(const sd_model_t *card, const char *out)
 {
     char path[LONGEST_PATH];
     fat_file_t files[MOST_FILES];
-    const size_t count = fat_list(&world->card, files, MOST_FILES);
-    int result = 0;
-    for (size_t i = 0; i < count; i++) {
-        const char *name = files[i].name;
-        if (strncmp(name + 8, "KLG", 3) != 0 || files[i].bytes == 0)
+    const size_t count = fat_list(card, files, MOST_FILES);
+    FILE *list = open_in(out, "files.txt");
+    int result = list ? 0 : -1;
+    for (size_t i = 0; i < count && list; i++) {
+        fprintf(list, "%s %u\n", files[i].name, files[i].bytes);
+        if (strncmp(files[i].name + 8, "KLG", 3) != 0 || files[i].bytes == 0)
             continue;
-        snprintf(path, sizeof path, "%s/%.8s.KLG", out, name);
-        result |= save_file(&world->card, path, files[i].first_sector, files[i].bytes);
+        snprintf(path, sizeof path, "%s/%.8s.KLG", out, files[i].name);
+        result |= save_file(card, path, &files[i]);
     }
+    return list && fclose(list) == 0 ? result : -1;
+}
+
+static int save_card(const world_t *world, const sd_model_t *card, const char *out)
+{
+    char path[LONGEST_PATH];
     snprintf(path, sizeof path, "%s/card.img", out);
-    return has_image ? result | save_volume(&world->card, path) : result;
+    mkdir(out, 0777);
+    return (world->plan.is_blank ? 0 : save_files(card, out)) | save_volume(card, path);
+}
+
+int world_save(const world_t *world, const char *out)
+{
+    char path[LONGEST_PATH];
+    const int result = save_card(world, &world->card, out);
+    if (!world->is_other_card)
+        return result;
+    snprintf(path, sizeof path, "%s/other", out);
+    return result | save_card(world, &world->other_card, path);
 }
 
 void world_report(const world_t *world)
@@ -682,7 +797,10 @@ void world_report(const world_t *world)
         if (word != 0xC0FFEE11u)
             break;
     }
+    unsigned executed, interrupted;
+    machine_count_places(machine, &executed, &interrupted);
     printf("simulated_s=%.3f\n", (double)machine->cycles / us / 1e6);
+    printf("places=%u\nplaces_interrupted=%u\n", executed, interrupted);
     printf("instructions=%" PRIu64 "\n", machine->instructions);
     printf("load=%.4f\n", measured > 0 ? 1.0 - (double)(machine->slept - world->measured_slept) / measured : 0.0);
     printf("stack_used=%u\nstack_size=%u\n", top - RAM_AT - 4 * free_words, top - RAM_AT);

@@ -10,7 +10,7 @@
 #include "neo_model.h"
 #include "sd_model.h"
 
-enum { CARD_CLUSTER_SECTORS = 64, CARD_CLUSTERS = 131072, JOURNAL = 32, LONGEST_LINE = 120 };
+enum { CARD_CLUSTER_SECTORS = 64, JOURNAL = 32, LONGEST_LINE = 120 };
 
 typedef struct {
     uint64_t time_us;
@@ -34,6 +34,12 @@ typedef struct {
     char line[LONGEST_LINE];
 } action_t;
 
+/* How the card was formatted, as in fat_image_t; a blank one was not. */
+typedef struct {
+    uint32_t clusters, free_clusters, free_run, is_blank;
+    char config[SD_MODEL_SECTOR]; /* CONFIG.TXT; empty: none */
+} card_plan_t;
+
 typedef struct {
     uint32_t sector;
     uint64_t time_us;
@@ -44,7 +50,8 @@ typedef struct {
     machine_t machine;
     chip_t chip;
     uint64_t now_us;
-    sd_model_t card;
+    sd_model_t card, other_card;
+    card_plan_t plan;
     mpu_model_t imu;
     neo_model_t receiver;
     mpu_feed_t feed;
@@ -57,21 +64,27 @@ typedef struct {
 
     action_t *actions;
     size_t action_count, action_at;
-    bool is_pressed, is_supply_low, is_cut_wanted, is_child;
+    bool is_pressed, is_supply_low, is_cut_wanted, is_restart_wanted, is_child;
     uint64_t cut_us, after_cut_us;
     uint32_t cache; /* sectors that a power cut may undo */
     unsigned cuts, cut_parallel;
     uint64_t pulse_every_us, next_pulse_us;
     uint32_t spurious_us;
-    uint64_t next_spurious_us;
+    uint64_t next_spurious; /* cycles */
+    bool is_wire_broken;    /* of the IMU's interrupt */
+    uint32_t storm_us;      /* an edge on it so often; 0: as the IMU says */
+    uint64_t next_storm_us;
+    bool is_other_card;
 
     delays_t delays;
     uint64_t random, next_stall_us;
+    uint32_t exact_stall_us; /* of the next write, once */
     written_t journal[JOURNAL];
     uint32_t journal_writes;
 
     const char *out;
     FILE *serial;
+    FILE *panel; /* time and state of the LED, at each change */
 
     /* seen */
     uint32_t stalls, longest_stall_us, seen_samples, edges, led_changes, resets, spurious;
@@ -85,7 +98,8 @@ typedef struct {
 int world_init(world_t *world, const char *image, const char *stimulus, const char *script, const char *out);
 void world_report(const world_t *world);
 
-/* Write the medium's volume (without the partition table) and its files into the folder `out`. */
-int world_save(const world_t *world, const char *out, bool has_image);
+/* Write the medium's volume (without the partition table), its recordings and the list of its files into the folder
+ * `out`; of the card that was in before into `out`/other. */
+int world_save(const world_t *world, const char *out);
 
 #endif

@@ -146,6 +146,17 @@ static void add_filler(sd_model_t *card, uint32_t free_clusters)
     add_entry(card, "FILLER  BIN", first, (uint32_t)bytes);
 }
 
+/* A file in as many pieces as it has clusters. */
+static void add_pieces(sd_model_t *card, uint32_t free_run)
+{
+    const layout_t at = find_layout(card);
+    const uint32_t first = 16, step = free_run + 1;
+    uint32_t count = 0;
+    for (uint32_t cluster = first; cluster < at.clusters + 2; cluster += step, count++)
+        set_link(card, &at, cluster, cluster + step < at.clusters + 2 ? cluster + step : end_mark(&at));
+    add_entry(card, "PIECES  BIN", first, count * at.cluster_sectors * S);
+}
+
 void fat_format(sd_model_t *card, const fat_image_t *image)
 {
     uint8_t mbr[S] = {0};
@@ -164,6 +175,8 @@ void fat_format(sd_model_t *card, const fat_image_t *image)
         set_link(card, &at, at.root_cluster, end_mark(&at));
     if (image->free_clusters)
         add_filler(card, image->free_clusters);
+    if (image->free_run)
+        add_pieces(card, image->free_run);
     if (image->bits == 32)
         write_fsinfo(card, count_free(card, &at));
 }

@@ -8,6 +8,7 @@ typedef struct {
     int bits;                 /* 16 or 32 */
     uint32_t cluster_sectors;
     uint32_t free_clusters;   /* all others belong to FILLER.BIN; 0: no filler */
+    uint32_t free_run;        /* so many free clusters in a row at most: each next belongs to PIECES.BIN; 0: no pieces */
 } fat_image_t;
 
 /* Make a volume, behind a partition table. */

@@ -150,7 +150,9 @@ bool neo_model_next(neo_model_t *receiver, uint32_t baud, uint8_t *byte, uint64_
     if (receiver->is_absent || receiver->out_taken == receiver->out_put || receiver->out_us + byte_us(receiver) > *receiver->now_us)
         return false;
     *byte = receiver->out[receiver->out_taken++ % NEO_QUEUE];
-    if (baud != receiver->baud)
+    if (receiver->is_garbled)
+        *byte = (uint8_t)((*byte * 73 + receiver->out_taken * 29) ^ receiver->out_taken >> 5);
+    else if (baud != receiver->baud)
         *byte = (uint8_t)(*byte * 37 + 11); /* what a wrong rate makes of it */
     *began_us = receiver->out_us;
     receiver->out_us += byte_us(receiver);

@@ -23,6 +23,7 @@ typedef struct {
     bool is_deaf;          /* the wire to the receiver is missing */
     uint32_t refuse_class_id; /* this command (class << 8 | id) gets a NAK */
     uint32_t chatter;      /* so many bytes of noise before each epoch */
+    bool is_garbled;       /* all it says arrives as noise */
     bool has_fix;
 
     uint32_t baud;

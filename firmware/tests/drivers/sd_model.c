@@ -103,7 +103,8 @@ void sd_model_power_cycle(sd_model_t *card)
     const uint32_t sectors = card->sectors;
     const sd_model_kind_t kind = card->kind;
     const uint64_t *now_us = card->now_us;
-    *card = (sd_model_t){.kind = kind, .sectors = sectors, .now_us = now_us, .pages = pages};
+    const bool is_protected = card->is_protected;
+    *card = (sd_model_t){.kind = kind, .sectors = sectors, .now_us = now_us, .pages = pages, .is_protected = is_protected};
     forget_faults(card);
 }
 
@@ -204,6 +205,8 @@ static void read_sector(sd_model_t *card, uint32_t argument)
     }
     say_byte(card, 0x00);
     sd_model_peek(card, sector, data);
+    card->held_at = card->out_length;
+    card->held_until_us = *card->now_us + card->read_us;
     say_data(card, data, sizeof data);
     if (card->reads++ == card->misread_at)
         card->out[card->out_length - 100] ^= 0x10;
@@ -318,6 +321,7 @@ static void take_command(sd_model_t *card)
     card->commands++;
     card->command_length = 0;
     card->out_length = card->out_at = 0;
+    card->held_until_us = 0;
     card->is_app = false;
     say_byte(card, 0xFF); /* N_CR */
     if (is_sum_wrong && (card->has_crc || index == 0 || index == 8)) {
@@ -341,6 +345,10 @@ static void lose_power(sd_model_t *card)
 
 static uint8_t store(sd_model_t *card)
 {
+    if (card->is_protected) {
+        card->status = 0x20; /* write protect violation */
+        return 0x0D;
+    }
     const uint32_t number = card->writes++;
     if (number >= card->refuse_at && number < card->refuse_at + card->refuse_times) {
         card->status = 0x04; /* error */
@@ -412,6 +420,8 @@ void sd_model_select(sd_model_t *card, bool is_selected)
 
 static uint8_t answer(sd_model_t *card)
 {
+    if (card->out_at < card->out_length && card->out_at == card->held_at && *card->now_us < card->held_until_us)
+        return 0xFF;
     if (card->out_at < card->out_length)
         return card->out[card->out_at++];
     if (!card->is_receiving && *card->now_us < card->busy_until_us)

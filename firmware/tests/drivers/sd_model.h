@@ -17,6 +17,7 @@ typedef struct {
     uint8_t **pages;
     uint32_t sectors;
     sd_model_kind_t kind;
+    bool is_protected; /* takes no write any more, as worn-out cards do */
 
     /* the world around it */
     const uint64_t *now_us;
@@ -34,6 +35,7 @@ typedef struct {
     uint32_t misread_at;    /* a bit of this sector read is flipped on the way */
     bool is_crc_unknown;    /* CMD59 is not implemented */
     bool is_mute;           /* initialisation never ends */
+    uint32_t read_us;       /* before the data of a sector come */
 
     /* what was seen */
     uint32_t writes, reads, commands, crc_errors, protocol_errors;
@@ -45,6 +47,8 @@ typedef struct {
     size_t command_length;
     uint8_t out[1024];
     size_t out_length, out_at;
+    size_t held_at; /* from here on the answer comes at held_until_us */
+    uint64_t held_until_us;
     uint8_t in[SD_MODEL_SECTOR + 2];
     size_t in_length;
     bool is_receiving, is_waiting_for_token, is_multiple;
