@@ -7,6 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Scatter, Solved, moved, update_noise
+from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
@@ -16,7 +17,6 @@ from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainS
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import Problem, Session
 
-NEAR = 0.15  # rad; its square is what a Gauss-Newton step leaves of it, about a degree
 WELL_KNOWN = 0.2  # of a sigma: a last step that moved by less adds 2 % to the error, and what it leaves is smaller
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
@@ -39,13 +39,11 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
 
     A magnetometer that makes the fixes look worse than they were without it is left out.
     """
-    batch, state = Batch(start.data, start.binned, start.priors), start.state
-    graph = batch.graph(state, noise)
-    state = batch.approach(graph, state, noise, NEAR, options.approaches)
+    state = near_solution(start, noise, options.approaches)
     data, priors, problems = with_heading(session, start, state)
     batch = Batch(data, start.binned, priors)
-    near = batch.converge(graph, state, noise, 2) if data.extra else state
-    solved, found = finish(batch, graph, near, noise, start, options, say)
+    graph = batch.graph(state, noise)
+    solved, found = finish(batch, graph, state, noise, start, options, say)
     if data.extra and _is_worse(found, noise):
         batch = Batch(start.data, start.binned, start.priors)
         without, calm = finish(batch, graph, state, noise, start, options, say)

@@ -7,21 +7,24 @@ fixes beyond the overlap would have told of the slow GPS offset, minutes away.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
+from smoother.disc import release, roomy
 from smoother.estimate.graph import rows as rw
-from smoother.estimate.graph.batch import Batch, Data, Noise, Solved
-from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.inertial import LinearInertial
-from smoother.estimate.graph.solve import NEAR, Say, Solution, solve_whole, with_heading
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
+from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
+from smoother.estimate.graph.output import Estimated, Uncertainty, uncertainty_of
+from smoother.estimate.graph.solve import Say, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch
-from smoother.estimate.graph.state import KEYFRAME_SIZE, ChainState
+from smoother.estimate.graph.state import ChainState
 from smoother.frames import wrap_angle
-from smoother.samples import Session
+from smoother.samples import Problem, Session
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
 OVERLAP = 120.0  # s to either side: twice what the GPS offset remembers, which makes the seams
@@ -47,24 +50,39 @@ class _Piece:
     last: int
     begin: int
     state: ChainState
-    covariance: Array
-    constants_cross: Array
+    factor: WindowFactor
     rows: dict[str, rw.Rows]
     fixes: dict[str, IntArray]  # indices in the session of the rows of FIXES
 
 
-def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solution:
+@dataclass(frozen=True, eq=False)
+class WindowsSolution:
+    """A session solved in windows, and what it was solved with."""
+
+    found: Estimated
+    noise: Noise
+    priors: Priors
+    problems: tuple[Problem, ...]
+
+
+def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
     """Solve all keyframes of `start` window by window, with constants and noise of the busiest one."""
     main = solve_whole(session, busiest_part(start, WINDOW), noise, options, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
-    main = replace(main, solved=replace(main.solved, solution=replace(main.solved.solution, factor=None)))
+    noise, priors, problems = main.noise, main.priors, main.problems
+    del main  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
-    pieces = []
+    n, pieces = len(start.state.t), []
+    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy(n))
     for i, (first, last) in enumerate(pairwise(edges)):
-        pieces.append(_solve_piece(session, start, first, last, main.noise, held, options))
+        piece, known = _solve_piece(session, start, first, last, noise, held, options)
+        pieces.append(piece)
+        for name, values in vars(whole).items():
+            values[first:last] = getattr(known, name)
+        release(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
-    return replace(main, solved=_joined(pieces, start, held))
+    return WindowsSolution(_joined(pieces, start, held, whole), noise, priors, problems)
 
 
 def _edges(n_keyframes: int, interval: float) -> list[int]:
@@ -74,18 +92,20 @@ def _edges(n_keyframes: int, interval: float) -> list[int]:
 
 def _solve_piece(
     session: Session, start: Start, first: int, last: int, noise: Noise, held: Array, options: GraphOptions
-) -> _Piece:
+) -> tuple[_Piece, Uncertainty]:
+    """Return what counts of a window, and what is known of the errors of its keyframes that count."""
     overlap = round(OVERLAP / start.state.interval)
     begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
     part = stretch(start, begin, end)
-    batch = Batch(part.data, part.binned, start.priors)
-    graph = batch.graph(part.state, noise)
-    state = batch.approach(graph, part.state, noise, NEAR, options.approaches)
+    state = near_solution(part, noise, options.approaches)
     batch = Batch(_with_level_heading(session, part, state, noise), part.binned, start.priors)
+    graph = batch.graph(state, noise)
     state = batch.approach(graph, state, noise, CONVERGED, 2 * options.approaches)
     solved = batch.step(graph, state, noise, held=held)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
-    return _piece(solved, first, last, begin, fixes)
+    core, known = slice(first - begin, last - begin), uncertainty_of(solved)
+    known = Uncertainty(known.antenna[core], known.biases[core], known.track[core])
+    return _piece(solved, first, last, begin, fixes), known
 
 
 def _with_level_heading(session: Session, part: Start, state: ChainState, noise: Noise) -> Data:
@@ -118,8 +138,9 @@ def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -
         rows[name] = _figures(r, use, begin)
         if name in FIXES:
             own[name] = fixes[use]
-    covariance, cross = solution.covariance[core].copy(), solution.constants_cross[core].copy()
-    return _Piece(first, last, begin + outer.start, state, covariance, cross, rows, own)
+    assert solution.factor is not None
+    factor = window_factor(s.t[core.start], s.t[min(core.stop, len(s.t) - 1)], s, solution.factor)
+    return _Piece(first, last, begin + outer.start, state, factor, rows, own)
 
 
 def _margin(state: ChainState) -> int:
@@ -142,22 +163,11 @@ def _figures(rows: rw.Rows, use: IntArray, begin: int) -> rw.Rows:
     )
 
 
-def _joined(pieces: list[_Piece], start: Start, held: Array) -> Solved:
-    K, m = len(start.state.t), len(held)
-    state = _blended(pieces, start.state)
-    solution = ChainSolution(
-        x=np.zeros((K, KEYFRAME_SIZE)),
-        constants=np.zeros(m),
-        covariance=np.concatenate([piece.covariance for piece in pieces]),
-        cross=np.empty((0, KEYFRAME_SIZE, KEYFRAME_SIZE)),
-        constants_covariance=held,
-        constants_cross=np.concatenate([piece.constants_cross for piece in pieces]),
-        log_determinant=float("nan"),
-    )
+def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty) -> Estimated:
     kinds = {name for piece in pieces for name in piece.rows}
     rows = {name: _joined_rows(name, pieces, len(start.data.t)) for name in kinds}
-    nothing = np.empty((0, 15, 15))
-    return Solved(state, solution, LinearInertial(nothing, nothing, nothing, np.empty((0, 15))), rows)
+    windows = [piece.factor for piece in pieces]
+    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows))
 
 
 def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:

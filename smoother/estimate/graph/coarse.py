@@ -1,0 +1,92 @@
+"""First steps on few keyframes: the attitudes, which bend the problem, are brought near at a fraction of the cost.
+
+Positions and velocities enter nearly linearly and one step finds them; attitudes that are off by degrees take several
+steps, but what they are off by changes slowly. So the first steps are taken with one keyframe in EVERY, and what they
+moved is carried over to all keyframes. The constants stay: long intervals would draw them, and with attitudes off by
+degrees steps of the constants lead astray.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array, IntArray
+from smoother.estimate.graph.batch import Batch, Noise
+from smoother.estimate.graph.imu import BinnedImu, halved
+from smoother.estimate.graph.start import Start
+from smoother.estimate.graph.state import ChainState
+
+EVERY = 4  # keyframes; at 0.8 s a lap still has fifty of them
+FEWEST = 8  # coarse keyframes; a shorter session is not worth the detour
+NEAR = 0.05  # rad; its square is what a Gauss-Newton step leaves of it, a tenth of a degree
+
+
+def near_solution(start: Start, noise: Noise, iterations: int) -> ChainState:
+    """Return the keyframes of `start` near the solution for its constants, without a magnetometer.
+
+    By at most `iterations` Gauss-Newton steps on one keyframe in EVERY, until no attitude moves by NEAR.
+    """
+    few = thinned(start, EVERY)
+    batch = Batch(few.data, few.binned, few.priors)
+    state = batch.approach(batch.graph(few.state, noise), few.state, noise, NEAR, iterations)
+    return carried(start.state, few.state, state)
+
+
+def thinned(start: Start, every: int) -> Start:
+    """Return the start with one keyframe in `every`, without what is left at the end. Short ones stay as they are."""
+    n = (len(start.state.t) - 1) // every
+    if n < FEWEST:
+        return start
+    keys, s = slice(0, n * every + 1, every), start.state
+    state = ChainState(
+        s.t[keys],
+        s.R_ns[keys],
+        s.position_n[keys],
+        s.velocity_n[keys],
+        s.accel_bias_s[keys],
+        s.gyro_bias_s[keys],
+        s.offset_n[keys],
+        s.constants,
+    )
+    data = replace(start.data, still=_wholly_still(start.data.still, n, every), extra=())
+    return replace(start, state=state, data=data, binned=_joined(start.binned, n, every, s.gyro_bias_s.mean(axis=0)))
+
+
+def _wholly_still(still: IntArray, n: int, every: int) -> IntArray:
+    inside = still[still < n * every] // every
+    return np.flatnonzero(np.bincount(inside, minlength=n) == every)
+
+
+def _joined(binned: BinnedImu, n: int, every: int, gyro_bias: Array) -> BinnedImu:
+    """Bins of n longer intervals, half as many as there were where their number is even."""
+    n_bins = every * binned.n_bins
+    joined = BinnedImu(
+        binned.t[: n * every + 1 : every],
+        binned.dt,
+        binned.specific_force_s[: n * every].reshape(n, n_bins, 3),
+        binned.angular_rate_s[: n * every].reshape(n, n_bins, 3),
+        binned.missing[: n * every].reshape(n, every).mean(axis=1),
+        binned.clipped[: n * every].reshape(n, every).mean(axis=1),
+    )
+    return halved(joined, gyro_bias) if n_bins % 2 == 0 else joined
+
+
+def carried(state: ChainState, before: ChainState, after: ChainState) -> ChainState:
+    """Return `state` moved by what moved `before` to `after`, a part of its keyframes: linearly between them."""
+
+    def move(one: Array, two: Array) -> Array:
+        change = two - one
+        return np.stack([np.interp(state.t, before.t, change[:, i]) for i in range(change.shape[1])], axis=1)
+
+    turn = so3.log(before.R_ns.transpose(0, 2, 1) @ after.R_ns)
+    return replace(
+        state,
+        R_ns=state.R_ns @ so3.exp(move(np.zeros_like(turn), turn)),
+        position_n=state.position_n + move(before.position_n, after.position_n),
+        velocity_n=state.velocity_n + move(before.velocity_n, after.velocity_n),
+        accel_bias_s=state.accel_bias_s + move(before.accel_bias_s, after.accel_bias_s),
+        gyro_bias_s=state.gyro_bias_s + move(before.gyro_bias_s, after.gyro_bias_s),
+        offset_n=state.offset_n + move(before.offset_n, after.offset_n),
+        constants=after.constants,
+    )
