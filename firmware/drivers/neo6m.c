@@ -9,13 +9,14 @@ static const struct {
     uint8_t id, each;
 } messages[] = {{NMEA_RMC, 1}, {NMEA_GGA, 1}, {NMEA_GST, 1}, {NMEA_GLL, 0}, {NMEA_GSA, 0}, {NMEA_GSV, 0}, {NMEA_VTG, 0}};
 
-/* Rates to try, after power-on's 9600 and the one it had if only we were reset. */
-static const uint32_t candidates[] = {9600, 0 /* the wanted one */, 38400, 115200, 57600, 19200, 4800};
-enum { CANDIDATES = sizeof candidates / sizeof *candidates };
+/* Rates to try in turn, after each the one of power-on again: that is what a receiver has when its supply comes back,
+ * while it is being looked for. First the one it had if only we were reset. */
+static const uint32_t candidates[] = {0 /* the wanted one */, 38400, 115200, 57600, 19200, 4800};
+enum { BAUD_AT_POWER_ON = 9600, CANDIDATES = 2 * sizeof candidates / sizeof *candidates };
 
 static uint32_t candidate_baud(const neo6m_t *gps)
 {
-    const uint32_t baud = candidates[gps->candidate];
+    const uint32_t baud = gps->candidate % 2 ? candidates[gps->candidate / 2] : BAUD_AT_POWER_ON;
     return baud ? baud : gps->settings.baud;
 }
 
@@ -33,7 +34,7 @@ static void enter(neo6m_t *gps, neo6m_state_t state, uint64_t now_us)
     gps->state = state;
     gps->since_us = now_us;
     gps->tries = 0;
-    gps->is_waiting = false;
+    gps->is_waiting = gps->is_heard = false;
 }
 
 /* ---- commands ---- */
@@ -90,6 +91,7 @@ static void try_candidate(neo6m_t *gps, uint64_t now_us)
 static void try_next(neo6m_t *gps, uint64_t now_us)
 {
     gps->candidate = (uint8_t)((gps->candidate + 1) % CANDIDATES);
+    gps->is_second_try = false;
     try_candidate(gps, now_us);
 }
 
@@ -147,10 +149,7 @@ static void take_sentence(neo6m_t *gps, size_t length, uint64_t now_us)
 {
     if (nmea_is_intact(gps->framer.sentence, length)) {
         gps->heard_us = now_us;
-        if (gps->state == NEO6M_LISTENING) { /* it talks, but does not obey: log what it says */
-            gps->refused = ALL_REFUSED;
-            begin_running(gps, now_us);
-        }
+        gps->is_heard = true;
     }
     gps->events->on_sentence(gps->events->context, gps->framer.time_us, gps->framer.sentence, length);
 }
@@ -208,6 +207,19 @@ static void step_asking(neo6m_t *gps, uint64_t now_us)
     enter(gps, NEO6M_LISTENING, now_us);
 }
 
+/* It talks. When it was asked it may not have had its supply yet: ask again, once; if it does not obey then either, log
+ * what it says. */
+static void step_heard(neo6m_t *gps, uint64_t now_us)
+{
+    if (!gps->is_second_try) {
+        gps->is_second_try = true;
+        try_candidate(gps, now_us);
+        return;
+    }
+    gps->refused = ALL_REFUSED;
+    begin_running(gps, now_us);
+}
+
 static void step_configuring(neo6m_t *gps, uint64_t now_us)
 {
     if (gps->is_waiting && now_us - gps->since_us < NEO6M_ANSWER_US)
@@ -225,6 +237,7 @@ static void step_running(neo6m_t *gps, uint64_t now_us)
         return;
     gps->events->on_silent(gps->events->context, (uint32_t)(silent_us / 1000));
     gps->candidate = 0;
+    gps->is_second_try = false;
     try_candidate(gps, now_us);
 }
 
@@ -240,7 +253,9 @@ static void step_time(neo6m_t *gps, uint64_t now_us)
         step_asking(gps, now_us);
         break;
     case NEO6M_LISTENING:
-        if (elapsed_us >= NEO6M_LISTEN_US)
+        if (gps->is_heard)
+            step_heard(gps, now_us);
+        else if (elapsed_us >= NEO6M_LISTEN_US)
             try_next(gps, now_us);
         break;
     case NEO6M_CONFIGURING:

@@ -44,10 +44,12 @@ typedef struct {
     const neo6m_events_t *events;
     neo6m_settings_t settings;
     neo6m_state_t state;
-    uint8_t candidate;   /* baud rate being tried */
+    uint8_t candidate;   /* number of the baud rate being tried */
     uint8_t setting;     /* being sent */
     uint8_t tries;
     bool is_waiting;     /* for the answer to it */
+    bool is_heard;       /* an intact sentence, in this state */
+    bool is_second_try;  /* of the same baud rate */
     uint32_t baud;       /* in use */
     uint32_t refused;
     uint64_t since_us;   /* of the state, or of the last command */

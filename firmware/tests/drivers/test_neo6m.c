@@ -104,7 +104,7 @@ static void test_receiver_is_found_at_every_rate_it_may_have(void)
         begin();
         sim.gps.baud = rates[i];
         start(115200);
-        run(20000000);
+        run(30000000);
         check_settings(115200);
         sim_free(&sim);
     }
@@ -171,6 +171,23 @@ static void test_absent_receiver_is_looked_for_without_end_or_waiting(void)
     sim_free(&sim);
 }
 
+/* Its supply comes back at any moment of the search: it has the rate of power-on then. */
+static void test_receiver_whose_supply_comes_back_is_running_within_6_s(void)
+{
+    for (uint64_t away_us = 4000000; away_us < 36000000; away_us += 1700000) {
+        begin();
+        start(57600);
+        run(3000000);
+        sim.gps.is_absent = true;
+        run(away_us);
+        sim.gps.is_absent = false;
+        neo_model_power_cycle(&sim.gps);
+        run(6000000);
+        check_settings(57600);
+        sim_free(&sim);
+    }
+}
+
 static void test_noise_between_sentences_costs_none(void)
 {
     begin();
@@ -213,6 +230,7 @@ int main(int argc, char **argv)
         TEST(refused_setting_is_told_and_the_rest_is_set),
         TEST(receiver_that_was_reset_alone_is_configured_again),
         TEST(absent_receiver_is_looked_for_without_end_or_waiting),
+        TEST(receiver_whose_supply_comes_back_is_running_within_6_s),
         TEST(noise_between_sentences_costs_none),
         TEST(sentence_has_the_time_of_its_first_byte),
     };
