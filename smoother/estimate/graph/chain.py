@@ -9,7 +9,7 @@ Source: Golub & Van Loan, Matrix Computations, 4th ed., 4.5.4 (cyclic reduction)
 inverse from the factors). Owns no model: it sees matrices only.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,6 +97,19 @@ class ChainFactor:
             left, right = np.where(is_odd, to_left, to_left + left), np.where(is_odd, to_right + right, to_right)
             node = node // 2
         return np.asarray(out + left @ self._last @ left.T)
+
+    def thinnable(self, times: int) -> int:
+        """How often, up to `times`, every second keyframe can be left out."""
+        return min(times, len(self._levels))
+
+    def thinned(self, times: int, keep: Callable[[Array], Array]) -> "ChainFactor":
+        """Return the factor of the first, third .. keyframes alone, `times` over; `keep` copies the arrays it needs."""
+        n = self.thinnable(times)
+        levels = [
+            _Level(keep(level.inverse), keep(level.to_left), keep(level.to_right), level.n_nodes)
+            for level in self._levels[n:]
+        ]
+        return ChainFactor(levels, self._last, keep(self._influence[:: 2**n]), self._constants_covariance)
 
 
 def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None) -> ChainSolution:

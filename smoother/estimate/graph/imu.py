@@ -48,6 +48,18 @@ class BinnedImu:
         """Times of all bin edges, ((K-1) n_bins + 1,) s."""
         return np.asarray(self.t[0] + self.dt * np.arange(self.specific_force_s.shape[0] * self.n_bins + 1))
 
+    def between(self, first: int, last: int) -> "BinnedImu":
+        """Return the bins between the keyframes first to last, exclusive."""
+        intervals = slice(first, last - 1)
+        return BinnedImu(
+            self.t[first:last],
+            self.dt,
+            self.specific_force_s[intervals],
+            self.angular_rate_s[intervals],
+            self.missing[intervals],
+            self.clipped[intervals],
+        )
+
 
 def halved(binned: BinnedImu, gyro_bias: Array) -> BinnedImu:
     """Return half as many bins, each of two neighbours: the later force turned to the axes of the first one's start.

@@ -1,33 +1,34 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.disc import pieces, release, roomy
 from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
-from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.imu import (
     JERK_RATE,
     YAW_JERK_RATE,
     BinnedImu,
+    DensePath,
     at_times,
     averaged,
     corrected,
     dense_path,
     motion_at,
 )
+from smoother.estimate.graph.joint import ChainJoint
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.rows import Rows, antenna_jacobian
+from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
-    CONSTANTS_SIZE,
     GYRO_BIAS,
     LEVER_ARM,
     OFFSET,
     ROTATION,
-    ROW_CONSTANTS_SIZE,
     TRANSLATION,
     VELOCITY,
     ChainState,
@@ -38,6 +39,7 @@ from smoother.trajectory import (
     EstimateReport,
     FixResiduals,
     Identified,
+    JointPosition,
     Keyframes,
     ResidualStatistics,
     Sigmas,
@@ -47,12 +49,53 @@ from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew in its own case, which no drive can show
+MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
+TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What is known of the errors of K keyframes.
+
+    antenna (K, 9, 9): covariance of the errors in n of the sensor's attitude, the antenna's velocity and its position;
+    biases (K, 6): sigmas of force and rate; track (K,) m^2: see :func:`_track_variance`.
+    """
+
+    antenna: Array
+    biases: Array
+    track: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """What a solved graph says, of one piece or of windows: all that the output is made of.
+
+    joint: how errors hang together, given the variance (3,) m^2 that the session cannot show; None where unknown.
+    """
+
+    state: ChainState
+    constants_covariance: Array
+    uncertainty: Uncertainty
+    rows: dict[str, Rows]
+    joint: Callable[[Array], JointPosition] | None
+
+
+def estimated(solved: Solved) -> Estimated:
+    """Return what a graph that was solved in one piece says."""
+    state, factor = solved.state, solved.solution.factor
+    return Estimated(
+        state,
+        solved.solution.constants_covariance,
+        uncertainty_of(solved),
+        solved.rows,
+        None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
+    )
 
 
 def build_trajectory(
     session: Session,
-    solved: Solved,
+    found: Estimated,
     noise: Noise,
     mounting: FittedMounting,
     binned: BinnedImu,
@@ -64,57 +107,82 @@ def build_trajectory(
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
-    state = solved.state
-    binned = corrected(binned, state.constants.accel_matrix, state.constants.gyro_matrix)
-    path = dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
-    arm_s = state.constants.lever_arm_s
-    t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
-    motion = motion_at(path, t)
-    rate_s = at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
-    acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
-    R_nb = motion.R_ns @ mounting.R_bs.T
-    swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate_s, arm_s))
     unseen = unseen_offset(noise, population)
-    keyframes = _keyframes(solved, mounting, arm_s, unseen)
-    return Trajectory(
-        t=t,
-        position_n=motion.position_n + motion.R_ns @ arm_s,
-        velocity_n=motion.velocity_n + swing_n,
-        R_nb=R_nb,
-        acceleration_b=np.einsum("nji,nj->ni", R_nb, acceleration_n),
-        angular_rate_b=rate_s @ mounting.R_bs.T,
-        sigmas=_sigmas(t, solved, keyframes, R_nb, motion.velocity_n),
-        report=EstimateReport(
-            identified=_identified(solved, noise, priors, mounting, arm_s, session, unseen),
-            residuals={
-                name: _statistics(solved.rows[name], unit) for name, unit in _UNITS.items() if name in solved.rows
-            },
-            fixes=_fix_residuals(solved.rows["gps_position"]),
-            keyframes=keyframes,
-            mode="full",
-        ),
-        joint=None if solved.solution.factor is None else ChainJoint(state, solved.solution.factor, unseen),
+    keyframes = _keyframes(found, mounting, unseen)
+    report = EstimateReport(
+        identified=_identified(found, noise, priors, mounting, session, unseen),
+        residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
+        fixes=_fix_residuals(found.rows["gps_position"]),
+        keyframes=keyframes,
+        mode="full",
     )
+    joint = None if found.joint is None else found.joint(unseen)
+    t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
+    rows = _Rows.empty(len(t))
+    for part in pieces(len(t), TOGETHER):
+        rows.fill(part, t[part], found, noise, mounting, binned, keyframes)
+        release(rows, keyframes, binned)
+    return rows.trajectory(t, report, joint)
 
 
 @dataclass(frozen=True, eq=False)
-class ChainJoint:
-    """How the errors of the antenna's position at several times hang together: a JointPosition.
+class _Rows:
+    """Rows of the trajectory as they are made, a part at a time: those of a day do not fit into the memory."""
 
-    unseen (3,) m^2: variance of the GPS offset that a session cannot show, the same at all its times.
-    """
+    position_n: Array
+    velocity_n: Array
+    R_nb: Array
+    acceleration_b: Array
+    angular_rate_b: Array
+    sigmas: dict[str, Array]
 
-    state: ChainState
-    factor: ChainFactor
-    unseen: Array
+    @staticmethod
+    def empty(n: int) -> "_Rows":
+        sigmas = {name: roomy((n, 3)) for name in ("position_n", "velocity_n", "attitude")}
+        sigmas |= {name: roomy(n) for name in ("speed", "track")}
+        return _Rows(roomy((n, 3)), roomy((n, 3)), roomy((n, 3, 3)), roomy((n, 3)), roomy((n, 3)), sigmas)
 
-    def covariance(self, t: Array, direction_n: Array) -> Array:
-        """See :class:`smoother.trajectory.JointPosition`."""
-        interval, *jacobians = antenna_jacobian(self.state, t)
-        left, right, by_row_constants = (np.einsum("qi,qij->qj", direction_n, J) for J in jacobians)
-        constants = np.zeros((len(t), CONSTANTS_SIZE))
-        constants[:, :ROW_CONSTANTS_SIZE] = by_row_constants
-        return self.factor.covariance(interval, left, right, constants) + (direction_n * self.unseen) @ direction_n.T
+    def fill(
+        self,
+        part: slice,
+        t: Array,
+        found: Estimated,
+        noise: Noise,
+        mounting: FittedMounting,
+        binned: BinnedImu,
+        keyframes: Keyframes,
+    ) -> None:
+        """Make the rows `part` at times t (n,) s, from the keyframes around them."""
+        at, arm_s = found.state.t, found.state.constants.lever_arm_s
+        first = max(int(np.searchsorted(at, t[0] - MARGIN)) - 1, 0)
+        last = min(int(np.searchsorted(at, t[-1] + MARGIN)) + 1, len(at))
+        state = found.state.between(first, last)
+        path = _path(state, binned.between(first, last))
+        motion = motion_at(path, t)
+        rate_s = at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
+        acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
+        R_nb = motion.R_ns @ mounting.R_bs.T
+        self.position_n[part] = motion.position_n + motion.R_ns @ arm_s
+        self.velocity_n[part] = motion.velocity_n + np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate_s, arm_s))
+        self.R_nb[part] = R_nb
+        self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, acceleration_n)
+        self.angular_rate_b[part] = rate_s @ mounting.R_bs.T
+        keys = slice(first, last)
+        covariance, track = keyframes.covariance[keys], found.uncertainty.track[keys]
+        for name, values in _sigmas(t, state.t, covariance, track, R_nb, motion.velocity_n).items():
+            self.sigmas[name][part] = values
+
+    def trajectory(self, t: Array, report: EstimateReport, joint: JointPosition | None) -> Trajectory:
+        """Return the rows, all of which are filled."""
+        columns = {name: getattr(self, name) for name in vars(self) if name != "sigmas"}
+        for values in (*columns.values(), *self.sigmas.values()):
+            values.flags.writeable = False
+        return Trajectory(t=t, **columns, sigmas=Sigmas(**self.sigmas), report=report, joint=joint)
+
+
+def _path(state: ChainState, binned: BinnedImu) -> DensePath:
+    binned = corrected(binned, state.constants.accel_matrix, state.constants.gyro_matrix)
+    return dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
 
 
 def row_times(start: float, end: float, rate: float) -> Array:
@@ -122,14 +190,13 @@ def row_times(start: float, end: float, rate: float) -> Array:
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
 
 
-def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array, unseen: Array) -> Keyframes:
-    """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
+def uncertainty_of(solved: Solved) -> Uncertainty:
+    """Return sigmas and covariances of the antenna at the keyframes of a solved graph."""
     state, P = solved.state, solved.solution.covariance
-    R = state.R_ns
-    K = len(state.t)
-    turn = so3.log(R[:-1].transpose(0, 2, 1) @ R[1:]) / state.interval
-    turn = np.concatenate([turn, turn[-1:]])
+    R, arm_s = state.R_ns, state.constants.lever_arm_s
+    turn = _turning(state)
     arm_n, swing_n = R @ arm_s, np.einsum("kij,kj->ki", R, np.cross(turn, arm_s))
+    K = len(state.t)
     # errors in n of (attitude, velocity, position) by the tangent of the keyframe and by the constants
     J = np.zeros((K, 9, P.shape[1]))
     J[:, 0:3, ROTATION] = R
@@ -138,46 +205,63 @@ def _keyframes(solved: Solved, mounting: FittedMounting, arm_s: Array, unseen: A
     C = np.zeros((K, 9, solved.solution.constants_covariance.shape[0]))
     C[:, 3:6, LEVER_ARM], C[:, 6:9, LEVER_ARM] = R @ so3.skew(turn), R
     S, cross = solved.solution.constants_covariance, J @ solved.solution.constants_cross @ C.transpose(0, 2, 1)
-    covariance = J @ P @ J.transpose(0, 2, 1) + C @ S @ C.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
-    R_nb = R @ mounting.R_bs.T
-    covariance[:, 6:9, 6:9] += np.diag(unseen)
-    covariance[:, 0:3, 0:3] += (R_nb * mounting.sigma**2) @ R_nb.transpose(0, 2, 1)
+    antenna = J @ P @ J.transpose(0, 2, 1) + C @ S @ C.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
     sigma = np.sqrt(np.einsum("kii->ki", P))
+    return Uncertainty(antenna, sigma[:, ACCEL_BIAS.start : GYRO_BIAS.stop], _track_variance(state, P))
+
+
+def _turning(state: ChainState) -> Array:
+    """Mean angular rate (K, 3) rad/s in s from each keyframe to the next."""
+    R = state.R_ns
+    turn = so3.log(R[:-1].transpose(0, 2, 1) @ R[1:]) / state.interval
+    return np.concatenate([turn, turn[-1:]])
+
+
+def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Keyframes:
+    """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
+    state, known = found.state, found.uncertainty
+    R, arm_s = state.R_ns, state.constants.lever_arm_s
+    R_nb, covariance = R @ mounting.R_bs.T, roomy(known.antenna.shape)
+    for part in pieces(len(R), TOGETHER):
+        covariance[part] = known.antenna[part]
+        covariance[part, 6:9, 6:9] += np.diag(unseen)
+        covariance[part, 0:3, 0:3] += (R_nb[part] * mounting.sigma**2) @ R_nb[part].transpose(0, 2, 1)
+        release(covariance, known)
     return Keyframes(
         t=state.t,
-        position_n=state.position_n + arm_n,
-        velocity_n=state.velocity_n + swing_n,
+        position_n=state.position_n + R @ arm_s,
+        velocity_n=state.velocity_n + np.einsum("kij,kj->ki", R, np.cross(_turning(state), arm_s)),
         R_nb=R_nb,
         covariance=covariance,
         accel_bias_s=state.accel_bias_s,
         gyro_bias_s=state.gyro_bias_s,
-        sigma_accel_bias=sigma[:, ACCEL_BIAS],
-        sigma_gyro_bias=sigma[:, GYRO_BIAS],
+        sigma_accel_bias=known.biases[:, :3],
+        sigma_gyro_bias=known.biases[:, 3:],
         gps_offset_n=state.offset_n,
     )
 
 
-def _sigmas(t: Array, solved: Solved, keyframes: Keyframes, R_nb: Array, velocity_n: Array) -> Sigmas:
-    """Interpolate the covariances of the keyframes, which are closer than any of them changes."""
-    P = solved.solution.covariance
-    i = np.clip(np.searchsorted(keyframes.t, t) - 1, 0, len(keyframes.t) - 2)
-    share = ((t - keyframes.t[i]) / (keyframes.t[i + 1] - keyframes.t[i]))[:, None, None]
-    covariance = (1.0 - share) * keyframes.covariance[i] + share * keyframes.covariance[i + 1]
+def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, velocity_n: Array) -> dict[str, Array]:
+    """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
+
+    covariance (K, 9, 9) and track (K,) m^2 of the keyframes; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
+    """
+    i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
+    share = ((t - at[i]) / (at[i + 1] - at[i]))[:, None, None]
+    covariance = (1.0 - share) * covariance[i] + share * covariance[i + 1]
     diagonal = np.maximum(np.einsum("nii->ni", covariance), 0.0)
-    R_bn = R_nb.transpose(0, 2, 1)
-    by_turn = euler_jacobian(R_nb) @ R_bn
+    by_turn = euler_jacobian(R_nb) @ R_nb.transpose(0, 2, 1)
     attitude = np.einsum("nri,nri->nr", by_turn @ covariance[:, 0:3, 0:3], by_turn)
     direction = velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]
     speed = np.einsum("ni,nij,nj->n", direction, covariance[:, 3:5, 3:5], direction)
-    track = _track_variance(solved.state, P)
     track = (1.0 - share[:, 0, 0]) * track[i] + share[:, 0, 0] * track[i + 1]
-    return Sigmas(
-        position_n=np.sqrt(diagonal[:, 6:9]),
-        velocity_n=np.sqrt(diagonal[:, 3:6]),
-        speed=np.sqrt(np.maximum(speed, 0.0)),
-        attitude=np.sqrt(np.maximum(attitude, 0.0)),
-        track=np.sqrt(np.maximum(track, 0.0)),
-    )
+    return {
+        "position_n": np.sqrt(diagonal[:, 6:9]),
+        "velocity_n": np.sqrt(diagonal[:, 3:6]),
+        "speed": np.sqrt(np.maximum(speed, 0.0)),
+        "attitude": np.sqrt(np.maximum(attitude, 0.0)),
+        "track": np.sqrt(np.maximum(track, 0.0)),
+    }
 
 
 def _track_variance(state: ChainState, P: Array) -> Array:
@@ -222,17 +306,11 @@ class _Latency:
 
 
 def _identified(
-    solved: Solved,
-    noise: Noise,
-    priors: Priors,
-    mounting: FittedMounting,
-    arm_s: Array,
-    session: Session,
-    unseen: Array,
+    found: Estimated, noise: Noise, priors: Priors, mounting: FittedMounting, session: Session, unseen: Array
 ) -> dict[str, Identified]:
-    config, S = session.config, solved.solution.constants_covariance
-    sigma = np.sqrt(np.diag(S))
-    constants = solved.state.constants.as_vector()
+    config, S = session.config, found.constants_covariance
+    sigma, arm_s = np.sqrt(np.diag(S)), found.state.constants.lever_arm_s
+    constants = found.state.constants.as_vector()
     out: dict[str, Identified] = {}
     for latency in (
         _Latency("gps_position_latency", 0, config.gps.position_latency),
@@ -241,7 +319,7 @@ def _identified(
         i = latency.index
         observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
         out[latency.key] = _value(constants[i], sigma[i], "s", observable, latency.configured is not None)
-    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], solved.state.constants.level_axes_s[2]
+    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], found.state.constants.level_axes_s[2]
     if priors.holds_height:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
     arm_b, arm_covariance = mounting.R_bs @ arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T

@@ -13,13 +13,14 @@ import numpy as np
 
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.graph.batch import Solved
+from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
-from smoother.estimate.graph.output import build_trajectory
-from smoother.estimate.graph.solve import identify, solve_whole
-from smoother.estimate.graph.start import GraphOptions, make_start, on_grid
-from smoother.estimate.graph.windows import is_long, solve_in_windows
+from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
+from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
+from smoother.estimate.graph.start import GraphOptions, Start, make_start, on_grid
+from smoother.estimate.graph.state import ChainState
+from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
 
@@ -70,13 +71,12 @@ class GraphSmoother:
         with watch("solve"):
             constants, biases, noise = identify(start, options, watch.say)
             start = on_grid(session, start, constants, biases, options)
-            solve = solve_in_windows if is_long(start) and options.solver == "batch" else solve_whole
-            solution = solve(session, start, noise, options, watch.say)
+            found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
-            mounting = _mounting(session, solution.solved, start.alignment)
+            mounting = _mounting(session, found.state, start.alignment)
             trajectory = build_trajectory(
                 session,
-                solution.solved,
+                found,
                 solution.noise,
                 mounting,
                 start.fine,
@@ -121,8 +121,19 @@ class Stopwatch:
             self._progress(self._stage, fraction)
 
 
-def _mounting(session: Session, solved: Solved, alignment: Alignment) -> FittedMounting:
+def _solve(
+    session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
+) -> tuple[Estimated, Solution | WindowsSolution]:
+    """Solve a session in one piece, or in windows where it is long; and what it was solved with."""
+    if is_long(start) and options.solver == "batch":
+        in_windows = solve_in_windows(session, start, noise, options, say)
+        return in_windows.found, in_windows
+    whole = solve_whole(session, start, noise, options, say)
+    return estimated(whole.solved), whole
+
+
+def _mounting(session: Session, state: ChainState, alignment: Alignment) -> FittedMounting:
     stated = session.config.mounting.R_bs
     if stated is not None:
         return FittedMounting(stated, np.zeros(3), True)
-    return fit_mounting(solved.state, alignment.R_bs)
+    return fit_mounting(state, alignment.R_bs)

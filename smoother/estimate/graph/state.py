@@ -111,6 +111,20 @@ class ChainState:
         """Time between keyframes, s."""
         return float(self.t[1] - self.t[0])
 
+    def between(self, first: int, last: int) -> "ChainState":
+        """Return keyframes first to last, exclusive."""
+        keys = slice(first, last)
+        return replace(
+            self,
+            t=self.t[keys],
+            R_ns=self.R_ns[keys],
+            position_n=self.position_n[keys],
+            velocity_n=self.velocity_n[keys],
+            accel_bias_s=self.accel_bias_s[keys],
+            gyro_bias_s=self.gyro_bias_s[keys],
+            offset_n=self.offset_n[keys],
+        )
+
     def retract(self, delta: Array, constants_delta: Array) -> "ChainState":
         """Return the state moved by delta (K, KEYFRAME_SIZE) and constants_delta (CONSTANTS_SIZE,)."""
         return replace(

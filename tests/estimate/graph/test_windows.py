@@ -24,6 +24,17 @@ def pair() -> Pair:
         return whole, GraphSmoother().estimate(session)
 
 
+@pytest.fixture(scope="module")
+def joint_pair(pair: Pair) -> Pair:
+    """The same with constants from all five minutes: how well 80 s show Doppler's mean is not what is compared."""
+    session = prepare(simulate_preset("kart", 3, duration=300.0).raw)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(windows, "WINDOW", 80.0)
+        patch.setattr(windows, "OVERLAP", 60.0)
+        patch.setattr(windows, "busiest_part", lambda start, span: start)
+        return pair[0], GraphSmoother().estimate(session)
+
+
 def in_sigmas(difference: np.ndarray, sigma: np.ndarray) -> float:
     return float(np.sqrt(np.mean((difference / sigma) ** 2)))
 
@@ -67,3 +78,40 @@ def test_every_fix_is_reported_once(pair: Pair) -> None:
         whole.report.residuals["gps_velocity"].count, abs=5
     )
     assert set(parts.report.identified) == set(whole.report.identified)
+
+
+def change(trajectory: Trajectory, t: np.ndarray, lap: float) -> np.ndarray:
+    """Sigma of how the error towards north changes over `lap` s from each t (m,)."""
+    assert trajectory.joint is not None
+    north = np.tile([1.0, 0.0, 0.0], (2 * len(t), 1))
+    P = trajectory.joint.covariance(np.concatenate([t, t + lap]), north)
+    m = len(t)
+    return np.sqrt(np.diag(P)[:m] + np.diag(P)[m:] - 2.0 * np.diag(P[:m, m:]))
+
+
+def test_errors_hang_together_over_a_lap_as_they_do_in_the_whole_also_across_seams(
+    joint_pair: Pair,
+) -> None:
+    whole, parts = joint_pair
+    t = np.arange(whole.t[0] + 1.0, whole.t[-1] - 41.0, 3.7)
+    ratio = change(parts, t, 40.0) / change(whole, t, 40.0)
+    assert 1.0 < np.median(ratio) < 1.05  # the fixes beyond the overlap tell a little
+    assert np.all((ratio > 0.98) & (ratio < 1.1))
+
+
+def test_the_error_of_a_single_time_is_the_one_that_is_reported(pair: Pair) -> None:
+    _, parts = pair
+    assert parts.joint is not None
+    assert parts.sigmas is not None
+    rows = np.arange(100, len(parts), 777)
+    north = np.tile([1.0, 0.0, 0.0], (len(rows), 1))
+    sigma = np.sqrt(np.diag(parts.joint.covariance(parts.t[rows], north)))
+    np.testing.assert_allclose(sigma, parts.sigmas.position_n[rows, 0], rtol=0.03)  # between keyframes of 0.8 s
+
+
+def test_times_that_no_window_holds_together_share_the_unseen_offset_alone(pair: Pair) -> None:
+    _, parts = pair
+    assert parts.joint is not None
+    P = parts.joint.covariance(parts.t[[10, -10]], np.tile([0.0, 1.0, 0.0], (2, 1)))
+    np.testing.assert_allclose(P, P.T)
+    assert 0.0 <= P[0, 1] < P[0, 0]
