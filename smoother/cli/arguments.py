@@ -8,7 +8,7 @@ import click
 from smoother.errors import UsageError
 
 EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is Python's own, for bugs; 130 the shell's
-COMMAND_NAMES = ("calibrate", "check", "demo", "simulate", "evaluate", "export", "laps", "compare", "live")
+COMMAND_NAMES = ("calibrate", "check", "demo", "simulate", "evaluate", "export", "laps", "compare", "live", "batch")
 
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")

@@ -42,12 +42,16 @@ STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAME
 
 @dataclass(frozen=True)
 class Options:
-    """How a session is smoothed: `rate` in Hz of the rows; solver batch or isam2; whether to add the extras."""
+    """How a session is smoothed: `rate` in Hz of the rows; solver batch or isam2; whether to add the extras.
+
+    figures : the report and, unless `pictures` is off, its figures as files, which take longer than all the rest.
+    """
 
     rate: float = 50.0
     solver: str = "batch"
     baseline: bool = True
     figures: bool = True
+    pictures: bool = True
 
 
 @dataclass
@@ -213,7 +217,7 @@ def write(
 
 
 def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> None:
-    if not options.figures:
+    if not (options.figures and options.pictures):
         for name in FIGURE_NAMES:
             (directory / FIGURES / f"{name}.png").unlink(missing_ok=True)
         return

@@ -15,6 +15,7 @@ from smoother.cli.arguments import (
     sessions_argument,
     solver_option,
 )
+from smoother.cli.batching import batch
 from smoother.cli.calibrating import calibrate
 from smoother.cli.card import tasks
 from smoother.cli.checking import check
@@ -51,6 +52,7 @@ NAMED_COMMANDS: dict[str, click.Command] = {
     "laps": laps,
     "compare": compare,
     "live": live,
+    "batch": batch,
 }
 EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
@@ -82,6 +84,7 @@ class SmoothCommand(click.Command):
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
+@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 @click.version_option(package_name="kart-smoother", prog_name="smooth")
@@ -93,12 +96,13 @@ def smooth(
     solver: str,
     no_baseline: bool,
     no_figures: bool,
+    no_pictures: bool,
     as_json: bool,
     open_it: bool,
 ) -> int:
     """Smooth sessions; the text people read is HELP."""
     require_sessions(sessions, "smooth")
-    options = Options(rate, solver, not no_baseline, not no_figures)
+    options = Options(rate, solver, not no_baseline, not no_figures, not no_pictures)
     outcomes: list[Result | SmootherError] = []
     places = zip(sessions, output_directories(out, sessions), strict=True)
     wanted = [task for path, place in places for task in tasks(path, place, recording)]

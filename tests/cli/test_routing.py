@@ -55,8 +55,10 @@ def test_a_file_called_like_a_command_is_a_session(here: Path) -> None:
     assert choose(["simulate"])[0] is smooth
 
 
-def test_commands_that_belong_to_later_work_do_not_exist(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["batch"]) == 2
+def test_a_word_that_is_no_command_is_a_session_that_is_not_there(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["monday"]) == 2
     assert "no such file or folder" in capsys.readouterr().err
 
 

@@ -1,0 +1,272 @@
+"""sessions.html: the sessions of a batch on one page, with the looks of report.html; from disk, and on paper.
+
+Like the report it is a tree of elements into which names go as text only. It reads as it stands; its script sorts and
+searches the table and switches unit and theme.
+"""
+
+import datetime as dt
+import math
+import os
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from urllib.parse import quote
+from xml.etree.ElementTree import Element
+
+from smoother.batch.entries import Best, Entry, Track, report_of
+from smoother.batch.task import ERROR_LOG, REPORT
+from smoother.report.page_html import Child, element, row, table, whole_page
+from smoother.report.page_words import DASH, counted, lap_clock, local_day, number
+from smoother.units import KMH
+
+STATES = {
+    "done": "ok",
+    "doubtful": "not to be trusted",
+    "unusable": "unusable",
+    "limit": "over its limit",
+    "broken": "broke off",
+    "lost": "lost",
+    "waiting": "waiting",
+}
+Cells = Sequence[Child]
+
+
+def page(title: str, entries: Sequence[Entry], tracks: Sequence[Track], directory: Path, now: dt.datetime) -> str:
+    """Return the page as text; it links to reports as they lie seen from `directory`."""
+    wrong = [entry for entry in entries if entry.state not in ("done", "waiting")]
+    body = [
+        _header(title, entries, now),
+        _contents(tracks, wrong),
+        element("noscript", element("p", "Sorting and searching need JavaScript; the tables do not.", class_="soft")),
+        element(
+            "main",
+            _cards(entries, tracks),
+            *(part for i, track in enumerate(tracks) for part in _track(track, i, directory)),
+            *(_wrong(wrong, directory) if wrong else []),
+            *_all(entries, directory),
+        ),
+    ]
+    look = files("smoother.report") / "template" / "page.css", files("smoother.batch") / "template" / "index.css"
+    style = "".join(part.read_text(encoding="utf-8") for part in look)
+    script = (files("smoother.batch") / "template" / "index.js").read_text(encoding="utf-8")
+    return whole_page(title, body, style, script, {})
+
+
+def _header(title: str, entries: Sequence[Entry], now: dt.datetime) -> Element:
+    days = sorted({start[:10] for entry in entries if (start := _start(entry)) != DASH})
+    span = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}" if days else ""
+    said = " · ".join(text for text in (span, f"written {local_day(now.timestamp())}") if text)
+    theme = _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
+    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
+    words = element("div", element("h1", title), element("p", said))
+    return element("header", words, element("div", units, theme, class_="settings"))
+
+
+def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
+    made = [element("option", text, value=value) for value, text in options]
+    return element("label", f"{label} ", element("select", *made, id=name))
+
+
+def _contents(tracks: Sequence[Track], wrong: Sequence[Entry]) -> Element:
+    links = [element("a", track.name, href=f"#track-{i}") for i, track in enumerate(tracks)]
+    links += [element("a", "Sessions to look at", href="#wrong")] if wrong else []
+    return element("nav", *links, element("a", "All sessions", href="#sessions"), aria_label="Contents")
+
+
+def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
+    states = [entry.state for entry in entries]
+    good, doubtful, waiting = (states.count(state) for state in ("done", "doubtful", "waiting"))
+    failed = len(states) - good - doubtful - waiting
+    parts = [f"{doubtful} not to be trusted"] if doubtful else []
+    parts += [f"{waiting} still waiting"] if waiting else []
+    cards = [_card("Sessions", str(len(entries)), f"{good} ok" + "".join(f", {part}" for part in parts))]
+    mark = element("span", str(failed), class_="bad" if failed else "good")
+    cards.append(_card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
+    if tracks and (bests := tracks[0].karts or tracks[0].drivers):
+        where = f"{bests[0].who}, {tracks[0].name}" if len(tracks) > 1 else bests[0].who
+        cards.append(_card("Best lap", lap_clock(bests[0].time), where))
+    laps = sum(entry.facts.laps or 0 for entry in entries if entry.counts)
+    karts = {entry.kart for entry in entries if entry.counts and entry.kart}
+    cards.append(_card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
+    metres = sum(entry.facts.distance_m or 0.0 for entry in entries)
+    hours = sum(entry.facts.duration_s or 0.0 for entry in entries) / 3600.0
+    cards.append(_card("Driven", f"{metres / 1000.0:.1f} km", f"in {hours:.1f} h"))
+    return element("section", element("dl", *cards, class_="cards"), id="summary")
+
+
+def _card(name: str, value: Child, below: Child) -> Element:
+    return element("div", element("dt", name), element("dd", value, element("small", below)), class_="card")
+
+
+# ---- best laps ------------------------------------------------------------------------------------------------------
+
+
+def _track(track: Track, number_: int, directory: Path) -> list[Element]:
+    length = f", {track.length_m:.0f} m" if math.isfinite(track.length_m) and " m" not in track.name else ""
+    said = f"{counted(track.sessions, 'session')} with laps that count{length}. The ± is one sigma; laps of sessions "
+    parts = [_bests("kart", "driver", track.karts, directory), _bests("driver", "kart", track.drivers, directory)]
+    shown = [part for part in parts if part is not None]
+    return [
+        element("h2", f"Best laps: {track.name}", id=f"track-{number_}"),
+        element("p", f"{said}that are not to be trusted are left out.", class_="soft"),
+        element("div", *shown, class_="pair bests"),
+    ]
+
+
+def _bests(who: str, other: str, bests: Sequence[Best], directory: Path) -> Element | None:
+    """The table of one kind; None where nobody is named."""
+    if not bests:
+        return None
+    head = ["", who, "best lap", "behind", other, "session", "laps"]
+    fastest = bests[0].time
+    rows = [
+        row(
+            _cell(str(i), "number"),
+            _cell(best.who, "name"),
+            element("td", lap_clock(best.time), _pm(best.entry.facts.best_sigma_s), class_="number"),
+            _cell(number(best.time - fastest, 3, signed=True) if i > 1 else "", "number"),
+            _cell((best.entry.facts.driver if who == "kart" else best.entry.kart) or DASH, "name"),
+            element("td", _linked(best.entry, directory), class_="name"),
+            _cell(str(best.laps), "number"),
+            class_="best" if i == 1 else "",
+        )
+        for i, best in enumerate(bests, 1)
+    ]
+    numbers = {"", "best lap", "behind", "laps"}
+    return _table([(name, name in numbers) for name in head], rows, f"Best lap of each {who}")
+
+
+def _pm(sigma: float | None) -> Element | None:
+    return None if sigma is None else element("small", f" ± {number(sigma, 3)}")
+
+
+def _table(head: Sequence[tuple[Child, bool]], rows: Sequence[Element], caption: str = "") -> Element:
+    """A table of words; the heads of columns with numbers stand over these."""
+    made = table([name for name, _ in head], rows, caption, "words")
+    for cell, (_, is_number) in zip(made.iter("th"), head, strict=True):
+        if is_number:
+            cell.set("class", "number")
+    return made
+
+
+def _cell(text: str, class_: str, **attributes: str) -> Element:
+    return element("td", text, class_=class_, **attributes)
+
+
+# ---- sessions -------------------------------------------------------------------------------------------------------
+
+
+def _wrong(entries: Sequence[Entry], directory: Path) -> list[Element]:
+    rows = [
+        row(
+            element("td", _linked(entry, directory), class_="name"),
+            _cell(entry.kart or DASH, "plain"),
+            _cell(STATES[entry.state], "plain bad" if entry.state != "doubtful" else "plain"),
+            _cell(str(entry.outcome.code) if entry.outcome else DASH, "number"),
+            element("td", *_reason(entry, directory)),
+        )
+        for entry in entries
+    ]
+    head = [("session", False), ("kart", False), ("what", False), ("code", True), ("why", False)]
+    note = "Code: what smooth would have ended with: 1 a bug in this program, 2 unusable, 3 not to be trusted."
+    return [
+        element("h2", "Sessions to look at", id="wrong"),
+        element("p", note, class_="soft"),
+        element("div", _table(head, rows), class_="wide"),
+    ]
+
+
+def _reason(entry: Entry, directory: Path) -> Cells:
+    assert entry.outcome is not None
+    log = entry.task.out / ERROR_LOG
+    if entry.state != "broken" or not log.is_file():
+        return [entry.outcome.message]
+    return [entry.outcome.message, " (", element("a", "all of it", href=link(log, directory)), ")"]
+
+
+def _all(entries: Sequence[Entry], directory: Path) -> list[Element]:
+    unit = element("span", "km/h", class_="speed-unit")
+    head: list[tuple[Child, bool]] = [
+        (element("button", name, type="button"), is_number)
+        for name, is_number in (
+            ("session", False),
+            ("kart", False),
+            ("driver", False),
+            ("track", False),
+            ("start", False),
+            ("km", True),
+            ("laps", True),
+            ("best lap", True),
+            ("± s", True),
+        )
+    ]
+    head.append((element("button", "top ", unit, type="button"), True))
+    head.append((element("button", "result", type="button"), False))
+    find = element("label", "Search ", element("input", type="search", id="search", placeholder="kart, driver, day .."))
+    return [
+        element("h2", "All sessions", id="sessions"),
+        element("div", find, element("output", counted(len(entries), "session"), id="shown"), class_="settings"),
+        element("div", _table(head, [_row(entry, directory) for entry in entries]), id="all", class_="wide"),
+    ]
+
+
+def _row(entry: Entry, directory: Path) -> Element:
+    facts = entry.facts
+    is_bad = entry.state not in ("done", "doubtful", "waiting")
+    speed = facts.top_speed_mps
+    top = {} if speed is None else {"data_mps": f"{speed:.4f}", "data_value": f"{speed:.4f}"}
+    return row(
+        element("td", _linked(entry, directory), class_="name"),
+        _cell(entry.kart or DASH, "plain"),
+        _cell(facts.driver or DASH, "name" if facts.driver else ""),
+        _cell(entry.track or DASH, "name" if entry.track else ""),
+        _cell(_start(entry), "plain"),
+        _number(None if facts.distance_m is None else facts.distance_m / 1000.0, 2),
+        _number(facts.laps, 0),
+        _cell(lap_clock(_known(facts.best_s)), "number", **_value(facts.best_s)),
+        _number(facts.best_sigma_s, 3),
+        _cell(DASH if speed is None else number(speed / KMH, 1), "number", **top),
+        _cell(STATES[entry.state], "bad" if is_bad else ""),
+        class_="waiting" if entry.state == "waiting" else "",
+    )
+
+
+def _number(value: float | None, digits: int) -> Element:
+    return _cell(number(_known(value), digits), "number", **_value(value))
+
+
+def _value(value: float | None) -> dict[str, str]:
+    """What the script sorts by."""
+    return {} if value is None else {"data_value": f"{value:.6g}"}
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _linked(entry: Entry, directory: Path) -> Child:
+    """The name of a session, linked to its report where there is one."""
+    report = report_of(entry, REPORT)
+    parts: list[Child] = [part for folder in _short(entry).split("/") for part in (element("wbr"), f"/{folder}")]
+    parts[:2] = [str(parts[1])[1:]]  # a line may break before every slash, and nothing stands before the first
+    return element("span", *parts) if report is None else element("a", *parts, href=link(report, directory))
+
+
+def _short(entry: Entry) -> str:
+    """The name of a session without the folder that was searched, which all of them share."""
+    return entry.task.name.partition("/")[2] or entry.task.name
+
+
+def link(path: Path, directory: Path) -> str:
+    """Return the address of a file as seen from a page in `directory`; whatever its name is, it stays an address."""
+    return quote(os.fsencode(os.path.relpath(path, directory.resolve())))
+
+
+def _start(entry: Entry) -> str:
+    """Day and time of its start on the clock of this machine."""
+    if entry.facts.start_utc is None:
+        return DASH
+    try:
+        return local_day(dt.datetime.fromisoformat(entry.facts.start_utc).timestamp())
+    except (ValueError, OverflowError, OSError):  # a receiver may tell of year 9999
+        return DASH
