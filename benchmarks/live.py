@@ -24,8 +24,10 @@ import numpy as np
 from smoother import so3
 from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.live.beside import Beside
 from smoother.live.engine import Engine, Snapshot
-from smoother.live.identify import Background, Foreground
+from smoother.live.identify import Foreground
+from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk, Receiver
 from smoother.live.running import Frame, run
 from smoother.live.sources import ReplaySource, SerialSource
@@ -108,7 +110,7 @@ def _apart(states: list, batch) -> tuple[np.ndarray, np.ndarray]:  # type: ignor
 
 def stream_through(stream: bytes) -> list[Snapshot]:
     """Return all snapshots of a stream that is taken in small pieces."""
-    engine = Engine(Foreground())
+    engine = Engine(Aboard(Foreground()))
     size = max(1, round(4500 / TICKS))  # bytes a second of the usual stream
     return [engine.step([Chunk(1.0, stream[at : at + size])])[0] for at in range(0, len(stream), size)]
 
@@ -141,8 +143,8 @@ def _show(port: str, options: argparse.Namespace) -> None:
 
     stop = time.monotonic() + options.duration / options.speed - 0.5
     view = _view(options.terminal, port)
-    with Background() as worker, Receiver(SerialSource(port)) as receiver, view as shown:
-        last = run(receiver, Engine(worker), shown, None, lambda: time.monotonic() > stop, watch)
+    with Beside() as navigating, Receiver(SerialSource(port)) as receiver, view as shown:
+        last = run(receiver, Engine(navigating), shown, None, lambda: time.monotonic() > stop, watch)
         link = receiver.status
     _print(frames, memory, time.monotonic() - began, time.process_time() - cpu)
     print("ended in stage:", last.stage, "at", round(last.t, 1), "s; lost:", last.losses, link.dropped_bytes, "bytes")

@@ -55,8 +55,8 @@ def live(
 
     from smoother.calibration import load_calibration
     from smoother.laps.tracks import line_from_text
+    from smoother.live.beside import Beside
     from smoother.live.engine import Engine
-    from smoother.live.identify import Background
     from smoother.live.receiver import Receiver
     from smoother.live.recording import SessionWriter
     from smoother.live.running import run
@@ -67,13 +67,13 @@ def live(
     tracks = () if line is None else (line_from_text(line),)
     writer = None if record is None else SessionWriter(record, np.random.default_rng())
     with (
-        Background() as worker,
+        Beside(tracks) as navigating,
         Receiver(source, waits=not source.can_return) as receiver,
         _view(view, headless or as_json, as_json, source.name) as shown,
         _stopping(seconds) as stop,
     ):
         try:
-            run(receiver, Engine(worker, values, tracks), shown, writer, stop)
+            run(receiver, Engine(navigating, values), shown, writer, stop)
         finally:
             if writer is not None:
                 writer.close()

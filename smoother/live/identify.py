@@ -4,9 +4,8 @@ The batch smoother runs over the window in a process of its own; the stream then
 window with those values, its priors as wide as ever, so that no fix counts twice.
 """
 
-from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from smoother.laps.results import GivenLines, Line
 from smoother.live.lag import LagStart
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
+T_co = TypeVar("T_co", covariant=True)
 OUTPUT_RATE = 5.0  # Hz; only the start of the window is read
 SHORTEST_LAP = 100.0  # m, as for recorded laps
 MOVED = 5.0  # m/s; slower fixes say little about the mounting
@@ -61,6 +61,7 @@ def identify(window: Window) -> LagStart | str:
         keyframes.accel_bias_s[k],
         keyframes.gyro_bias_s[k],
         R_bs,
+        np.array(found["R_bs"].sigma),
         _number(found["gps_position_latency"].value),
         velocity_latency,
         R_bs.T @ arm_b,
@@ -92,48 +93,40 @@ def _number(value: object) -> float:
     return value
 
 
-def _nothing() -> None:
-    """Work for a process that is only to be started."""
+class Job(Protocol[T_co]):
+    """Work that was asked for; text where it failed."""
+
+    def done(self) -> bool:
+        """Whether there is a result."""
+        ...
+
+    def result(self) -> T_co | str:
+        """Return it. Only once it is done."""
+        ...
 
 
-class Background:
-    """One process for slow work. A job that is asked for while another runs waits for the next time."""
+@dataclass(frozen=True, eq=False)
+class Done(Generic[T_co]):
+    """Work that is done."""
 
-    def __init__(self) -> None:
-        # spawned, not forked: threads run here, and a copy of their locks would hang
-        self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-        self._pool.submit(_nothing)  # the process starts and imports while the box is still being mounted
+    value: T_co
 
-    def __enter__(self) -> "Background":
-        return self
+    def done(self) -> bool:
+        """It is."""
+        return True
 
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    def identify(self, window: Window) -> "Future[LagStart | str]":
-        """Start :func:`identify`."""
-        return self._pool.submit(identify, window)
-
-    def find_line(
-        self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None
-    ) -> "Future[Line | None]":
-        """Start :func:`find_line`."""
-        return self._pool.submit(find_line, t, position_n, velocity_n, given)
+    def result(self) -> T_co:
+        """Return it."""
+        return self.value
 
 
 class Foreground:
-    """The same work done at once: for tests and for playing a file as fast as it goes."""
+    """A Worker that does it at once: for tests and for playing a file as fast as it goes."""
 
-    def identify(self, window: Window) -> "Future[LagStart | str]":
+    def identify(self, window: Window) -> Job[LagStart | str]:
         """Run :func:`identify`."""
-        future: Future[LagStart | str] = Future()
-        future.set_result(identify(window))
-        return future
+        return Done(identify(window))
 
-    def find_line(
-        self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None
-    ) -> "Future[Line | None]":
+    def find_line(self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None) -> Job[Line | None]:
         """Run :func:`find_line`."""
-        future: Future[Line | None] = Future()
-        future.set_result(find_line(t, position_n, velocity_n, given))
-        return future
+        return Done(find_line(t, position_n, velocity_n, given))

@@ -38,7 +38,7 @@ class Receiver:
 
     def __init__(self, source: Source, *, waits: bool = False) -> None:
         """waits: let the source wait when nobody takes (a file) instead of throwing the oldest away (a line)."""
-        self._source, self._waits = source, waits
+        self._source, self.waits = source, waits
         self._chunks: deque[Chunk] = deque()
         self._waiting = 0
         self._status = LinkStatus()
@@ -62,6 +62,11 @@ class Receiver:
         if self._failure is not None:
             raise self._failure
         return self._status
+
+    @property
+    def has_chunks(self) -> bool:
+        """Whether something has come that was not taken."""
+        return bool(self._chunks)
 
     def take(self, timeout: float = 0.0) -> list[Chunk]:
         """Return what has come since the last call, waiting up to `timeout` s for something."""
@@ -113,13 +118,13 @@ class Receiver:
         return False
 
     def _put(self, chunk: Chunk) -> None:
-        while self._waits and self._waiting > MOST_WAITING and not self._stop.wait(0.005):
+        while self.waits and self._waiting > MOST_WAITING and not self._stop.wait(0.005):
             pass
         with self._lock:
             self._chunks.append(chunk)
             self._waiting += len(chunk.data)
             dropped = 0
-            while self._waiting > MOST_WAITING and len(self._chunks) > 1 and not self._waits:
+            while self._waiting > MOST_WAITING and len(self._chunks) > 1 and not self.waits:
                 oldest = self._chunks.popleft()
                 self._waiting -= len(oldest.data)
                 dropped += len(oldest.data)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from smoother.live.engine import Engine, Snapshot
-from smoother.live.receiver import LinkStatus, Receiver
+from smoother.live.receiver import Chunk, LinkStatus, Receiver
 from smoother.live.recording import SessionWriter
 
 LONGEST_WAIT = 0.02  # s; between looks at the receiver
@@ -46,13 +46,13 @@ def run(
     snapshot = Snapshot()
     while not stop():
         link = receiver.status
-        chunks = receiver.take(max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
+        chunks = _come(receiver, engine, max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
         snapshot, batches = engine.step(chunks)
         if writer is not None:
             for batch in batches:
                 writer.add(batch.records, batch.restarted)
         now = time.monotonic()
-        is_last = link.is_over and not chunks and not engine.is_busy
+        is_last = link.is_over and not chunks and not receiver.has_chunks and not engine.is_busy
         if now >= due or is_last:
             delay = max(0.0, now - snapshot.arrival) if snapshot.arrival else 0.0
             if not view.draw(snapshot, link, delay):
@@ -63,3 +63,11 @@ def run(
         if is_last:
             return snapshot
     return snapshot
+
+
+def _come(receiver: Receiver, engine: Engine, wait: float) -> list[Chunk]:
+    """What has come, waiting up to `wait` s. From a file, which loses nothing, nothing while the smoother is behind."""
+    if receiver.waits and engine.is_behind:
+        time.sleep(wait)
+        return []
+    return receiver.take(wait)

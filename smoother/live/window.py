@@ -17,7 +17,7 @@ from smoother.live.engine import Snapshot
 from smoother.live.receiver import LinkStatus
 from smoother.units import DEG, STANDARD_GRAVITY
 
-FRAMES = 30.0  # a second
+FRAMES = 40.0  # a second; a machine that is busy with other things leaves out a third of them
 WIDTH, HEIGHT = 1060, 640  # pixels
 FORCE_RANGE, RATE_RANGE = 3.0, 180.0  # g, deg/s
 INK, DIM, FAINT, PAPER = "#1a1c20", "#6b7280", "#d5dae2", "#ffffff"

@@ -7,18 +7,21 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.graph.state import Constants
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
-from smoother.live.lag import _Reading, fix_rows
+from smoother.live.lag_rows import CONSTANTS, Reading, felt_errors, fix_rows
+from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
+from smoother.trajectory import Trajectory
 from smoother.units import DEG
 
 TICK = 300  # bytes at once, a fifteenth of a second
 
 
 def run_through(stream: bytes) -> list[Snapshot]:
-    engine = Engine(Foreground())
+    engine = Engine(Aboard(Foreground()))
     snapshots = [engine.step([Chunk(at * 1e-4, stream[at : at + TICK])])[0] for at in range(0, len(stream), TICK)]
     for _ in range(400):  # let a smoother that catches up finish
         snapshots.append(engine.step([])[0])
@@ -32,18 +35,27 @@ def snapshots(drive) -> list[Snapshot]:
 
 def test_rows_of_a_fix_have_the_jacobians_they_claim() -> None:
     rng = np.random.default_rng(3)
-    reading = _Reading(rng.normal(0, 5, 3) + np.array([0.0, 0.0, 9.8]), so3.skew(rng.normal(0, 1, 3)))
+    reading = Reading(rng.normal(0, 5, 3) + np.array([0.0, 0.0, 9.8]), so3.skew(rng.normal(0, 1, 3)))
     R, p, v, offset = so3.exp(rng.normal(0, 1, 3)), *rng.normal(0, 10, (3, 3))
-    constants = np.array([0.15, 0.25, 0.3, -0.2, 0.4])
+    constants = np.concatenate([[0.15, 0.25, 0.3, -0.2, 0.4], rng.normal(0, 0.03, CONSTANTS - 5)])
 
     def predicted(x: Array) -> Array:
         turned, moved = R @ so3.exp(x[:3]), p + R @ x[3:6]
         return fix_rows(turned, moved, v + x[6:9], offset + x[9:12], constants + x[12:], reading, 0.2)[0]
 
-    by_pose, by_velocity, by_bias, by_offset, by_constants = fix_rows(R, p, v, offset, constants, reading, 0.2)[1]
-    claimed = np.hstack([by_pose, by_velocity, by_offset, by_constants])
-    np.testing.assert_allclose(claimed, so3.numerical_jacobian(predicted, np.zeros(17)), atol=1e-6)
-    assert not np.any(by_bias)
+    claimed = np.hstack(fix_rows(R, p, v, offset, constants, reading, 0.2)[1])
+    np.testing.assert_allclose(claimed, so3.numerical_jacobian(predicted, np.zeros(12 + CONSTANTS)), atol=1e-6)
+
+
+def test_errors_of_scale_are_felt_as_the_batch_smoother_takes_them_out() -> None:
+    rng = np.random.default_rng(8)
+    axes, force, rate = so3.exp(rng.normal(0, 1, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
+    accel_error, gyro_error = rng.normal(0, 0.01, (3, 2)), rng.normal(0, 0.01, 3)
+    state = Constants(0.0, 0.0, np.zeros(3), accel_error=accel_error, gyro_error=gyro_error, level_axes_s=axes)
+    constants = np.concatenate([np.zeros(8), accel_error.ravel(), gyro_error])
+    felt = felt_errors(axes, force, rate) @ constants
+    np.testing.assert_allclose(felt[:3], state.accel_matrix @ force, atol=1e-12)
+    np.testing.assert_allclose(felt[3:], state.gyro_matrix @ rate, atol=1e-12)
 
 
 def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots: list[Snapshot]) -> None:
@@ -59,18 +71,31 @@ def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots:
     assert np.sqrt(np.mean((error / sigma) ** 2)) < 2.0
 
 
-def test_the_last_second_agrees_with_the_batch_smoother(drive, snapshots: list[Snapshot]) -> None:
+def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fewer(drive, snapshots) -> None:
     session = prepare(drive.simulation.raw)
+    assert session.imu is not None
     batch = GraphSmoother().estimate(session)
-    assert batch.sigmas is not None
     last = [s.lag for s in snapshots if s.lag is not None and batch.t[-1] - 1.0 < s.lag.t <= batch.t[-1]]
-    assert last
-    state = last[-1]
-    k = int(np.argmin(np.abs(batch.t - state.t)))
-    apart = so3.log(batch.R_nb[k].T @ state.R_nb)
-    # the same data but a moment less, so no farther apart than the stream is unsure
-    assert np.all(np.abs(apart) < 3.0 * state.attitude_sigma)
-    assert np.all(np.abs(batch.velocity_n[k] - state.velocity_n) < 3.0 * state.velocity_sigma + 0.2)
+    assert len(last) > 10
+    for state in last:
+        k = int(np.argmin(np.abs(batch.t - state.t)))
+        P = _batch_covariance(batch, state.t, session.imu.t[-1])
+        attitude = batch.R_nb[k].T @ P[:3, :3] @ batch.R_nb[k]
+        for difference, own, batchs in (
+            (so3.log(batch.R_nb[k].T @ state.R_nb), state.attitude_sigma**2, np.diag(attitude)),
+            (state.velocity_n - batch.velocity_n[k], state.velocity_sigma**2, np.diag(P[3:6, 3:6])),
+        ):
+            # nearer than a tenth of a sigma the two differ by how they linearise, and by a row of up to 10 ms beside
+            assert np.all(np.abs(difference) < 3.0 * np.sqrt(np.maximum(own - batchs, 0.01 * own)))
+
+
+def _batch_covariance(batch: Trajectory, t: float, end: float) -> Array:
+    """Covariance (9, 9) at t s, on the line through those of two keyframes before the samples end."""
+    keyframes = batch.report.keyframes
+    assert keyframes is not None
+    k = int(np.clip(np.searchsorted(keyframes.t, t), 1, np.searchsorted(keyframes.t, end) - 1))
+    share = (t - keyframes.t[k - 1]) / (keyframes.t[k] - keyframes.t[k - 1])
+    return np.asarray((1.0 - share) * keyframes.covariance[k - 1] + share * keyframes.covariance[k])
 
 
 def test_madgwick_is_there_at_once_and_the_smoother_when_it_drove(snapshots: list[Snapshot]) -> None:
@@ -90,7 +115,7 @@ def test_rates_fix_and_satellites_are_what_was_sent(snapshots: list[Snapshot]) -
 
 def test_a_stream_of_garbage_gives_a_snapshot_and_no_error() -> None:
     rng = np.random.default_rng(4)
-    engine = Engine(Foreground())
+    engine = Engine(Aboard(Foreground()))
     for _ in range(50):
         snapshot, batches = engine.step([Chunk(1.0, rng.bytes(2000))])
         assert not batches

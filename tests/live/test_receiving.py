@@ -14,6 +14,7 @@ import pytest
 from smoother.errors import UsageError
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
+from smoother.live.navigator import Aboard
 from smoother.live.receiver import MOST_WAITING, Chunk, LinkStatus, Receiver
 from smoother.live.running import run
 from smoother.live.sources import PipeSource, ReplaySource, SerialSource, source_for
@@ -71,7 +72,7 @@ def wait_until(condition: object, seconds: float = 10.0) -> None:
 
 
 def test_a_pulled_cable_is_noticed_and_the_stream_goes_on_when_it_is_back(port: Port, drive) -> None:
-    engine, first, second = Engine(Foreground()), drive.stream[:20_000], drive.stream[30_000:50_000]
+    engine, first, second = Engine(Aboard(Foreground())), drive.stream[:20_000], drive.stream[30_000:50_000]
     with Receiver(SerialSource(str(port.link))) as receiver:
         wait_until(lambda: receiver.status.is_open)  # opening a port throws away what came before
         port.write(first)
@@ -100,7 +101,7 @@ def test_a_sender_ten_times_too_fast_is_shown_without_falling_behind(port: Port,
     with Receiver(SerialSource(str(port.link))) as receiver:
         wait_until(lambda: receiver.status.is_open)
         sender.start()
-        last = run(receiver, Engine(NoWorker()), shown, None, lambda: not sender.is_alive())
+        last = run(receiver, Engine(Aboard(NoWorker())), shown, None, lambda: not sender.is_alive())
         sender.join()
     assert last.t > 30.0
     delays = sorted(shown.delays)
@@ -173,7 +174,7 @@ def test_a_file_without_records_is_one_line_of_error(tmp_path: Path) -> None:
     with Receiver(ReplaySource(path)) as receiver:
         time.sleep(0.1)
         with pytest.raises(UsageError, match="neither blocks nor frames"):
-            run(receiver, Engine(Foreground()), Shown())
+            run(receiver, Engine(Aboard(Foreground())), Shown())
 
 
 def test_chunks_know_that_the_cable_was_pulled_before_them(port: Port) -> None:

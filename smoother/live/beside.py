@@ -1,0 +1,135 @@
+"""The navigator in a process of its own: it is given what came when it has answered, and never waited for."""
+
+import contextlib
+import time
+from collections import deque
+from dataclasses import replace
+from multiprocessing.connection import Connection
+
+from smoother.laps.tracks import TrackFile
+from smoother.live.navigator import Item, Navigation, Navigator
+from smoother.live.processes import Background, Child, describe
+from smoother.samples import ImuSamples
+
+MOST_WAITING = 60.0  # s of samples not yet given; what is older then is left out, and said to be
+BEHIND = 5.0  # s of samples not yet given, from which on a source that can wait has to
+AT_ONCE = 100  # items given together: four seconds of the usual stream, which the pipe takes without waiting
+ASK_AGAIN = 0.1  # s, where nothing came
+IDLE = 0.02  # s between looks at a worker that has not answered
+START_AGAIN = 5.0  # s after a process died
+
+
+class Beside:
+    """The navigator over there. `give` takes what came and returns the newest that is known; it does not wait."""
+
+    def __init__(self, tracks: tuple[TrackFile, ...] = ()) -> None:
+        self._tracks = tracks
+        self._child: Child | None = None
+        self._waiting: deque[Item] = deque()
+        self._arrival = 0.0
+        self._asked_at: float | None = None  # when it was last asked; None: it has answered
+        self._answered_at = 0.0
+        self._is_new = False  # the logger was restarted
+        self._flaw = ""
+        self._left_out = 0.0
+        self._start_at = 0.0
+        self._navigation = Navigation()
+        self._start()
+
+    def __enter__(self) -> "Beside":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._child is not None:
+            self._child.close()
+        self._child = None
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether so much waits that a source that can wait should."""
+        return self._seconds_waiting() > BEHIND
+
+    def restart(self) -> None:
+        """Forget everything: the logger was switched off and on."""
+        self._waiting.clear()
+        self._is_new, self._flaw = True, ""
+
+    def give(self, items: list[Item], arrival: float) -> Navigation:
+        """Take in items, arrival s of their bytes; return what is known."""
+        self._waiting.extend(items)
+        self._arrival = max(self._arrival, arrival)
+        while self._seconds_waiting() > MOST_WAITING:
+            self._left_out += _length(self._waiting.popleft())
+        try:
+            self._exchange()
+        except (EOFError, OSError):
+            self._fail()
+        is_busy = self._navigation.is_busy or bool(self._waiting) or self._asked_at is not None
+        return replace(self._navigation, is_busy=is_busy, left_out=self._left_out)
+
+    def _exchange(self) -> None:
+        now = time.monotonic()
+        if self._child is None:
+            if now < self._start_at:
+                return
+            self._start()
+        assert self._child is not None
+        pipe = self._child.connection
+        if self._asked_at is not None and pipe.poll():
+            self._navigation, self._asked_at, self._answered_at = pipe.recv(), None, now
+        is_due = self._waiting or self._is_new or now - self._answered_at > ASK_AGAIN
+        if self._asked_at is None and is_due:
+            items = [self._waiting.popleft() for _ in range(min(AT_ONCE, len(self._waiting)))]
+            pipe.send((items, self._arrival, self._is_new, self._flaw))
+            self._is_new, self._flaw, self._asked_at = False, "", now
+
+    def _start(self) -> None:
+        self._child, self._asked_at = Child(serve, self._tracks, has_children=True), None
+
+    def _fail(self) -> None:
+        """Say that the process is gone; the next one begins a while later, without what this one knew."""
+        assert self._child is not None
+        self._flaw = f"the smoother's process ended, {self._child.how_it_ended}; it begins again"
+        self._child.close()
+        self._child, self._asked_at, self._is_new = None, None, True
+        self._start_at = time.monotonic() + START_AGAIN
+        self._navigation = Navigation(laps=self._navigation.laps, stage=f"not yet: {self._flaw}")
+
+    def _seconds_waiting(self) -> float:
+        waiting = self._waiting
+        return float(waiting[-1].t[-1] - waiting[0].t[0]) if waiting else 0.0
+
+
+def _length(item: Item) -> float:
+    """Time, s, that samples cover."""
+    return float(item.t[-1] - item.t[0]) if isinstance(item, ImuSamples) else 0.0
+
+
+def serve(connection: Connection, tracks: tuple[TrackFile, ...]) -> None:
+    """Be the process of :class:`Beside`: answer each batch of items with what is known, work in between.
+
+    An exception is a flaw that is shown; the stream goes on with another navigator.
+    """
+    with Background() as worker, contextlib.suppress(EOFError, OSError):
+        navigator = Navigator(worker, tracks)
+        while True:
+            try:
+                is_working = navigator.work()
+            except Exception as error:
+                navigator, is_working = Navigator(worker, tracks, flaw=_flaw_of(error)), False
+            if not connection.poll(0.0 if is_working else IDLE):
+                continue
+            items, arrival, is_new, flaw = connection.recv()
+            if is_new:
+                navigator = Navigator(worker, tracks, flaw=flaw)
+            try:
+                navigator.take(items, arrival)
+                answer = navigator.look()
+            except Exception as error:
+                navigator = Navigator(worker, tracks, flaw=_flaw_of(error))
+                answer = navigator.look()
+            connection.send(answer)
+
+
+def _flaw_of(error: Exception) -> str:
+    return f"{describe(error)}; the smoother begins again"

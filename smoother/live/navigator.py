@@ -1,0 +1,287 @@
+"""The slow half of a stream: mounting and delays, the smoother, laps. Samples and fixes in, one value out.
+
+It knows no bytes and no screen, and runs in a process of its own (beside.py), so that nothing it does delays a frame.
+Everything held is bounded: the window of samples that mounting and delays are identified on, the smoother's lag, the
+path of the last laps.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.frames import Origin
+from smoother.laps.results import GivenLines, Line
+from smoother.laps.tracks import TrackFile, layout_on
+from smoother.live.identify import MOVED, Job, Window
+from smoother.live.lag import FixedLag, LagOptions, LagStart, LagState
+from smoother.live.laptimes import LapClock, LapTimes
+from smoother.prepare import choose_origin
+from smoother.samples import GnssFixes, ImuSamples
+
+WINDOW = 130.0  # s of samples and fixes for the identification
+IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving; then mounting and delays are known
+RETRY_AFTER = 10.0  # s of driving after an identification or a smoother that failed
+CATCH_UP = 1  # fixes that a new smoother takes in with each step besides as many as came new; 10 ms each
+LINE_EVERY = 10.0  # s of path between searches for the lap
+
+Item = ImuSamples | GnssFixes
+
+
+class Worker(Protocol):
+    """Where work of seconds is done; see identify.py."""
+
+    def identify(self, window: Window) -> Job[LagStart | str]:
+        """Find where a stream begins."""
+        ...
+
+    def find_line(self, t: Array, position_n: Array, velocity_n: Array, given: GivenLines | None) -> Job[Line | None]:
+        """Find the start line."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Navigation:
+    """What is known now. arrival s on the computer's clock, of the newest bytes that are in it.
+
+    lag: the smoother's state, None before; R_bs (3, 3) and latencies (position, velocity) s that it runs with; laps;
+    stage in words; is_busy: something is still being worked out of what has come; left_out s of the stream that came
+    too fast.
+    """
+
+    arrival: float = 0.0
+    lag: LagState | None = None
+    R_bs: Array | None = None
+    latencies: tuple[float, float] | None = None
+    laps: LapTimes = field(default_factory=LapTimes)
+    stage: str = "waiting for the logger"
+    is_busy: bool = False
+    left_out: float = 0.0
+
+
+class Navigator:
+    """Takes the items of one run of the logger in order; `work` does what takes time, in small bites."""
+
+    def __init__(
+        self,
+        worker: Worker,
+        tracks: tuple[TrackFile, ...] = (),
+        lag: LagOptions | None = None,
+        flaw: str = "",
+    ) -> None:
+        """flaw: why the one before this one ended."""
+        self._worker, self._tracks, self._options = worker, tracks, lag
+        self._imu: deque[ImuSamples] = deque()
+        self._fixes: deque[GnssFixes] = deque()
+        self._origin: Origin | None = None
+        self._laps = LapClock()
+        self._lag: FixedLag | None = None
+        self._start: LagStart | None = None
+        self._next: FixedLag | None = None  # catches up with what has come, then takes the other's place
+        self._next_start: LagStart | None = None
+        self._todo: deque[Item] = deque()
+        self._identification: Job[LagStart | str] | None = None
+        self._line: Job[Line | None] | None = None
+        self._driven = 0.0
+        self._identify_at = IDENTIFY_AFTER[0]
+        self._line_at = 0.0
+        self._arrival = 0.0
+        self._flaw = flaw
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is still being worked out of what has come."""
+        return self._identification is not None or self._next is not None or self._line is not None
+
+    def take(self, items: Sequence[Item], arrival: float) -> int:
+        """Take in samples and fixes (a row each); return how many were fixes. arrival s of the newest bytes."""
+        fixes = 0
+        for item in items:
+            if isinstance(item, GnssFixes):
+                fixes += 1
+                self._take_fix(item)
+            else:
+                self._imu.append(item)
+                self._pass_on(item)
+        now = self._imu[-1].t[-1] if self._imu else 0.0
+        for held in (self._imu, self._fixes):
+            while held and held[0].t[-1] < now - WINDOW:
+                held.popleft()
+        self._arrival = max(self._arrival, arrival)
+        return fixes
+
+    def work(self, most: int = CATCH_UP) -> bool:
+        """Take over what the worker has done, let a new smoother take in `most` fixes; whether it has more to do."""
+        self._identify()
+        self._catch_up(most)
+        self._find_line()
+        return self._next is not None
+
+    def look(self) -> Navigation:
+        """Return what is known."""
+        lag = self._lag_state()
+        now = max((float(held[-1].t[-1]) for held in (self._imu, self._fixes) if held), default=0.0)
+        return Navigation(
+            self._arrival,
+            lag,
+            None if self._start is None else self._start.R_bs,
+            None if self._lag is None else self._lag.latencies,
+            self._laps.times(now),
+            self._stage(),
+            self.is_busy,
+        )
+
+    # ---- inside -----------------------------------------------------------------------------------------------------
+
+    def _take_fix(self, fix: GnssFixes) -> None:
+        t = float(fix.t[-1])
+        if self._origin is None:
+            self._origin = choose_origin(fix)
+        if self._fixes and speed_of(fix) > MOVED:
+            self._driven += min(1.0, t - float(self._fixes[-1].t[-1]))
+        self._fixes.append(fix)
+        self._pass_on(fix)
+        if self._lag is None and np.isfinite(speed_of(fix)):  # laps from the fixes until the smoother runs
+            self._laps.add(t, np.nan_to_num(fix.position_n(self._origin)[-1]), np.nan_to_num(fix.velocity_n[-1]))
+
+    def _pass_on(self, item: Item) -> None:
+        if self._next is not None:
+            self._todo.append(item)
+        if self._lag is not None and self._origin is not None and not _feed(self._lag, item, self._origin):
+            self._lose("the smoother failed and begins again")
+
+    def _lose(self, why: str) -> None:
+        self._lag, self._start, self._flaw = None, None, why
+        self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
+
+    def _identify(self) -> None:
+        if self._identification is not None and self._identification.done():
+            found, self._identification = self._identification.result(), None
+            self._begin_again(found)
+        is_due = self._driven >= self._identify_at and self._imu
+        if self._identification is None and self._next is None and is_due and self._origin is not None:
+            window = Window(_all_imu(self._imu), _all_fixes(self._fixes), self._origin)
+            later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
+            self._identify_at = later[0] if later else float("inf")
+            self._identification = self._worker.identify(window)
+
+    def _begin_again(self, start: LagStart | str) -> None:
+        """Start a smoother at the head of the window with what was identified; the old one goes on meanwhile."""
+        if isinstance(start, str):
+            self._flaw, self._identify_at = start, min(self._identify_at, self._driven + RETRY_AFTER)
+            return
+        self._flaw = ""
+        try:
+            self._next, self._next_start = FixedLag(start, self._options), start
+        except RuntimeError as error:  # what GTSAM's exceptions are in Python
+            self._next, self._flaw = None, str(error).splitlines()[0]
+            return
+        parts: list[Item] = [part for part in self._imu if part.t[-1] > start.t]
+        parts += [fix for fix in self._fixes if fix.t[-1] > start.t + start.velocity_latency]
+        self._todo = deque(sorted(parts, key=lambda part: (float(part.t[-1]), isinstance(part, GnssFixes))))
+
+    def _catch_up(self, most: int) -> None:
+        """Let a new smoother take in `most` fixes more, and put it in its place once it knows all."""
+        if self._next is None or self._origin is None:
+            return
+        fixes = 0
+        while self._todo and fixes < most:
+            item = self._todo.popleft()
+            fixes += isinstance(item, GnssFixes)
+            if not _feed(self._next, item, self._origin):
+                self._next, self._flaw = None, "the smoother failed and begins again"
+                self._todo.clear()
+                self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
+                return
+        if not self._todo:
+            self._lag, self._start, self._next, self._next_start = self._next, self._next_start, None, None
+
+    def _find_line(self) -> None:
+        if self._line is not None and self._line.done():
+            line, self._line = self._line.result(), None
+            if isinstance(line, Line):
+                self._laps.set_line(line)
+        is_due = not self._laps.has_line and self._laps.seconds > self._line_at
+        if self._line is None and is_due and self._origin is not None:
+            self._line_at = self._laps.seconds + LINE_EVERY
+            if self._laps.seconds > LINE_EVERY:
+                given = layout_on(self._tracks, self._origin, None) if self._tracks else None
+                self._line = self._worker.find_line(*self._laps.path(), given)
+
+    def _lag_state(self) -> LagState | None:
+        if self._lag is None:
+            return None
+        try:
+            state = self._lag.state()
+        except RuntimeError as error:
+            self._lose(str(error).splitlines()[0])
+            return None
+        self._laps.add(state.t, state.position_n, state.velocity_n)
+        return state
+
+    def _stage(self) -> str:
+        if not self._imu and not self._fixes:
+            return "waiting for the logger"
+        if self._lag is not None:
+            return "smoothing"
+        if self._identification is not None or self._next is not None:
+            return "finding mounting and delays"
+        if self._flaw:
+            return f"not yet: {self._flaw}"
+        return "attitude only, drive to start the smoother" if self._fixes else "attitude only, no fix yet"
+
+
+class Aboard:
+    """A navigator in this process, done with each batch before the next: for tests and measurements."""
+
+    is_behind = False
+
+    def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = (), lag: LagOptions | None = None) -> None:
+        self._make = partial(Navigator, worker, tracks, lag)
+        self._navigator = self._make()
+
+    def restart(self) -> None:
+        """Forget everything: the logger was switched off and on."""
+        self._navigator = self._make()
+
+    def give(self, items: list[Item], arrival: float) -> Navigation:
+        """Take in items; return what is known then."""
+        fixes = self._navigator.take(items, arrival)
+        self._navigator.work(CATCH_UP + fixes)
+        navigation = self._navigator.look()
+        return replace(navigation, is_busy=self._navigator.is_busy)
+
+
+def _feed(lag: FixedLag, item: Item, origin: Origin) -> bool:
+    """Give a smoother its next item; False if it failed."""
+    try:
+        if isinstance(item, ImuSamples):
+            lag.add_imu(item)
+        else:
+            lag.add_fix(float(item.t[-1]), item.position_n(origin)[-1], item.velocity_n[-1])
+    except RuntimeError:  # what GTSAM's exceptions are in Python
+        return False
+    return True
+
+
+def speed_of(fix: GnssFixes) -> float:
+    """Horizontal speed of the last row, m/s; NaN where the receiver says none."""
+    return float(np.hypot(fix.velocity_n[-1, 0], fix.velocity_n[-1, 1]))
+
+
+def _all_imu(parts: deque[ImuSamples]) -> ImuSamples:
+    return ImuSamples(
+        np.concatenate([part.t for part in parts]),
+        np.concatenate([part.specific_force_s for part in parts]),
+        np.concatenate([part.angular_rate_s for part in parts]),
+        parts[-1].accel_full_scale,
+        parts[-1].gyro_full_scale,
+    )
+
+
+def _all_fixes(parts: deque[GnssFixes]) -> GnssFixes:
+    return GnssFixes(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(GnssFixes)})
