@@ -39,7 +39,7 @@ def run_on_cluster(
         futures = client.map(attempt, ordered, stop=None, command=tuple(command), pure=False)
         waiting = dict(zip(futures, ordered, strict=True))
         try:
-            for done in as_completed(futures):
+            for done in as_completed(futures, loop=client.loop):
                 yield waiting[done], _outcome(done)
         finally:
             client.cancel(futures)
