@@ -19,6 +19,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
+from smoother.disc import pieces, release, roomy
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
@@ -108,10 +109,13 @@ class _Averages:
     """Mean force and rate over windows, from cumulative sums."""
 
     def __init__(self, imu: ImuSamples) -> None:
-        self._t = imu.t
+        self._t, self._sum, before = imu.t, roomy((len(imu.t), 6)), np.zeros(6)
         step = np.diff(imu.t, prepend=imu.t[0])
-        both = np.concatenate([imu.specific_force_s, imu.angular_rate_s], axis=1)
-        self._sum = np.cumsum(both * step[:, None], axis=0)
+        for part in pieces(len(imu.t)):
+            both = np.concatenate([imu.specific_force_s[part], imu.angular_rate_s[part]], axis=1)
+            self._sum[part] = before + np.cumsum(both * step[part, None], axis=0)
+            before = self._sum[part.stop - 1].copy()
+            release(imu, self._sum)
 
     def around(self, t: Array, width: float) -> tuple[Array, Array]:
         """Mean force and rate, each (..., 3), over `width` seconds around t (...)."""
@@ -206,9 +210,7 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
     added to the gyro's yaw, and held over standstills.
     """
-    rate_up = (imu.angular_rate_s - alignment.gyro_bias_s) @ alignment.R_bs[2]
-    step = np.clip(np.diff(imu.t, prepend=imu.t[0]), 0.0, 0.5)
-    gyro_yaw = np.cumsum(rate_up * step)
+    gyro_yaw = _gyro_yaw(imu, alignment)
     times = path.t - alignment.lag
     moving = path.speed > MIN_SPEED
     if alignment.is_level_only or not np.any(moving):
@@ -218,6 +220,18 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
         yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving], difference, 3.0)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
+    """Turn about up since the first sample, (N,) rad; nothing is known of what a gap holds but half a second."""
+    yaw, before = roomy(len(imu.t)), 0.0
+    step = np.clip(np.diff(imu.t, prepend=imu.t[0]), 0.0, 0.5)
+    for part in pieces(len(imu.t)):
+        rate_up = (imu.angular_rate_s[part] - alignment.gyro_bias_s) @ alignment.R_bs[2]
+        yaw[part] = before + np.cumsum(rate_up * step[part])
+        before = float(yaw[part.stop - 1])
+        release(imu)
+    return yaw
 
 
 def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:

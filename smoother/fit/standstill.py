@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces, release
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Session
 from smoother.units import DEG
@@ -52,6 +53,7 @@ class StandstillOptions:
 MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
+ENOUGH = 1 << 20  # samples, evenly taken, to know the usual value
 
 
 def session_standstill(session: Session, options: StandstillOptions | None = None) -> BoolArray:
@@ -195,10 +197,16 @@ class _Blocks:
         has = (count > 0.0).astype(np.float64)
         k = _windowed(has, options)
         between, within = np.zeros(size), np.zeros(size)
-        for axis in range(3):  # one axis at a time: a day of samples is a gigabyte
-            centred = values[:, axis] - np.median(values[:, axis])  # keeps the sums of squares precise
-            mean = np.bincount(block, centred, size) / filled
-            inside: Array = np.bincount(block, (centred - mean[block]) ** 2, size).astype(np.float64)
+        for axis in range(3):  # one axis at a time, and parts of it: a day of samples is a gigabyte
+            usual = np.median(values[:: max(1, len(values) // ENOUGH), axis])  # keeps the sums of squares precise
+            mean, inside = np.zeros(size), np.zeros(size)
+            for part in pieces(len(values)):
+                mean += np.bincount(block[part], values[part, axis] - usual, size)
+            mean /= filled
+            for part in pieces(len(values)):
+                rest = values[part, axis] - usual - mean[block[part]]
+                inside += np.bincount(block[part], rest**2, size)
+                release(values)
             between += _windowed(mean**2, options) - _windowed(mean, options) ** 2 / np.maximum(k, 1.0)
             within += _windowed(inside, options)
         freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0), options), 1.0)

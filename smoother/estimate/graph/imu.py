@@ -14,12 +14,14 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
+from smoother.disc import pieces, release, roomy
 from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
 
 GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
+TOGETHER = 1 << 13  # intervals whose samples are worked on together; half an hour
 CLIP_FRACTION = 0.985  # of full scale; the MPU9250's codes saturate at the last count
 
 
@@ -67,16 +69,23 @@ def halved(binned: BinnedImu, gyro_bias: Array) -> BinnedImu:
     gyro_bias (3,) rad/s is taken off for that turn. The bins must be an even number in each interval. Source: as
     :func:`bin_imu`, for two steps.
     """
-    dt = binned.dt
-    force, later = binned.specific_force_s[:, 0::2], binned.specific_force_s[:, 1::2]
-    rate, later_rate = binned.angular_rate_s[:, 0::2], binned.angular_rate_s[:, 1::2]
+    n, n_bins, _ = binned.specific_force_s.shape
+    force, rate = roomy((n, n_bins // 2, 3)), roomy((n, n_bins // 2, 3))
+    for part in pieces(n, TOGETHER):
+        some = binned.specific_force_s[part], binned.angular_rate_s[part]
+        force[part], rate[part] = _halved(*some, gyro_bias, binned.dt)
+        release(binned, force, rate)
+    return replace(binned, dt=2.0 * binned.dt, specific_force_s=force, angular_rate_s=rate)
+
+
+def _halved(force: Array, rate: Array, gyro_bias: Array, dt: float) -> tuple[Array, Array]:
+    force, later = force[:, 0::2], force[:, 1::2]
+    rate, later_rate = rate[:, 0::2], rate[:, 1::2]
     turn = (rate - gyro_bias) * dt
     turned = np.cross(turn, later)
-    return replace(
-        binned,
-        dt=2.0 * dt,
-        specific_force_s=0.5 * (force + later + turned + 0.5 * np.cross(turn, turned)),
-        angular_rate_s=0.5 * (rate + later_rate + 0.5 * np.cross(turn, later_rate - gyro_bias)),
+    return (
+        0.5 * (force + later + turned + 0.5 * np.cross(turn, turned)),
+        0.5 * (rate + later_rate + 0.5 * np.cross(turn, later_rate - gyro_bias)),
     )
 
 
@@ -131,20 +140,59 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
     Source: Savage 1998, coning and sculling, second order.
     """
     n_intervals = len(t) - 1
-    n_edges = n_intervals * n_bins + 1
-    dt = (t[-1] - t[0]) / (n_edges - 1)
-    edges = t[0] + dt * np.arange(n_edges)
+    dt, nominal = (t[-1] - t[0]) / (n_intervals * n_bins), float(np.median(np.diff(imu.t)))
+    out = BinnedImu(
+        t,
+        float(dt),
+        roomy((n_intervals, n_bins, 3)),
+        roomy((n_intervals, n_bins, 3)),
+        np.empty(n_intervals),
+        np.empty(n_intervals),
+    )
+    for part in pieces(n_intervals, TOGETHER):
+        edges = t[0] + dt * np.arange(part.start * n_bins, part.stop * n_bins + 1)
+        some = _samples_around(imu, edges[0], edges[-1])
+        force, rate, missing, clipped = _bin_some(some, edges, dt, nominal, accel_bias, gyro_bias)
+        shape = (part.stop - part.start, n_bins)
+        out.specific_force_s[part], out.angular_rate_s[part] = force.reshape(*shape, 3), rate.reshape(*shape, 3)
+        out.missing[part] = missing.reshape(shape).sum(axis=1) / (n_bins * dt)
+        out.clipped[part] = clipped.reshape(shape).sum(axis=1) / (n_bins * dt)
+        release(imu, out)
+    return out
+
+
+def _samples_around(imu: ImuSamples, start: float, end: float) -> ImuSamples:
+    """The samples from the last one before start to the first one after end, where there are any."""
+    first = max(int(np.searchsorted(imu.t, start)) - 1, 0)
+    last = int(np.searchsorted(imu.t, end, side="right")) + 1
+    return ImuSamples(
+        imu.t[first:last],
+        imu.specific_force_s[first:last],
+        imu.angular_rate_s[first:last],
+        imu.accel_full_scale,
+        imu.gyro_full_scale,
+    )
+
+
+def _bin_some(
+    imu: ImuSamples, edges: Array, dt: float, nominal: float, accel_bias: Array, gyro_bias: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Mean force and rate (B, 3) of the bins between edges (B + 1,), and the time (B,) s missing and clipped in them.
+
+    nominal s: the usual step of the samples.
+    """
+    n_bins = len(edges) - 1
     inside = imu.t[(imu.t > edges[0]) & (imu.t < edges[-1])]
     knots = np.union1d(inside, edges)
     duration = np.diff(knots)
     middle = knots[:-1] + 0.5 * duration
-    force, rate, missing, sample = _piecewise_constant(imu, middle)
-    bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_edges - 2)
+    force, rate, missing, sample = _piecewise_constant(imu, middle, nominal)
+    bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_bins - 1)
 
     rate = rate - gyro_bias
     step = rate * duration[:, None]
     turned = np.cumsum(step, axis=0) - step
-    first = np.searchsorted(bin_of, np.arange(n_edges - 1))
+    first = np.searchsorted(bin_of, np.arange(n_bins))
     start = turned - turned[first][bin_of]  # rotation vector since the start of the bin, first order
     half = start + 0.5 * step
     turned_force = np.cross(half, force - accel_bias)
@@ -154,20 +202,12 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
     mean_force = np.add.reduceat(resolved * duration[:, None], first, axis=0) / dt
     mean_rate = np.add.reduceat(coned, first, axis=0) / dt + gyro_bias
     clipped = clipped_samples(imu)[sample]
-    shape = (n_intervals, n_bins)
-    return BinnedImu(
-        t,
-        float(dt),
-        mean_force.reshape(*shape, 3),
-        mean_rate.reshape(*shape, 3),
-        np.add.reduceat(missing * duration, first).reshape(shape).sum(axis=1) / (n_bins * dt),
-        np.add.reduceat(clipped * duration, first).reshape(shape).sum(axis=1) / (n_bins * dt),
-    )
+    lost = np.add.reduceat(missing * duration, first)
+    return mean_force, mean_rate, lost, np.add.reduceat(clipped * duration, first)
 
 
-def _piecewise_constant(imu: ImuSamples, t: Array) -> tuple[Array, Array, BoolArray, np.ndarray]:
+def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Array, Array, BoolArray, np.ndarray]:
     """Force and rate (M, 3) at t, which of them (M,) were not measured, and the index of the sample used."""
-    nominal = float(np.median(np.diff(imu.t)))
     after = np.clip(np.searchsorted(imu.t, t), 0, len(imu.t) - 1)
     before = np.maximum(after - 1, 0)
     span = imu.t[after] - imu.t[before]
