@@ -6,6 +6,7 @@ What runs there is :func:`smoother.batch.attempt.attempt`: a process of its own 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,9 @@ def run_on_cluster(
     what a worker has begun it brings to its end.
     """
     client = connect(address)
+    words = logging.getLogger("distributed.client")
+    level = words.level
+    words.setLevel(logging.CRITICAL)  # a scheduler that goes away is an outcome; Dask prints a page about it
     try:
         from distributed import as_completed
 
@@ -45,6 +49,7 @@ def run_on_cluster(
             client.cancel(futures)
     finally:
         client.close()
+        words.setLevel(level)
 
 
 def connect(address: str) -> Client:

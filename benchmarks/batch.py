@@ -1,0 +1,166 @@
+"""Many sessions: how the time falls with workers, what a session costs, and what finding and listing them costs.
+
+    python benchmarks/batch.py                         8 sessions of 5 minutes; 1 and 2 at a time, and 2 Dask workers
+    python benchmarks/batch.py --sessions 16 --minutes 10 --workers 1 2 4
+    python benchmarks/batch.py --finished 1000         as many finished sessions: found, compared, listed
+
+The sessions are simulated karts as the logger writes them (200 Hz, 5 Hz, preset kart), smoothed with the defaults of
+`smooth batch`. Times are those of the whole command in a process of its own; `load` is what others wanted of the
+machine when it began (0 for figures of a quiet machine; beside other programs trust the processor time). With two
+workers of Dask these are processes started before, so that only the batch is timed.
+"""
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before numpy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from smoother.sim.record_log import write_klg
+from smoother.sim.simulation import simulate_preset
+
+COMMAND = (sys.executable, "-P", "-m", "smoother.cli")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One batch: s on the clock, s of processor time of the command without its sessions, the load before."""
+
+    name: str
+    wall: float
+    own_cpu: float
+    load: float
+    document: dict[str, object]
+
+    def column(self, name: str) -> np.ndarray:
+        """A figure of every session."""
+        sessions = self.document["sessions"]
+        assert isinstance(sessions, list)
+        return np.array([session[name] for session in sessions], dtype=np.float64)
+
+
+def main() -> None:
+    """Measure what was asked for and print it as tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sessions", type=int, default=8)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--dask", type=int, default=2, help="workers of the Dask cluster; 0: none")
+    parser.add_argument("--finished", type=int, default=0, help="measure finding and listing so many sessions instead")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name) / "day"
+        if given.finished:
+            show_finished(directory, given.finished)
+        else:
+            show_workers(directory, given.sessions, given.minutes, given.workers, given.dask)
+
+
+def show_workers(directory: Path, sessions: int, minutes: float, workers: Sequence[int], dask: int) -> None:
+    """Print the table of workers, and what a session takes."""
+    for i in range(sessions):
+        write_klg(simulate_preset("kart", i, duration=60.0 * minutes), directory / f"kart{i % 4 + 1}" / f"run{i + 1}")
+    runs = [batch(f"{n} at a time", directory, "--again", "--jobs", str(n)) for n in workers]
+    if dask:
+        with cluster(dask, directory.parent) as address:
+            runs.append(batch(f"Dask, {dask} workers", directory, "--again", "--scheduler", address))
+    print(f"{sessions} sessions of {minutes:g} min")
+    print("| run | clock, s | times faster | sessions: processor, s | command itself: processor, s | load |")
+    print("|---|---|---|---|---|---|")
+    for run in runs:
+        faster, cpu = runs[0].wall / run.wall, run.column("cpu_s").sum()
+        print(f"| {run.name} | {run.wall:.1f} | {faster:.2f} | {cpu:.1f} | {run.own_cpu:.2f} | {run.load:.1f} |")
+    show_cost(directory, runs[0])
+    again = batch("again", directory)
+    print(f"\nThe same again, all finished: {again.wall:.2f} s on the clock, {again.own_cpu:.2f} s of processor time")
+
+
+def show_cost(directory: Path, run: Run) -> None:
+    """Print what one session takes: time, memory, disk."""
+    read = sum(path.stat().st_size for path in directory.rglob("*.KLG"))
+    report = sum(path.stat().st_size for path in directory.rglob("report.html"))
+    rows = sum(path.stat().st_size for path in directory.rglob("trajectory.csv"))
+    written = sum(path.stat().st_size for path in directory.rglob("smoothed/**/*") if path.is_file())
+    n = len(run.column("cpu_s"))
+    cpu, memory = run.column("cpu_s"), run.column("memory_mb")
+    print(f"\nOne session: {cpu.mean():.1f} s of processor time ({cpu.min():.1f} to {cpu.max():.1f}), ", end="")
+    print(
+        f"{memory.max():.0f} MB of memory at most, {read / n / 1e6:.1f} MB read, {written / n / 1e6:.1f} MB written ",
+        end="",
+    )
+    print(f"(report {report / n / 1e6:.1f}, trajectory {rows / n / 1e6:.1f})")
+
+
+def show_finished(directory: Path, count: int) -> None:
+    """Print what it takes to find, compare and list sessions of which none has changed."""
+    first = directory / "kart1" / "run1"
+    write_klg(simulate_preset("kart", 1, duration=120.0), first)
+    batch("first", directory)
+    for i in range(1, count):
+        kart = directory / f"kart{i % 20 + 1}"
+        kart.mkdir(exist_ok=True)
+        shutil.copytree(first, kart / f"run{i + 1}", copy_function=shutil.copyfile)  # other times of change: everything is read and compared
+    copied = batch("copied", directory)
+    again = batch("again", directory)
+    assert all(run.column("kept").all() for run in (copied, again))
+    print(f"{count} finished sessions, s on the clock (processor): {copied.wall:.2f} ({copied.own_cpu:.2f}) where they")
+    print(
+        f"were copied and so are read and compared, {again.wall:.2f} ({again.own_cpu:.2f}) where they were not touched"
+    )
+    sizes = {path.name: path.stat().st_size / 1e6 for path in sorted(directory.glob("sessions.*"))}
+    print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))
+
+
+def batch(name: str, directory: Path, *options: str) -> Run:
+    """Run `smooth batch` on a directory."""
+    load, start = os.getloadavg()[0], time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [*COMMAND, "batch", directory, *options, "--json"], capture_output=True, text=True, check=True
+    )
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    document = json.loads(done.stdout)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    if "--scheduler" not in options:  # the sessions are its children, and counted with it
+        cpu -= sum(session["cpu_s"] for session in document["sessions"] if not session["kept"])
+    return Run(name, wall, cpu, load, document)
+
+
+@contextmanager
+def cluster(workers: int, directory: Path) -> Iterator[str]:
+    """Give the address of a scheduler with so many workers of one thread."""
+    note = directory / "scheduler.json"
+    module = (sys.executable, "-m", "distributed.cli.dask_")
+
+    def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        call = [*module[:2], f"{module[2]}{kind}", *arguments, "--scheduler-file", str(note), "--no-dashboard"]
+        return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    with ExitStack() as stack:
+        own = ("--host", "127.0.0.1")
+        started = [start("scheduler", *own, "--port", "0", "--no-show")]
+        while not (note.exists() and note.read_text().endswith("}")):
+            time.sleep(0.1)
+        started += [start("worker", *own, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+        for process in started:
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+        time.sleep(5.0)  # until the workers are there
+        yield json.loads(note.read_text())["address"]
+
+
+if __name__ == "__main__":
+    main()
