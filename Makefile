@@ -7,6 +7,11 @@
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
 #   make emulate   that image, run: a simulated kart session in, lap times out
+#   make install-check  build the wheel, install it into a clean environment, run the demo from it
+#   make bounds    the same on every Python found, with the oldest and the newest dependencies allowed
+#   make audit     ask whether a weakness of a dependency is known
+#   make dependencies  bring the tables of docs/dependencies.md up to date
+#   make container an image with smooth in it, of CONTAINER=docker or podman
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,10 +19,11 @@ DEMO ?= demo
 # one process per core; the linear algebra inside each needs no threads of its own
 JOBS ?= 2
 EMULATED_SECONDS ?= 180
+CONTAINER ?= docker
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench picture notebooks firmware emulate clean
+.PHONY: demo test lint bench picture notebooks firmware emulate install-check bounds audit dependencies container clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -52,6 +58,23 @@ firmware: $(BIN)/python
 emulate: $(VENV)/for-testing
 	@$(BIN)/python firmware/emulator/emulate.py build/emulated --duration $(EMULATED_SECONDS)
 
+install-check: $(BIN)/python
+	@$(BIN)/python .ci/install_check.py
+
+bounds: $(VENV)/for-releasing
+	@$(BIN)/python .ci/install_check.py --every-python --bounds both
+
+audit: $(VENV)/for-releasing
+	@mkdir -p build
+	@$(BIN)/python -m uv pip compile --quiet --extra dask pyproject.toml -o build/audited.txt
+	$(BIN)/python -m pip_audit --disable-pip --no-deps -r build/audited.txt
+
+dependencies: $(VENV)/for-releasing
+	@$(BIN)/python .ci/dependencies.py
+
+container:
+	$(CONTAINER) build -t kart-smoother -f Containerfile .
+
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
@@ -73,4 +96,8 @@ $(VENV)/for-linting: $(BIN)/python pyproject.toml
 
 $(VENV)/for-benchmarks: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,bench]"
+	@touch $@
+
+$(VENV)/for-releasing: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,dev,bench,dask,release]"
 	@touch $@
