@@ -5,6 +5,7 @@ and an interpreter whose libraries have started threads cannot safely be forked.
 processor time, a tenth of a session of ten minutes.
 """
 
+import contextlib
 import os
 import resource
 import shutil
@@ -60,16 +61,17 @@ def attempt(task: Task, stop: threading.Event | None = None, command: Sequence[s
     Raises Stopped soon after `stop` is set.
     """
     stop = stop or threading.Event()
+    inputs = stamps.stamps(task.inputs, task.folder)
     try:
-        inputs = stamps.stamps(task.inputs, task.folder)
         ended = _until_it_ends_itself(task, stop, command)
-        said = _judged(task, ended)
+    except OSError as error:
+        return Outcome("broken", one_line(f"no process could be started ({error.strerror or error})"))
+    said = _judged(task, ended)
+    with contextlib.suppress(OSError):  # a full disk: the outcome stands, and next time the session is smoothed again
         _keep_words(task, said, ended)
         if said.has_results:
             record.keep(task, inputs, said)
-        return said
-    except OSError as error:
-        return Outcome("unusable", one_line(f"{error.filename or task.out}: {error.strerror or error}"))
+    return said
 
 
 def _until_it_ends_itself(task: Task, stop: threading.Event, command: Sequence[str]) -> Ended:

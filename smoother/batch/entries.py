@@ -12,7 +12,7 @@ from itertools import groupby
 from pathlib import Path
 
 from smoother.batch.outcome import Facts, Outcome
-from smoother.batch.task import Task
+from smoother.batch.task import Task, is_there
 
 FAR = 3000.0  # m between first fixes, of paddock and pit too: not the same track
 OTHER_LENGTH = 0.04  # of a track's length: another layout; the driven line differs by 1 % at the most
@@ -156,4 +156,4 @@ def report_of(entry: Entry, name: str) -> Path | None:
     if entry.outcome is None or not entry.outcome.has_results:
         return None
     path = entry.task.out / name
-    return path if path.is_file() else None
+    return path if is_there(path) else None

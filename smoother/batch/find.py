@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from smoother.batch.task import SUMMARY, TRAJECTORY, Task
+from smoother.batch.task import SUMMARY, TRAJECTORY, Task, is_there
 from smoother.calibration import FILE_NAME as CALIBRATION
 from smoother.calibration import find_calibration
 from smoother.errors import SmootherError, UsageError
@@ -92,7 +92,7 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
     avoid = None if out is None else out.resolve()
     for folder, below, _ in os.walk(root, onerror=lambda error: problems.append(_unsearched(error))):
         here = Path(folder)
-        if here == avoid or _is_results(here):
+        if here == avoid or (is_there(here / SUMMARY) and is_there(here / TRAJECTORY)):
             below.clear()
             continue
         below[:] = sorted(entry for entry in below if not entry.startswith(".") and entry != OUTPUT_DIRECTORY)
@@ -101,6 +101,9 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         except SmootherError as error:
             problems.append(str(error))
             continue
+        except OSError as error:
+            problems.append(_unsearched(error))
+            continue
         parts = (name, *here.relative_to(root).parts)
         for recording in recordings:
             yield _task(recording, parts, here, out)
@@ -108,10 +111,6 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
 
 def _unsearched(error: OSError) -> str:
     return f"{error.filename}: cannot be searched ({error.strerror or error})"
-
-
-def _is_results(folder: Path) -> bool:
-    return (folder / SUMMARY).is_file() and (folder / TRAJECTORY).is_file()
 
 
 def _task(recording: Recording, parts: tuple[str, ...], folder: Path, out: Path | None) -> Task:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 from xml.etree.ElementTree import Element
 
 from smoother.batch.entries import Best, Entry, Track, report_of
-from smoother.batch.task import ERROR_LOG, REPORT
+from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.report.page_html import Child, element, row, table, whole_page
 from smoother.report.page_words import DASH, counted, lap_clock, local_day, number
 from smoother.units import KMH
@@ -179,7 +179,7 @@ def _wrong(entries: Sequence[Entry], directory: Path) -> list[Element]:
 def _reason(entry: Entry, directory: Path) -> Cells:
     assert entry.outcome is not None
     log = entry.task.out / ERROR_LOG
-    if entry.state != "broken" or not log.is_file():
+    if entry.state != "broken" or not is_there(log):
         return [entry.outcome.message]
     return [entry.outcome.message, " (", element("a", "all of it", href=link(log, directory)), ")"]
 

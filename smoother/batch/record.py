@@ -8,7 +8,7 @@ import smoother
 from smoother.batch import outcome, stamps
 from smoother.batch.outcome import Outcome
 from smoother.batch.stamps import Stamp
-from smoother.batch.task import REPORT, SUMMARY, TRAJECTORY, Task
+from smoother.batch.task import REPORT, SUMMARY, TRAJECTORY, Task, is_there
 from smoother.documents import load_json, replacing
 from smoother.errors import SmootherError
 
@@ -57,4 +57,4 @@ def _sealed(out: Path) -> tuple[Path, ...]:
 
 def _are_whole(task: Task) -> bool:
     wanted = (TRAJECTORY, *(() if "--no-figures" in task.arguments else (REPORT,)))
-    return all((task.out / name).is_file() for name in wanted)
+    return all(is_there(task.out / name) for name in wanted)

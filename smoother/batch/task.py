@@ -12,8 +12,8 @@ ERROR_LOG = "batch-error.txt"
 class Limits:
     """What one session may take: seconds on the clock, and memory in MB (enforced on Linux)."""
 
-    seconds: float = 3600.0  # a 24-hour race takes about half of it
-    megabytes: int = 3072  # an hour of recording takes 1000
+    seconds: float = 3600.0  # an hour of recording takes about a minute
+    megabytes: int = 4096  # an hour of recording takes 1000
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,14 @@ class Task:
     def size(self) -> int:
         """Bytes of the inputs: what takes longest is started first, so that no core waits for it at the end."""
         return sum(size_of(path) for path in self.inputs)
+
+
+def is_there(path: Path) -> bool:
+    """Whether this is a file, as far as it can be seen."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def size_of(path: Path) -> int:

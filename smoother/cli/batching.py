@@ -22,7 +22,7 @@ from smoother.cli.arguments import (
     solver_option,
 )
 from smoother.cli.lap_tables import lap_clock
-from smoother.cli.output import number, plain, say, say_json, say_pairs, say_table, warn
+from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, say_pairs, say_table, warn
 from smoother.errors import UsageError
 
 if TYPE_CHECKING:
@@ -48,11 +48,13 @@ class Plan:
 @click.command(short_help="Many sessions at once, with one page about all of them.")
 @click.argument("folders", nargs=-1, metavar="DIR...", type=click.Path(path_type=Path))
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where all results go [beside sessions].")
-@click.option("--jobs", metavar="N", type=click.IntRange(1, 1024), help="Sessions at a time [one per core].")
+@click.option(
+    "--jobs", metavar="N", type=click.IntRange(1, 1024), help="Sessions at a time [one per core of this machine]."
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Run on this Dask cluster, as tcp://host:8786, instead.")
 @click.option("--again", is_flag=True, help="Smooth what is finished and unchanged too.")
 @click.option("--time-limit", metavar="S", type=click.FloatRange(1.0), default=3600.0, help="For one session [3600].")
-@click.option("--memory-limit", metavar="MB", type=click.IntRange(64), default=3072, help="For one session [3072].")
+@click.option("--memory-limit", metavar="MB", type=click.IntRange(64), default=4096, help="For one session [4096].")
 @click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
@@ -71,7 +73,9 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
     from smoother.batch.index import DOCUMENT, PAGE
 
     require_sessions(folders, "smooth batch")
-    found = find_sessions(folders, out)
+    with progress_on_terminal(not as_json) as progress:
+        progress("looking for sessions", 0.0)
+        found = find_sessions(folders, out)
     for problem in found.problems:
         warn(problem)
     if not found.tasks:

@@ -4,13 +4,13 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from batch_stand_in import STAND_IN, MakeTask, starts
 
 from smoother.batch.attempt import COMMAND, Stopped, attempt
+from smoother.batch.record import finished
 from smoother.batch.task import ERROR_LOG
 from smoother.documents import STAGING
 
@@ -106,12 +106,23 @@ def test_a_stopped_session_leaves_nothing(make_task: MakeTask) -> None:
     assert not (task.out / "batch.json").exists()
 
 
-def test_a_place_that_cannot_be_written_is_an_outcome(make_task: MakeTask) -> None:
+def test_a_disk_that_is_full_costs_the_record_not_the_outcome(
+    make_task: MakeTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("smoother.batch.record.keep", full)
     task = make_task()
-    (task.session / "file").write_text("")
-    said = attempt(replace(task, out=task.session / "file" / "out"), command=("-c", "import sys; sys.exit(1)"))
-    assert said.code in (1, 2)
-    assert not said.has_results
+    assert attempt(task, command=STAND_IN).state == "done"
+    assert finished(task) is None
+
+
+def test_a_process_that_cannot_be_started_is_an_outcome(make_task: MakeTask, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    said = attempt(make_task(), command=STAND_IN)
+    assert (said.state, said.code) == ("broken", 1)
+    assert "No such file" in said.message
 
 
 def test_the_words_of_a_result_that_cannot_be_read_are_an_outcome(make_task: MakeTask) -> None:
