@@ -9,7 +9,8 @@ it, serial.txt). Exit code 0; 1 if a sample was lost or a lap time differs; 2 if
 import argparse
 import shutil
 import sys
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +28,16 @@ from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import GivenLines
 from smoother.session.log import list_recordings, read_records
 from smoother.session.log_decode import Losses
-from smoother.session.log_format import LogRecords
-from smoother.sim.record_log import CALIBRATION_FILE, drive_records, write_klg
+from smoother.session.log_encode import encode
+from smoother.session.log_format import LogRecords, Setup
+from smoother.sim.record_log import CALIBRATION_FILE, DRIVE_FILE, drive_records, write_klg
 from smoother.sim.simulation import Simulation, simulate_preset
 
 LIMIT_MS = 2.0
 SAME_LAP_S = 1.0
+SIMULATED_HZ = 1000.0
+INSIDE_S = 1.0  # by which the recording begins after the simulation, and ends before it
+SLACK_US = 2000  # by which the stamps of one reading or sentence may differ; the next one is farther away
 WAITS = {
     **{"irq6_wait_us": "IMU pin", "irq14_wait_us": "IMU DMA", "irq28_wait_us": "timer"},
     **{"irq38_wait_us": "receiver", "irq16_wait_us": "receiver DMA"},
@@ -42,12 +47,18 @@ WAITS = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Samples (simulated, recorded as they were, recorded otherwise) and lap times (K,) s: truth, direct, emulated."""
+    """What was written directly against what came through the logger.
+
+    samples of the IMU, how many of them are equal, how many the logger says it lost; losses: blocks and the like;
+    others, others_missing: readings of the magnetometer and sentences; laps (K, 3) s: truth, direct, emulated.
+    """
 
     samples: int
     equal: int
     lost_by_logger: int
     losses: Losses
+    others: int
+    others_missing: int
     laps: Array
 
     @property
@@ -57,13 +68,14 @@ class Comparison:
 
     @property
     def is_whole(self) -> bool:
-        """Whether every simulated sample is in the recording, unchanged."""
-        return self.equal == self.samples and self.lost_by_logger == 0 and self.losses == Losses()
+        """Whether every simulated sample, reading and sentence is in the recording, unchanged."""
+        is_complete = self.equal == self.samples > 0 and self.others_missing == 0
+        return is_complete and self.lost_by_logger == 0 and self.losses == Losses()
 
 
 def simulated(seed: int, duration: float, track: str = "larkfield") -> Simulation:
     """A kart session at 1 kHz. Its stamps have no jitter: the logger makes its own."""
-    changes = {"imu.rate": 1000.0, "imu.jitter": 0.0}
+    changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0}
     return simulate_preset("kart", seed, track=track, duration=duration, **changes)
 
 
@@ -98,16 +110,63 @@ def lap_times(folder: Path, simulation: Simulation, offset_s: float) -> dict[int
     return laps
 
 
+def part_recorded(wanted: LogRecords, got: LogRecords) -> LogRecords:
+    """Return the part of a simulation that a recording spans: of each sensor, from the first recorded to the last.
+
+    The same drive over another span is another measurement: the kart stands at the start for some seconds, and each
+    tenth of a second of that has its share in what is known about the biases (README.md, "Lap times").
+    """
+    period = (wanted.setup or Setup()).imu_period_us
+    delay = emulation.GYRO_DELAY_US - period // 2
+    imu = _spanned(wanted.imu_t, got.imu_t - delay, period // 2)
+    mag = _spanned(wanted.mag_t, got.mag_t, SLACK_US)
+    said = _spanned(_times(wanted.sentences), _times(got.sentences), SLACK_US)
+    return replace(
+        wanted,
+        **{"imu_t": wanted.imu_t[imu], "imu": wanted.imu[imu], "sentences": wanted.sentences[said]},
+        **{"mag_t": wanted.mag_t[mag], "mag": wanted.mag[mag], "mag_flags": wanted.mag_flags[mag]},
+    )
+
+
+def _times(sentences: tuple[tuple[int, bytes], ...]) -> np.ndarray:
+    return np.array([t for t, _ in sentences], dtype=np.int64)
+
+
+def _spanned(simulated_us: np.ndarray, recorded_us: np.ndarray, slack_us: int) -> slice:
+    """Rows of the simulation from the first recorded to the last."""
+    if len(recorded_us) == 0:
+        return slice(0, 0)
+    ends = recorded_us[[0, -1]] - round(1e6 * emulation.LEAD_S) + [-slack_us, slack_us]
+    return slice(*np.searchsorted(simulated_us, ends).tolist())
+
+
+def keep_recorded_part(direct: Path, emulated: Path) -> None:
+    """Leave of the direct recording only what the emulated one spans."""
+    files = list_recordings([direct / DRIVE_FILE])[0]
+    part = part_recorded(read_records(files)[0], recorded(emulated)[0])
+    (direct / DRIVE_FILE).write_bytes(encode(part, files.session))
+
+
+def count_missing(wanted: LogRecords, got: LogRecords) -> int:
+    """How many readings of the magnetometer and sentences do not stand in a recording, or too few times."""
+    pairs = (
+        (map(bytes, wanted.mag), map(bytes, got.mag)),
+        (dict(wanted.sentences).values(), dict(got.sentences).values()),
+    )
+    return sum((Counter(there) - Counter(here)).total() for there, here in pairs)
+
+
 def compare(simulation: Simulation, direct: Path, emulated: Path, has_laps: bool = True) -> Comparison:
     """Compare what was written directly with what came through the logger."""
-    wanted = drive_records(simulation)
-    got, losses = recorded(emulated)
+    (wanted, _), (got, losses) = recorded(direct), recorded(emulated)
     rows = []
     if has_laps:
         ours, theirs = lap_times(emulated, simulation, emulation.LEAD_S), lap_times(direct, simulation, 0.0)
         rows = [(theirs[k][1], theirs[k][0], ours[k][0]) for k in sorted(ours.keys() & theirs.keys())]
     lost = got.stop.imu_lost if got.stop else len(wanted.imu)
-    return Comparison(len(wanted.imu), count_equal(wanted, got), lost, losses, np.array(rows).reshape(-1, 3))
+    others, missing = len(wanted.mag) + len(wanted.sentences), count_missing(wanted, got)
+    equal = count_equal(wanted, got)
+    return Comparison(len(wanted.imu), equal, lost, losses, others, missing, np.array(rows).reshape(-1, 3))
 
 
 def prepare_folder(simulation: Simulation, folder: Path) -> tuple[Path, Path]:
@@ -120,11 +179,16 @@ def prepare_folder(simulation: Simulation, folder: Path) -> tuple[Path, Path]:
     return direct, emulated
 
 
-def through_firmware(simulation: Simulation, folder: Path, image: Path, **settings: int) -> emulation.Outcome:
-    """Run a session through an image; the recordings on its card are left in `folder`."""
+def through_firmware(
+    simulation: Simulation, folder: Path, image: Path, ahead_s: float = emulation.AHEAD_S, **settings: int
+) -> emulation.Outcome:
+    """Run a session through an image; the recordings on its card are left in `folder`.
+
+    ahead_s as in :func:`emulation.drive_script`, settings as in world.c.
+    """
     records = drive_records(simulation)
     stimulus = emulation.stimulus_of(records)
-    outcome = emulation.run(folder, image, stimulus, emulation.drive_script(stimulus, records, **settings))
+    outcome = emulation.run(folder, image, stimulus, emulation.drive_script(stimulus, records, ahead_s, **settings))
     calibration = folder.parent / "direct" / CALIBRATION_FILE
     if calibration.exists():  # in place of the placeholder that was on the card
         shutil.copy(calibration, folder / "MAG00001.KLG")
@@ -149,6 +213,7 @@ def show(comparison: Comparison) -> None:
     """Print samples and lap times."""
     samples = f"{comparison.equal} of {comparison.samples} unchanged, {comparison.lost_by_logger} lost"
     print(f"samples: {samples}, {comparison.losses}")
+    print(f"magnetometer and sentences: {comparison.others_missing} of {comparison.others} missing")
     print(" lap    truth   direct through firmware  difference ms")
     for i, (true, direct, ours) in enumerate(comparison.laps, 1):
         print(f"{i:4} {true:8.3f} {direct:8.3f} {ours:16.3f} {1e3 * (ours - direct):14.2f}")
@@ -157,6 +222,16 @@ def show(comparison: Comparison) -> None:
             rms = 1e3 * np.sqrt(np.mean((comparison.laps[:, column] - comparison.laps[:, 0]) ** 2))
             print(f"{name}: {rms:.1f} ms rms from the truth")
     print(f"largest difference {comparison.worst_ms:.2f} ms (limit {LIMIT_MS})")
+
+
+def run_session(options: argparse.Namespace, image: Path) -> Comparison:
+    """Simulate the session that is asked for, run it through an image, compare."""
+    simulation = simulated(options.seed, options.duration + 2.0 * INSIDE_S, options.track)
+    direct, emulated = prepare_folder(simulation, options.folder)
+    settings = {"seed": options.seed, "stall_us": 1000 * options.stall}
+    show_machine(through_firmware(simulation, emulated, image, -INSIDE_S, **settings))
+    keep_recorded_part(direct, emulated)
+    return compare(simulation, direct, emulated, not options.no_laps)
 
 
 def main() -> int:
@@ -176,13 +251,10 @@ def main() -> int:
     except build.MissingError as error:
         print(f"emulator: {error}", file=sys.stderr)
         return 2
-    simulation = simulated(options.seed, options.duration, options.track)
-    direct, emulated = prepare_folder(simulation, options.folder)
-    show_machine(through_firmware(simulation, emulated, image, seed=options.seed, stall_us=1000 * options.stall))
-    comparison = compare(simulation, direct, emulated, not options.no_laps)
+    comparison = run_session(options, image)
     show(comparison)
-    is_good = comparison.is_whole and (options.no_laps or comparison.worst_ms < LIMIT_MS)
-    return 0 if is_good else 1
+    is_long = comparison.samples >= SIMULATED_HZ * options.duration
+    return 0 if is_long and comparison.is_whole and (options.no_laps or comparison.worst_ms < LIMIT_MS) else 1
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ SOURCES = ("machine.c", "chip.c", "world.c", "main.c")
 MODELS = ("sd_model.c", "fat_image.c", "mpu_model.c", "neo_model.c")
 LEAD_S = 6.0  # from power-on to the first simulated sample: the receiver is configured and the spare file made by then
 TAIL_S = 5.0
+AHEAD_S = 0.46
+PRESS_S = 0.54  # from pressing the button to its effect: it is released, and no second press has come
 GYRO_DELAY_US = 3900  # of the low-pass of 92 Hz, RM-MPU-9250A-00 4.5
 TEXT_BYTES = 512
 MOTION = np.dtype([("time", "<u8"), ("values", "<i2", 6), ("rest", "V4")])
@@ -104,15 +106,20 @@ class Script:
         self.actions += [(at_us, "button 1"), (at_us + 120_000, "button 0")]
 
 
-def drive_script(stimulus: Stimulus, records: LogRecords, **settings: int) -> Script:
-    """A drive: the button starts the recording a second before the first sample and ends it after the last."""
+def drive_script(stimulus: Stimulus, records: LogRecords, ahead_s: float = AHEAD_S, **settings: int) -> Script:
+    """A drive: the recording begins `ahead_s` before the first sample and ends as long after the last.
+
+    If that is negative, nothing is recorded but what was simulated; else there is also what `_and_back` made up. The
+    machine is measured from AHEAD_S after the beginning until the button is pressed to end it.
+    """
     setup = records.setup or Setup()
     config = ["autostart=no", f"accel_range={setup.accel_range_g}", f"gyro_range={setup.gyro_range_dps}"]
     config += [f"imu_rate={round(1e6 / setup.imu_period_us)}"]
-    script = Script(dict(settings), config, [(stimulus.start_us, "measure")])
-    script.actions.append((stimulus.end_us, "measured"))
-    script.press(stimulus.start_us - 1_000_000)
-    script.press(stimulus.end_us + 200_000)
+    begin_us = stimulus.start_us - round(1e6 * ahead_s)
+    start_us, stop_us = begin_us - round(1e6 * PRESS_S), stimulus.end_us + round(1e6 * (ahead_s - PRESS_S))
+    script = Script(dict(settings), config, [(begin_us + round(1e6 * AHEAD_S), "measure"), (stop_us, "measured")])
+    script.press(start_us)
+    script.press(stop_us)
     script.actions.append((stimulus.end_us + 3_000_000, "end"))
     return script
 
