@@ -29,7 +29,7 @@ from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
 from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk, Receiver
-from smoother.live.running import Frame, run
+from smoother.live.running import Drawn, run
 from smoother.live.sources import ReplaySource, SerialSource
 from smoother.live.terminal import TerminalView
 from smoother.prepare import prepare
@@ -133,11 +133,11 @@ def real_time(options: argparse.Namespace) -> None:
 
 
 def _show(port: str, options: argparse.Namespace) -> None:
-    frames: list[Frame] = []
+    frames: list[Drawn] = []
     memory: list[tuple[float, float]] = []
     began, cpu = time.monotonic(), time.process_time()
 
-    def watch(frame: Frame) -> None:
+    def watch(frame: Drawn) -> None:
         frames.append(frame)
         memory.append((time.monotonic() - began, _resident()))
 
@@ -150,7 +150,7 @@ def _show(port: str, options: argparse.Namespace) -> None:
     print("ended in stage:", last.stage, "at", round(last.t, 1), "s; lost:", last.losses, link.dropped_bytes, "bytes")
 
 
-def _print(frames: list[Frame], memory: list[tuple[float, float]], seconds: float, cpu: float) -> None:
+def _print(frames: list[Drawn], memory: list[tuple[float, float]], seconds: float, cpu: float) -> None:
     delay, cost = np.array([f.delay for f in frames]) * 1e3, np.array([f.cost for f in frames]) * 1e3
     print(f"{len(frames) / seconds:.1f} frames a second; drawing {np.median(cost):.1f} ms, worst {cost.max():.0f} ms")
     print(f"delay median {np.median(delay):.0f} ms, 99 % {np.percentile(delay, 99):.0f} ms, worst {delay.max():.0f} ms")

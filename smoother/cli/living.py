@@ -17,8 +17,8 @@ from smoother.cli.output import say_json, warn
 from smoother.errors import UsageError
 
 if TYPE_CHECKING:
-    from smoother.live.engine import Snapshot
-    from smoother.live.receiver import LinkStatus
+    from smoother.live.frame import Frame
+    from smoother.live.recording import Recorder
     from smoother.live.running import View
 
 
@@ -58,33 +58,31 @@ def live(
     from smoother.live.beside import Beside
     from smoother.live.engine import Engine
     from smoother.live.receiver import Receiver
-    from smoother.live.recording import SessionWriter
+    from smoother.live.recording import Recorder, SessionWriter
     from smoother.live.running import run
     from smoother.live.sources import source_for
 
     source = source_for(target, baud, _speed(speed))
     values = None if calibration is None else load_calibration(calibration)
     tracks = () if line is None else (line_from_text(line),)
-    writer = None if record is None else SessionWriter(record, np.random.default_rng())
+    recorder = None if record is None else Recorder(SessionWriter(record, np.random.default_rng()))
     with (
         Beside(tracks) as navigating,
         Receiver(source, waits=not source.can_return) as receiver,
         _view(view, headless or as_json, as_json, source.name) as shown,
         _stopping(seconds) as stop,
+        recorder or contextlib.nullcontext(),
     ):
-        try:
-            run(receiver, Engine(navigating, values), shown, writer, stop)
-        finally:
-            if writer is not None:
-                writer.close()
-    if writer is not None and not as_json:
-        _say_recorded(writer)
+        run(receiver, Engine(navigating, values), shown, recorder, stop)
+    if recorder is not None:
+        _say_recorded(recorder)
     return EXIT_DONE
 
 
-def _say_recorded(writer: object) -> None:
-    path = getattr(writer, "path", None)
-    warn(f"recorded {path}" if path is not None else "nothing came, so nothing was recorded")
+def _say_recorded(recorder: Recorder) -> None:
+    if recorder.status.flaw:
+        warn(f"recording failed: {recorder.status.flaw}")
+    warn(f"recorded {recorder.path}" if recorder.path is not None else "nothing came, so nothing was recorded")
 
 
 def _speed(text: str) -> float:
@@ -99,12 +97,13 @@ def _speed(text: str) -> float:
 
 @contextlib.contextmanager
 def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
-    """Give a function that says when to stop: after `seconds`, on Ctrl-C, or when asked to terminate."""
+    """Give a function that says when to stop: after `seconds`, on Ctrl-C, or when asked to end."""
     import time
 
     asked: list[int] = []
     end = None if seconds is None else time.monotonic() + seconds
-    before = {s: signal.signal(s, lambda number, _: asked.append(number)) for s in (signal.SIGINT, signal.SIGTERM)}
+    ends = [s for name in ("SIGINT", "SIGTERM", "SIGHUP") if (s := getattr(signal, name, None)) is not None]
+    before = {s: signal.signal(s, lambda number, _: asked.append(number)) for s in ends}
     try:
         yield lambda: bool(asked) or (end is not None and time.monotonic() >= end)
     finally:
@@ -119,11 +118,11 @@ class _Lines:
         self._as_json = as_json
         self.frames_a_second = 1.0
 
-    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
+    def draw(self, frame: Frame) -> bool:
         from smoother.live.document import line_of
 
         if self._as_json:
-            say_json(line_of(s, link, delay))
+            say_json(line_of(frame))
             sys.stdout.flush()
         return True
 

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from smoother.frames import euler_from_rotation
-from smoother.live.engine import Snapshot
-from smoother.live.receiver import LinkStatus
+from smoother.live.frame import Frame
 from smoother.units import DEG
 
 
-def document_of(s: Snapshot, link: LinkStatus, delay: float) -> dict[str, object]:
-    """Return what is shown as plain values. delay s from the newest bytes to now; keys end in their units."""
+def document_of(frame: Frame) -> dict[str, object]:
+    """Return what is shown as plain values; keys end in their units."""
+    s, link, recording = frame.snapshot, frame.link, frame.recording
     lag = s.lag
     return {
         "t_s": s.t,
         "stage": s.stage,
-        "delay_s": delay,
+        "delay_s": frame.delay,
         "madgwick": None if s.madgwick is None else _angles(s.madgwick),
         "smoother": None
         if lag is None
@@ -29,6 +29,7 @@ def document_of(s: Snapshot, link: LinkStatus, delay: float) -> dict[str, object
             "velocity_n_mps": lag.velocity_n.tolist(),
             "sigma_velocity_mps": lag.velocity_sigma.tolist(),
             "behind_fix_s": lag.delay,
+            "delay_s": frame.smoother_delay,
         },
         "specific_force_s_mps2": s.force.tolist(),
         "angular_rate_s_dps": (s.rate / DEG).tolist(),
@@ -52,14 +53,18 @@ def document_of(s: Snapshot, link: LinkStatus, delay: float) -> dict[str, object
             "restarts": s.losses.restarts,
             "disconnects": link.disconnects,
             "dropped_bytes": link.dropped_bytes,
+            "left_out_s": s.left_out,
         },
+        "recording": None
+        if recording is None
+        else {"file": recording.name, "bytes": recording.bytes_written, "flaw": recording.flaw or None},
         "connected": link.is_open,
     }
 
 
-def line_of(s: Snapshot, link: LinkStatus, delay: float) -> str:
+def line_of(frame: Frame) -> str:
     """Return :func:`document_of` as one line."""
-    return json.dumps(_plain(document_of(s, link, delay)), allow_nan=False)
+    return json.dumps(_plain(document_of(frame)), allow_nan=False)
 
 
 def _angles(R: np.ndarray) -> dict[str, object]:

@@ -224,14 +224,14 @@ class Navigator:
         return state
 
     def _stage(self) -> str:
-        if not self._imu and not self._fixes:
-            return "waiting for the logger"
         if self._lag is not None:
             return "smoothing"
         if self._identification is not None or self._next is not None:
             return "finding mounting and delays"
         if self._flaw:
             return f"not yet: {self._flaw}"
+        if not self._imu and not self._fixes:
+            return "waiting for the logger"
         return "attitude only, drive to start the smoother" if self._fixes else "attitude only, no fix yet"
 
 

@@ -1,17 +1,32 @@
-"""The stream written down as the logger's own card would hold it: blocks of a `.klg` file, as they come."""
+"""The stream written down as the logger's own card would hold it: blocks of a `.klg` file, as they come.
 
+The file is a whole session at every moment: what has come is written at once, and the blocks of the last second are
+written again, in place, as they fill. So whatever ends the program, what had come is kept.
+"""
+
+import os
+import queue
+import threading
+import time
 import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from smoother.errors import UsageError
+from smoother.live.decoding import Batch
 from smoother.session.log_encode import SETUP_EVERY, lay_out
-from smoother.session.log_format import BLOCK_BYTES, CAPACITY, CRC_AT, CRC_STRUCT, LogRecords, Setup
+from smoother.session.log_format import BLOCK_BYTES, CAPACITY, CRC_AT, CRC_STRUCT, IMU, LogRecords, Setup
 
 FILE_NAME = "LIVE{:04d}.KLG"
-FLUSH_EVERY = 1.0  # s of records; what is lost when the computer fails
+REWRITTEN = 1.0  # s of records whose blocks are written again as they fill
+MOST_KEPT = 60.0  # s of records that wait for a disc to have room
+SYNC_EVERY = 1.0  # s; what is lost when the computer fails
+ENDS_WITHIN = 10.0  # s; a disc that takes nothing for so long will not
+MOST_WAITING = 4096  # lists of batches; minutes of a disc that hangs
 _SEQUENCE, _IMU_NUMBER = slice(8, 12), slice(20, 24)
 
 
@@ -25,59 +40,138 @@ class SessionWriter:
         except OSError as error:
             raise UsageError(f"{directory}: cannot be made ({error.strerror or error})") from error
         self._directory, self._rng = directory, rng
-        self._file: BinaryIO | None = None
-        self._waiting: list[LogRecords] = []
-        self._blocks = self._samples = self._session = 0
-        self._flushed_us = 0
+        self._file: FileIO | None = None
+        self._filling: LogRecords | None = None  # those in the blocks that are written again
+        self._blocks = self._samples = 0  # before those blocks
+        self._session = self._any_session()
+        self._began_us = 0
         self.path: Path | None = None
         self.bytes_written = 0
 
     def add(self, records: LogRecords, restarted: bool = False) -> None:
-        """Take in records; those of a second are written together. Raises OSError when the disk is full."""
+        """Write records down. Raises OSError when the disk is full, and the next call tries again; ValueError for
+        records that the format cannot hold, which are left out.
+        """
         if restarted:
-            self._finish()
+            self.close()
         newest = _newest_us(records)
-        if not self._waiting:
-            self._flushed_us = min(self._flushed_us, newest) if self._file else newest
-        self._waiting.append(records)
-        if newest - self._flushed_us > FLUSH_EVERY * 1e6:
-            self._flush()
-            self._flushed_us = newest
+        if self._filling is None:
+            self._began_us = newest
+        filling = _joined([records] if self._filling is None else [self._filling, records])
+        blocks = self._laid_out(filling)
+        self._filling = filling if newest - self._began_us < MOST_KEPT * 1e6 else None
+        _write_all(self._open(), blocks, self._blocks * BLOCK_BYTES)
+        self.bytes_written = self._blocks * BLOCK_BYTES + len(blocks)
+        if newest - self._began_us > REWRITTEN * 1e6:
+            self._blocks += len(blocks) // BLOCK_BYTES
+            self._samples += len(filling.imu_t) + sum(gap.count for gap in filling.gaps if gap.source == IMU)
+            self._filling = None
+
+    def sync(self) -> None:
+        """Have the computer put on the disc what it may still hold in memory. Raises OSError."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Write what is left."""
-        self._finish()
+        """End the file. Raises OSError if what is left of it cannot be written."""
+        file, self._file = self._file, None
+        self._filling, self._blocks, self._samples, self._session = None, 0, 0, self._any_session()
+        if file is not None:
+            file.close()
 
-    def _finish(self) -> None:
-        self._flush()
-        if self._file is not None:
-            self._file.close()
-        self._file, self._blocks, self._samples = None, 0, 0
+    def _any_session(self) -> int:
+        return int(self._rng.integers(1, 2**32))
 
-    def _open(self) -> BinaryIO:
+    def _open(self) -> FileIO:
         if self._file is None:
             number = 1
             while (path := self._directory / FILE_NAME.format(number)).exists():
                 number += 1
             self.path = path
-            self._session = int(self._rng.integers(1, 2**32))
-            self._file = path.open("wb")
+            self._file = FileIO(path, "xb")
         return self._file
 
-    def _flush(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if not waiting:
-            return
-        records = _joined(waiting)
+    def _laid_out(self, records: LogRecords) -> bytes:
+        """Blocks of records, numbered from those that stand."""
         blocks = lay_out(records, self._session, CAPACITY, SETUP_EVERY)
-        file = self._open()
-        for block in blocks:
-            _stamp(block, self._session, self._blocks, self._samples)
-            self._blocks += 1
-            file.write(block.tobytes())
-        self._samples += len(records.imu_t)
-        self.bytes_written += len(blocks) * BLOCK_BYTES
-        file.flush()
+        for i, block in enumerate(blocks):
+            _stamp(block, self._session, self._blocks + i, self._samples)
+        return blocks.tobytes()
+
+
+def _write_all(file: FileIO, data: bytes, at: int) -> None:
+    file.seek(at)
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+@dataclass(frozen=True)
+class RecordingStatus:
+    """What has been written down: file name, bytes of it, and what went wrong with the newest of them, if anything."""
+
+    name: str = ""
+    bytes_written: int = 0
+    flaw: str = ""
+
+
+class Recorder:
+    """Writes in a thread, so that a slow disc delays no frame."""
+
+    def __init__(self, writer: SessionWriter) -> None:
+        self._writer = writer
+        self._batches: queue.Queue[Sequence[Batch] | None] = queue.Queue(MOST_WAITING)
+        self.status = RecordingStatus()
+        self._synced_at = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    def __enter__(self) -> "Recorder":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._batches.put(None)
+        self._thread.join(ENDS_WITHIN)
+
+    @property
+    def path(self) -> Path | None:
+        """The newest file."""
+        return self._writer.path
+
+    def add(self, batches: Sequence[Batch]) -> None:
+        """Have batches written down, in their turn."""
+        try:
+            self._batches.put_nowait(batches)
+        except queue.Full:
+            self.status = replace(self.status, flaw="the disc has taken nothing for minutes, records were lost")
+
+    def settle(self) -> None:
+        """Wait until all that was added is written, or failed to be."""
+        self._batches.join()
+
+    def _run(self) -> None:
+        while (batches := self._batches.get()) is not None:
+            for batch in batches:
+                self._tell(self._write, batch)
+            if time.monotonic() - self._synced_at > SYNC_EVERY:
+                self._tell(self._writer.sync)
+                self._synced_at = time.monotonic()
+            self._batches.task_done()
+        self._tell(self._writer.close)
+
+    def _write(self, batch: Batch) -> None:
+        self._writer.add(batch.records, batch.restarted)
+        name = self._writer.path.name if self._writer.path else ""
+        self.status = RecordingStatus(name, self._writer.bytes_written)
+
+    def _tell(self, what, *args) -> None:  # type: ignore[no-untyped-def]
+        """Do something; say what is wrong if it fails, and go on: the disc may have room again."""
+        try:
+            what(*args)
+        except OSError as error:
+            self.status = replace(self.status, flaw=error.strerror or str(error))
+        except ValueError as error:  # records that the format cannot hold, of a damaged stream
+            self.status = replace(self.status, flaw=str(error))
 
 
 def _stamp(block: np.ndarray, session: int, blocks: int, samples: int) -> None:

@@ -1,4 +1,4 @@
-"""The loop: take what came, step, write down, show. One thread beside the receiver's, so nothing here needs a lock."""
+"""The loop: take what came, step, have it written down, show. Receiver and recorder have threads, this has its own."""
 
 import time
 from collections.abc import Callable
@@ -6,27 +6,31 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from smoother.live.engine import Engine, Snapshot
+from smoother.live.frame import Frame
 from smoother.live.receiver import Chunk, LinkStatus, Receiver
-from smoother.live.recording import SessionWriter
+from smoother.live.recording import Recorder
 
 LONGEST_WAIT = 0.02  # s; between looks at the receiver
 
 
 class View(Protocol):
-    """Something that shows snapshots."""
+    """Something that shows frames."""
 
     frames_a_second: float
 
-    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
-        """Show a snapshot; False when it was closed by hand."""
+    def draw(self, frame: Frame) -> bool:
+        """Show a frame; False when the view was closed by hand."""
         ...
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One shown frame: delay s from the arrival of its newest bytes until it stood there; cost s of drawing it."""
+class Drawn:
+    """One shown frame: delay s from the arrival of its newest bytes until it stood there, smoother_delay s likewise of
+    the newest bytes in the smoother's state (NaN without one); cost s of drawing it.
+    """
 
     delay: float
+    smoother_delay: float
     cost: float
 
 
@@ -34,9 +38,9 @@ def run(
     receiver: Receiver,
     engine: Engine,
     view: View,
-    writer: SessionWriter | None = None,
+    recorder: Recorder | None = None,
     stop: Callable[[], bool] = lambda: False,
-    watch: Callable[[Frame], None] = lambda frame: None,
+    watch: Callable[[Drawn], None] = lambda drawn: None,
 ) -> Snapshot:
     """Run until the source ends, the view is closed or `stop` says so. Returns the last snapshot.
 
@@ -48,21 +52,30 @@ def run(
         link = receiver.status
         chunks = _come(receiver, engine, max(0.0, min(LONGEST_WAIT, due - time.monotonic())))
         snapshot, batches = engine.step(chunks)
-        if writer is not None:
-            for batch in batches:
-                writer.add(batch.records, batch.restarted)
+        if recorder is not None and batches:
+            recorder.add(batches)
         now = time.monotonic()
         is_last = link.is_over and not chunks and not receiver.has_chunks and not engine.is_busy
         if now >= due or is_last:
-            delay = max(0.0, now - snapshot.arrival) if snapshot.arrival else 0.0
-            if not view.draw(snapshot, link, delay):
+            if not view.draw(_frame(snapshot, link, recorder, now)):
                 return snapshot
             done = time.monotonic()
-            watch(Frame(done - snapshot.arrival if chunks else delay, done - now))
+            smoother_delay = done - snapshot.smoother_arrival if snapshot.lag is not None else float("nan")
+            watch(Drawn(done - snapshot.arrival if snapshot.arrival else 0.0, smoother_delay, done - now))
             due = max(due + 1.0 / view.frames_a_second, done)
         if is_last:
             return snapshot
     return snapshot
+
+
+def _frame(snapshot: Snapshot, link: LinkStatus, recorder: Recorder | None, now: float) -> Frame:
+    return Frame(
+        snapshot,
+        link,
+        max(0.0, now - snapshot.arrival) if snapshot.arrival else 0.0,
+        max(0.0, now - snapshot.smoother_arrival) if snapshot.lag is not None else float("nan"),
+        recorder.status if recorder is not None else None,
+    )
 
 
 def _come(receiver: Receiver, engine: Engine, wait: float) -> list[Chunk]:

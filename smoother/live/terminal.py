@@ -8,8 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from smoother.live import words
-from smoother.live.engine import Snapshot
-from smoother.live.receiver import LinkStatus
+from smoother.live.frame import Frame
 from smoother.units import DEG, STANDARD_GRAVITY
 
 BAR = 21  # characters
@@ -28,8 +27,9 @@ def bar(value: float, limit: float) -> str:
     return "".join(cells)
 
 
-def panel(s: Snapshot, link: LinkStatus, name: str, delay: float) -> Panel:
-    """Return everything that is known, as one panel."""
+def panel(frame: Frame, name: str) -> Panel:
+    """Return everything that is known, as one panel. name of the source."""
+    s, link = frame.snapshot, frame.link
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", min_width=10)
     table.add_column()
@@ -52,8 +52,9 @@ def panel(s: Snapshot, link: LinkStatus, name: str, delay: float) -> Panel:
         ("rates", Text(words.rates(s))),
         ("compass", Text(words.compass(s))),
         ("link", Text(words.connection(link, name), style=link_style)),
-        ("lost", Text(words.losses(s, link))),
-        ("delay", Text(f"{1e3 * delay:.0f} ms")),
+        ("lost", Text(words.losses(frame))),
+        ("delay", Text(words.delay(frame))),
+        ("recording", Text(words.recording(frame), style="" if words.is_recording_well(frame) else "bold red")),
     ]
     for label, text in rows:
         table.add_row(label, text)
@@ -76,7 +77,7 @@ class TerminalView:
     def __exit__(self, *_: object) -> None:
         self._live.stop()
 
-    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
+    def draw(self, frame: Frame) -> bool:
         """Draw; a terminal is never closed by itself."""
-        self._live.update(panel(s, link, self._name, delay), refresh=True)
+        self._live.update(panel(frame, self._name), refresh=True)
         return True

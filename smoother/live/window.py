@@ -14,7 +14,7 @@ from smoother.arrays import Array, IntArray
 from smoother.errors import UsageError
 from smoother.live import words
 from smoother.live.engine import Snapshot
-from smoother.live.receiver import LinkStatus
+from smoother.live.frame import Frame
 from smoother.units import DEG, STANDARD_GRAVITY
 
 FRAMES = 40.0  # a second; a machine that is busy with other things leaves out a third of them
@@ -79,13 +79,14 @@ class WindowView:
         if self._is_open:
             self._close()
 
-    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
-        """Show a snapshot."""
+    def draw(self, frame: Frame) -> bool:
+        """Show a frame."""
         self._root.update()
         if not self._is_open:
             return False
+        s = frame.snapshot
         self._box.update(s)
-        self._words.update(s, link, self._name, delay)
+        self._words.update(frame, self._name)
         self._force.update(s.force / STANDARD_GRAVITY)
         self._rate.update(s.rate / DEG)
         self._sphere.update(s)
@@ -189,29 +190,32 @@ class _Box:
 class _Words:
     """What is said in words."""
 
-    _LABELS = ("GPS", "speed", "laps", "rates", "link", "lost", "delay")
+    _LABELS = ("GPS", "speed", "laps", "rates", "link", "lost", "delay", "record")
 
     def __init__(self, canvas: tkinter.Canvas, corner: tuple[float, float]) -> None:
         self._lines: dict[str, _Item] = {}
         for i, label in enumerate(self._LABELS):
-            y = corner[1] + 29 * i
+            y = corner[1] + 26 * i
             _text(canvas, corner[0], y, 14, DIM, text=label)
             is_large = label == "speed"
             self._lines[label] = _text(canvas, corner[0] + 66, y, 20 if is_large else 14, bold=is_large)
 
-    def update(self, s: Snapshot, link: LinkStatus, name: str, delay: float) -> None:
+    def update(self, frame: Frame, name: str) -> None:
+        s, link = frame.snapshot, frame.link
         texts = {
             "GPS": words.gps(s),
             "speed": words.speed(s),
             "laps": words.laps(s),
             "rates": words.rates(s),
             "link": words.connection(link, name),
-            "lost": words.losses(s, link),
-            "delay": f"{1e3 * delay:.0f} ms",
+            "lost": words.losses(frame),
+            "delay": words.delay(frame),
+            "record": words.recording(frame),
         }
         for label, text in texts.items():
             self._lines[label].set(text=text if len(text) < 76 else text[:73] + "...")
         self._lines["GPS"].set(fill=GOOD if words.is_gps_good(s) else BAD)
+        self._lines["record"].set(fill=INK if words.is_recording_well(frame) else BAD)
         self._lines["link"].set(fill=INK if link.is_open or link.is_over else BAD)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from smoother.frames import euler_from_rotation
 from smoother.live.engine import SILENT, Snapshot
+from smoother.live.frame import Frame
 from smoother.live.receiver import LinkStatus
 from smoother.units import DEG, KMH
 
@@ -63,8 +64,9 @@ def rates(s: Snapshot) -> str:
     )
 
 
-def losses(s: Snapshot, link: LinkStatus) -> str:
+def losses(frame: Frame) -> str:
     """Everything that was lost on the way here; what did not happen is not said."""
+    s, link = frame.snapshot, frame.link
     said = [
         (s.losses.lost_frames, f"{s.losses.lost_frames} frames lost ({s.losses.lost_share:.1%})"),
         (s.losses.damaged, f"{s.losses.damaged} damaged"),
@@ -72,6 +74,7 @@ def losses(s: Snapshot, link: LinkStatus) -> str:
         (link.dropped_bytes, f"{link.dropped_bytes} bytes came too fast"),
         (link.disconnects, f"{link.disconnects} x unplugged"),
         (s.losses.restarts, f"logger restarted {s.losses.restarts} x"),
+        (s.left_out, f"{s.left_out:.0f} s not smoothed"),
     ]
     return ", ".join(text for count, text in said if count) or "nothing lost"
 
@@ -81,6 +84,28 @@ def connection(link: LinkStatus, name: str) -> str:
     if link.is_over:
         return f"{name}: end"
     return f"{name}: connected" if link.is_open else f"{name}: NOT CONNECTED, trying again"
+
+
+def delay(frame: Frame) -> str:
+    """How old what is shown is, and the smoother's part of it."""
+    if frame.delay > SILENT:
+        return f"nothing came for {frame.delay:.0f} s"
+    own = f", smoother {1e3 * frame.smoother_delay:.0f} ms" if math.isfinite(frame.smoother_delay) else ""
+    return f"{1e3 * frame.delay:.0f} ms{own}"
+
+
+def is_recording_well(frame: Frame) -> bool:
+    """Whether nothing is wrong with what is written down."""
+    return frame.recording is None or not frame.recording.flaw
+
+
+def recording(frame: Frame) -> str:
+    """What is written down."""
+    if frame.recording is None:
+        return "off"
+    if frame.recording.flaw:
+        return f"FAILS: {frame.recording.flaw}"
+    return f"{frame.recording.name}, {frame.recording.bytes_written / 1e6:.2f} MB" if frame.recording.name else "waits"
 
 
 def compass(s: Snapshot) -> str:

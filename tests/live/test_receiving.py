@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from smoother.errors import UsageError
-from smoother.live.engine import Engine, Snapshot
+from smoother.live.engine import Engine
+from smoother.live.frame import Frame
 from smoother.live.identify import Foreground
 from smoother.live.navigator import Aboard
-from smoother.live.receiver import MOST_WAITING, Chunk, LinkStatus, Receiver
+from smoother.live.receiver import MOST_WAITING, Chunk, Receiver
 from smoother.live.running import run
 from smoother.live.sources import PipeSource, ReplaySource, SerialSource, source_for
 
@@ -59,8 +60,8 @@ class Shown:
     def __init__(self) -> None:
         self.delays: list[float] = []
 
-    def draw(self, s: Snapshot, link: LinkStatus, delay: float) -> bool:
-        self.delays.append(delay)
+    def draw(self, frame: Frame) -> bool:
+        self.delays.append(frame.delay)
         return True
 
 

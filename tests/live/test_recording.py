@@ -1,6 +1,10 @@
 """What is recorded from the line is a session like one from the card."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +13,12 @@ from click.testing import CliRunner
 
 from smoother.cli.living import live
 from smoother.cli.main import run as run_command
+from smoother.live import recording
 from smoother.live.decoding import Decoder
 from smoother.live.receiver import Chunk
-from smoother.live.recording import SessionWriter
+from smoother.live.recording import Recorder, SessionWriter
 from smoother.session.log import list_recordings, read_records
+from smoother.session.log_frames import decode_frames, find_frames
 from smoother.sim.record_log import drive_records
 
 
@@ -51,6 +57,72 @@ def test_nothing_recorded_before_is_overwritten(drive, tmp_path: Path) -> None:
     second = record(drive.stream[:20_000], tmp_path).path
     assert first != second
     assert first is not None and first.stat().st_size > 0
+
+
+def test_the_file_holds_at_every_moment_what_has_come(drive, tmp_path: Path) -> None:
+    decoder, writer = Decoder(), SessionWriter(tmp_path, np.random.default_rng(7))
+    sent, came = drive_records(drive.simulation), 0
+    for at in range(0, 40_000, 700):
+        for batch in decoder.feed([Chunk(0.0, drive.stream[at : at + 700])]):
+            writer.add(batch.records, batch.restarted)
+            came += len(batch.records.imu_t)
+        if at % 4900 == 0:  # as if the program were killed here
+            records, losses = read_records(list_recordings(tmp_path.glob("*.KLG"))[0])
+            np.testing.assert_array_equal(records.imu_t, sent.imu_t[:came])
+            assert (losses.blocks, losses.samples) == (0, 0)
+    assert came > 1000
+    writer.close()
+
+
+def test_a_full_disc_is_said_and_what_came_meanwhile_is_written_when_there_is_room(
+    drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = recording._write_all
+    decoder, recorder = Decoder(), Recorder(SessionWriter(tmp_path, np.random.default_rng(7)))
+
+    def feed(start: int, end: int) -> None:
+        for at in range(start, end, 700):
+            recorder.add(decoder.feed([Chunk(0.0, drive.stream[at : at + 700])]))
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with recorder:
+        feed(0, 7000)
+        recorder.settle()
+        monkeypatch.setattr(recording, "_write_all", full)
+        feed(7000, 21_000)
+        recorder.settle()
+        assert recorder.status.flaw == "No space left on device"
+        monkeypatch.setattr(recording, "_write_all", written)
+        feed(21_000, 28_000)
+        recorder.settle()
+        assert recorder.status.flaw == ""
+    records, losses = read_records(list_recordings(tmp_path.glob("*.KLG"))[0])
+    np.testing.assert_array_equal(records.imu_t, drive_records(drive.simulation).imu_t[: len(records.imu_t)])
+    assert (losses.blocks, losses.samples) == (0, 0)
+    assert len(records.imu_t) > 900  # of 28,000 bytes
+
+
+def test_a_program_that_is_killed_leaves_what_it_received(drive, tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    smooth = Path(sys.executable).parent / "smooth"
+    command = [str(smooth), "live", "-", "--record", str(tmp_path / "new"), "--json"]
+    with subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, text=True) as program:
+        os.close(reading)
+        os.write(writing, drive.stream[:30_000])
+        assert program.stdout is not None
+        newest = 0.0
+        while newest < 5.0:  # s of the stream; a line comes each second
+            newest = json.loads(program.stdout.readline())["t_s"]
+        time.sleep(0.5)
+        program.kill()
+    os.close(writing)
+    records, losses = read_records(list_recordings((tmp_path / "new").glob("*.KLG"))[0])
+    whole, _ = find_frames(drive.stream[:30_000])
+    assert records.imu_t[-1] * 1e-6 == pytest.approx(newest, abs=0.1)
+    assert len(records.imu_t) == len(decode_frames(whole).imu_t)
+    assert losses.blocks == 0
 
 
 def test_the_command_writes_json_lines_and_a_session_that_can_be_checked(

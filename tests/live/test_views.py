@@ -14,6 +14,7 @@ from smoother.live import words
 from smoother.live.decoding import Losses
 from smoother.live.engine import Snapshot
 from smoother.live.field import FieldSphere
+from smoother.live.frame import Frame
 from smoother.live.lag import LagState
 from smoother.live.receiver import LinkStatus
 from smoother.live.sensing import Reception
@@ -37,11 +38,11 @@ FULL = Snapshot(
 
 def test_everything_lost_is_said_and_what_was_not_is_not() -> None:
     link = LinkStatus(disconnects=2, dropped_bytes=512)
-    said = words.losses(FULL, link)
+    said = words.losses(Frame(FULL, link))
     for text in ("7 frames lost (6.5%)", "1 damaged", "40 bytes of noise", "512 bytes", "2 x unplugged"):
         assert text in said
     assert "restarted" not in said
-    assert words.losses(Snapshot(), LinkStatus()) == "nothing lost"
+    assert words.losses(Frame()) == "nothing lost"
 
 
 def test_a_fix_that_grows_old_is_no_fix() -> None:
@@ -54,7 +55,7 @@ def test_a_fix_that_grows_old_is_no_fix() -> None:
 @pytest.mark.parametrize("s", [Snapshot(), FULL], ids=["nothing yet", "everything"])
 def test_the_terminal_shows_any_snapshot(s: Snapshot) -> None:
     console = Console(file=io.StringIO(), width=100, force_terminal=False)
-    console.print(panel(s, LinkStatus(is_open=True), "ttyUSB0", 0.02))
+    console.print(panel(Frame(s, LinkStatus(is_open=True), 0.02), "ttyUSB0"))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert "20 ms" in text
     assert ("72.0 km/h" in text) == (s is FULL)
@@ -86,7 +87,7 @@ def test_the_window_takes_any_snapshot(monkeypatch: pytest.MonkeyPatch) -> None:
         try:
             view = window.WindowView("ttyUSB0")
             for s in (Snapshot(), FULL, Snapshot(madgwick=np.eye(3)), FULL):
-                assert view.draw(s, LinkStatus(is_open=True), 0.02)
+                assert view.draw(Frame(s, LinkStatus(is_open=True), 0.02))
             with view:
                 pass
         finally:
