@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas, fit_gnss_path
+from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
+from smoother.estimate.gnss_pieces import fit_path
 from smoother.samples import Session
 from smoother.trajectory import (
     EstimateReport,
@@ -52,7 +53,7 @@ class GnssSmoother:
     def estimate(self, session: Session) -> Trajectory:
         """Return the trajectory from the first fix to the last; without a height the Up of the origin, 100 m unsure."""
         options, started = self._options, time.perf_counter()
-        path = fit_gnss_path(session, options.path)
+        path = fit_path(session, options.path)
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
         t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate

@@ -8,7 +8,8 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times, start_in_step
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, ChainState, Constants
@@ -79,7 +80,7 @@ class Start:
 def make_start(session: Session, options: GraphOptions) -> Start:
     """Return what the fixes alone and the alignment with the inertial samples tell."""
     assert session.imu is not None
-    path = fit_gnss_path(session)
+    path = fit_path(session)
     times = session.gnss.t
     driven = PathMotion(times, path.at(times).velocity_n)
     alignment = align(session.imu, driven)
