@@ -13,7 +13,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
 from smoother.arrays import Array
 from smoother.report import style
@@ -23,12 +23,14 @@ from smoother.trajectory import Trajectory
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
 
 MAIN_FIGURE = "overview"
+Limits = tuple[float, float]  # of an axis, or of time
 CLOSE_UP = 10.0  # m from the middle of a close-up of the map to its nearest edge, at least
 CORNER_TIME = 4.0  # s that a close-up of a corner covers
 PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
+CELLS = 75  # along each side of the g-g diagram
 MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 
@@ -64,7 +66,7 @@ def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | 
     """
     directory.mkdir(parents=True, exist_ok=True)
     written = []
-    with matplotlib.rc_context(style.STYLE), warnings.catch_warnings():
+    with matplotlib.rc_context(style.SETTLED), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # a name may be in any script
         for i, (name, draw) in enumerate(FIGURES.items()):
             path = directory / f"{name}.png"
@@ -73,7 +75,7 @@ def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | 
                 path.unlink(missing_ok=True)
                 continue
             with replacing(path) as temporary:
-                figure.savefig(temporary, format="png")
+                style.save(figure, temporary)
             written.append(path)
             if done is not None:
                 done((i + 1) / len(FIGURES))
@@ -82,13 +84,17 @@ def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | 
 
 def overview(shown: Shown) -> Figure:
     """Map coloured by speed, a close-up of raw, baseline and smoothed, and speed over time."""
-    figure = style.new_figure(shown.heading, 13.0, 7.6)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.1, 1.0], height_ratios=[1.5, 1.0])
-    whole, close, speed_axes = (figure.add_subplot(grid[place]) for place in ((slice(None), 0), (0, 1), (1, 1)))
-    line = style.coloured_line(whole, *_map(shown.smoothed), shown.smoothed.speed / KMH, linewidth=1.8)
-    figure.colorbar(line, ax=whole, orientation="horizontal", shrink=0.7, aspect=40, pad=0.02, label="speed (km/h)")
+    figure = _figure(shown.heading, 13.0, 7.6)
+    grid = style.panels(figure, 2, 2, width_ratios=[1.1, 1.0], height_ratios=[1.5, 1.0], between=0.95)
+    left = grid[:, 0].subgridspec(2, 3, height_ratios=[40.0, 1.0], width_ratios=[1.0, 5.0, 1.0], hspace=0.2)
+    whole, bar = figure.add_subplot(left[0, :]), figure.add_subplot(left[1, 1])
+    close, speed_axes = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
+    step = 4.0 * _metres_a_pixel(whole, *_limits(shown))
+    path = style.thinned_path(*_map(shown.smoothed), shown.smoothed.speed / KMH, step=step)
+    line = style.coloured_line(whole, *path, linewidth=1.8)
+    _frame(whole, *_limits(shown))
+    figure.colorbar(line, cax=bar, orientation="horizontal", label="speed (km/h)")
     whole.set_title("Smoothed track, coloured by speed")
-    _frame_map(whole, shown)
     _draw_close_up(close, whole, shown)
     _draw_speed(speed_axes, shown)
     speed_axes.set_title("Speed")
@@ -98,29 +104,29 @@ def overview(shown: Shown) -> Figure:
 
 def track(shown: Shown) -> Figure:
     """The whole track and a close-up, each with raw fixes, baseline and smoothed."""
-    figure = style.new_figure(f"Track: {shown.heading}", 13.0, 7.0)
-    whole, close = figure.subplots(1, 2)
-    _draw_tracks(whole, shown, size=2.0)
+    figure = _figure(f"Track: {shown.heading}", 13.0, 7.0)
+    grid = style.panels(figure, 1, 2)
+    whole, close = (figure.add_subplot(grid[0, column]) for column in (0, 1))
+    _draw_tracks(whole, shown, 2.0, _limits(shown))
     whole.set_title("Whole session")
-    _frame_map(whole, shown)
     _draw_close_up(close, whole, shown)
     return figure
 
 
 def speed(shown: Shown) -> Figure:
     """Speed over the session, and half a minute of it with its sigma."""
-    figure = style.new_figure(f"Speed: {shown.heading}")
-    whole, close = figure.subplots(2, 1)
+    figure = _figure(f"Speed: {shown.heading}", 12.0, 7.2)
+    grid = style.panels(figure, 2, between=0.95)
+    whole, close = (figure.add_subplot(grid[row, 0]) for row in (0, 1))
     _draw_speed(whole, shown)
     whole.set_title("Whole session")
     style.outside_legend(whole)
-    _draw_speed(close, shown)
-    sigmas = shown.smoothed.sigmas
-    if sigmas is not None:
-        near = _near_fastest(shown)
-        t = shown.smoothed.t[near] - shown.start
-        style.band(close, t, shown.smoothed.speed[near] / KMH, sigmas.speed[near] / KMH, style.SMOOTHED)
-    _zoom_to_fastest(close, shown)
+    near = _near_fastest(shown)
+    _draw_speed(close, shown, near)
+    if shown.smoothed.sigmas is not None:
+        rows = slice(*np.searchsorted(shown.smoothed.t, near))
+        t, sigmas = shown.smoothed.t[rows] - shown.start, shown.smoothed.sigmas.speed[rows] / KMH
+        style.band(close, t, shown.smoothed.speed[rows] / KMH, sigmas, style.SMOOTHED)
     close.set_title(f"{CLOSE_UP_TIME:.0f} s around the top speed, band: two sigma")
     return figure
 
@@ -129,8 +135,8 @@ def attitude(shown: Shown) -> Figure | None:
     """Roll, pitch and yaw with two sigma, and the baseline's."""
     if not shown.has_attitude:
         return None
-    figure = style.new_figure(f"Attitude: {shown.heading}", 12.0, 8.0)
-    rows = figure.subplots(3, 1, sharex=True)
+    figure = _figure(f"Attitude: {shown.heading}", 12.0, 8.0)
+    rows = style.rows(figure, 3, left=1.05)
     labels = ("roll (deg)\nright side down +", "pitch (deg)\nnose down +", "yaw (deg)\nfrom north, left +")
     angles = shown.smoothed.euler / DEG
     for i, (axes, label) in enumerate(zip(rows, labels, strict=True)):
@@ -146,7 +152,7 @@ def attitude(shown: Shown) -> Figure | None:
     rows[2].set(yticks=[-180, -90, 0, 90, 180], ylim=(-190.0, 190.0))
     rows[0].set_title("Band: two sigma")
     style.outside_legend(rows[0])
-    _time_axis(rows[2], shown)
+    _time_axes(rows, shown)
     return figure
 
 
@@ -154,8 +160,8 @@ def accelerations(shown: Shown) -> Figure | None:
     """Forward, left and up acceleration over time in g, and the g-g diagram."""
     if not shown.has_attitude:
         return None
-    figure = style.new_figure(f"Accelerations of the kart, gravity removed: {shown.heading}", 13.0, 7.2)
-    grid = figure.add_gridspec(3, 2, width_ratios=[1.9, 1.0])
+    figure = _figure(f"Accelerations of the kart, gravity removed: {shown.heading}", 13.0, 7.2)
+    grid = style.panels(figure, 3, 2, width_ratios=[1.9, 1.0], left=0.95)
     acceleration = shown.smoothed.acceleration_b / STANDARD_GRAVITY
     limit, limit_up = (_limit_of_most(acceleration[:, axes]) for axes in ([0, 1], [2]))
     for i, label in enumerate(("forward (g)\nbraking -", "left (g)\nright turn -", "up (g)")):
@@ -164,15 +170,12 @@ def accelerations(shown: Shown) -> Figure | None:
         axes.set_ylabel(label)
         reach = limit if i < 2 else limit_up
         axes.set_ylim(-reach, reach)
-        _time_axis(axes, shown)
-        if i < 2:
-            axes.set_xlabel("")
-            axes.tick_params(labelbottom=False)
+        _time_axis(axes, shown, is_labelled=i == 2)
     circle = figure.add_subplot(grid[:, 1])
-    extent = (-limit, limit, -limit, limit)
     known = np.isfinite(acceleration).all(axis=1)
-    right, forward = -acceleration[known, 1], acceleration[known, 0]
-    circle.hexbin(right, forward, gridsize=60, extent=extent, bins="log", cmap="cividis", mincnt=1, linewidths=0.2)
+    seen = np.histogramdd(acceleration[known, :2] * [1.0, -1.0], bins=CELLS, range=[(-limit, limit)] * 2)[0]
+    shade = np.log10(np.where(seen > 0.0, seen, np.nan))
+    circle.imshow(shade, cmap="cividis", origin="lower", extent=(-limit, limit, -limit, limit), zorder=1)
     circle.set(
         xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal", xlabel="to the right (g)", ylabel="forward (g)"
     )
@@ -185,8 +188,8 @@ def biases(shown: Shown) -> Figure | None:
     keyframes = shown.smoothed.report.keyframes
     if keyframes is None or not np.isfinite(keyframes.gyro_bias_s).any():
         return None
-    figure = style.new_figure(f"Sensor biases found, in the sensor's own axes: {shown.heading}", 12.0, 7.6)
-    rows = figure.subplots(3, 2, sharex=True)
+    figure = _figure(f"Sensor biases found, in the sensor's own axes: {shown.heading}", 12.0, 7.6)
+    grid = style.panels(figure, 3, 2)
     t = keyframes.t - shown.start
     sensors = (
         ("Accelerometer (m/s²), band: two sigma", keyframes.accel_bias_s, keyframes.sigma_accel_bias, 1.0),
@@ -194,12 +197,12 @@ def biases(shown: Shown) -> Figure | None:
     )
     for column, (title, bias, sigma, unit) in enumerate(sensors):
         for i, name in enumerate("xyz"):
-            axes = rows[i, column]
-            axes.plot(*style.thinned(t, bias[:, i] / unit), color=style.AXES_COLOURS[i])
+            axes = figure.add_subplot(grid[i, column])
+            axes.plot(*style.thinned(t, bias[:, i] / unit, points=2 * style.pixels(axes)), color=style.AXES_COLOURS[i])
             style.band(axes, t, bias[:, i] / unit, sigma[:, i] / unit, style.AXES_COLOURS[i])
             axes.set_ylabel(name)
-        rows[0, column].set_title(title)
-        _time_axis(rows[2, column], shown)
+            axes.set_title(title if i == 0 else "")
+            _time_axis(axes, shown, is_labelled=i == 2)
     return figure
 
 
@@ -208,27 +211,25 @@ def residuals(shown: Shown) -> Figure | None:
     fixes = shown.smoothed.report.fixes
     if fixes is None or not len(fixes.index):
         return None
-    figure = style.new_figure(f"What the smoother expected minus each fix: {shown.heading}", 12.0, 8.0)
-    rows = figure.subplots(3, 2, width_ratios=[5.0, 1.0], sharex="col", sharey="row")
+    figure = _figure(f"What the smoother expected minus each fix: {shown.heading}", 12.0, 8.0)
+    rows = style.rows(figure, 3, left=0.9, right=2.1)
     t = shown.session.gnss.t[fixes.index] - shown.start
     down = fixes.weight < 0.5
     for i, name in enumerate(("north", "west", "up")):
         residual = fixes.residual_n[:, i]
         known = np.abs(residual[np.isfinite(residual) & ~down])
         limit = 1.6 * float(np.percentile(known, 99)) + 0.1 if known.size else 1.0
-        axes, side = rows[i]
+        axes = rows[i]
         shown_residual = np.clip(residual, -limit, limit)  # what lies beyond is drawn at the border
         axes.plot(t[~down], shown_residual[~down], ".", markersize=2.5, color=style.SMOOTHED, label="fix")
         axes.plot(t[down], shown_residual[down], "x", markersize=5, color=style.SECOND, label="fix given little weight")
         axes.set_ylabel(f"{name} (m)")
         axes.set_ylim(-1.05 * limit, 1.05 * limit)
         kept = np.clip(residual[~down & np.isfinite(residual)], -limit, limit)
-        side.hist(kept, bins=40, range=(-limit, limit), color=style.SMOOTHED, orientation="horizontal")
-        side.set_xticks([])
-        side.grid(False)
-    rows[0, 1].set_title("distribution")
-    style.outside_legend(rows[0, 0])
-    _time_axis(rows[2, 0], shown)
+        _distribution_beside(axes, *np.histogram(kept, bins=40, range=(-limit, limit)))
+    rows[0].set_title("distribution", x=1.03)
+    style.outside_legend(rows[0])
+    _time_axes(rows, shown)
     return figure
 
 
@@ -237,7 +238,7 @@ def sigma(shown: Shown) -> Figure | None:
     sigmas = shown.smoothed.sigmas
     if sigmas is None:
         return None
-    figure = style.new_figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
+    figure = _figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
     t = shown.smoothed.t - shown.start
     horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
     groups = {
@@ -252,14 +253,14 @@ def sigma(shown: Shown) -> Figure | None:
     groups = {
         label: lines for label, lines in groups.items() if any(np.isfinite(line).any() for line in lines.values())
     }
-    rows = np.atleast_1d(figure.subplots(len(groups), 1, sharex=True))
+    rows = style.rows(figure, len(groups), between=0.42)
     for axes, (label, lines) in zip(rows, groups.items(), strict=True):
         for colour, (name, values) in zip(style.AXES_COLOURS, lines.items(), strict=True):
-            axes.plot(*style.thinned(t, values), color=colour, label=name)
+            axes.plot(*style.thinned(t, values, points=2 * style.pixels(axes)), color=colour, label=name)
         style.logarithmic(axes)
         axes.set_ylabel(label)
         style.outside_legend(axes)
-    _time_axis(rows[-1], shown)
+    _time_axes(rows, shown)
     return figure
 
 
@@ -275,18 +276,31 @@ FIGURES: dict[str, Callable[[Shown], Figure | None]] = {
 }
 
 
+def _distribution_beside(axes: Axes, counts: Array, edges: Array) -> None:
+    """Draw a histogram of the values, lying, to the right of the axes."""
+    reach = np.concatenate([[0.0], counts, [0.0]]) / max(1.0, float(np.max(counts)))
+    outline = np.stack([1.03 + 0.16 * np.repeat(reach, 2)[1:-1], np.repeat(edges, 2)], axis=1)
+    axes.add_patch(
+        Polygon(outline, transform=axes.get_yaxis_transform(), clip_on=False, color=style.SMOOTHED, linewidth=0)
+    )
+
+
+def _figure(title: str, width: float, height: float) -> Figure:
+    return style.new_figure(title, width, height, is_laid_out=False)
+
+
 def _map(trajectory: Trajectory) -> tuple[Array, Array]:
     """East and north (m), for a map with north up."""
     return -trajectory.position_n[:, 1], trajectory.position_n[:, 0]
 
 
-def _frame_map(axes: Axes, shown: Shown) -> None:
-    """Fit the axes around the smoothed path, metres alike in both directions."""
+def _limits(shown: Shown) -> tuple[Limits, Limits]:
+    """What a map shows in x and y: all of the smoothed path."""
     x, y = _map(shown.smoothed)
-    _frame(axes, style.limits_around(x, least=20.0), style.limits_around(y, least=20.0))
+    return style.limits_around(x, least=20.0), style.limits_around(y, least=20.0)
 
 
-def _frame(axes: Axes, x_limits: tuple[float, float], y_limits: tuple[float, float]) -> None:
+def _frame(axes: Axes, x_limits: Limits, y_limits: Limits) -> None:
     """Show at least these limits, more of one of them where the space on the page allows it."""
     axes.set_xlim(x_limits, auto=True)  # auto: matplotlib may widen the limits to make metres alike
     axes.set_ylim(y_limits, auto=True)
@@ -294,10 +308,21 @@ def _frame(axes: Axes, x_limits: tuple[float, float], y_limits: tuple[float, flo
     axes.set(xlabel="east (m)", ylabel="north (m)")
 
 
-def _draw_tracks(axes: Axes, shown: Shown, size: float, window: tuple[float, float] = (-np.inf, np.inf)) -> None:
-    def within(t: Array, x: Array, y: Array) -> tuple[Array, Array]:
+def _metres_a_pixel(axes: Axes, x_limits: Limits, y_limits: Limits) -> float:
+    """How much of a map within these limits one pixel shows."""
+    box = axes.get_window_extent()
+    return max((x_limits[1] - x_limits[0]) / box.width, (y_limits[1] - y_limits[0]) / box.height)
+
+
+def _draw_tracks(
+    axes: Axes, shown: Shown, size: float, limits: tuple[Limits, Limits], window: Limits = (-np.inf, np.inf)
+) -> None:
+    """Draw fixes, baseline and smoothed path within limits of place and of time."""
+    step = _metres_a_pixel(axes, *limits)
+
+    def within(t: Array, x: Array, y: Array) -> list[Array]:
         i, j = np.searchsorted(t, window)
-        return x[i:j], y[i:j]
+        return style.thinned_path(x[i:j], y[i:j], step=step)
 
     fixes_n, baseline, smoothed = shown.session.fix_position_n, shown.baseline, shown.smoothed
     fixes = within(shown.session.gnss.t, -fixes_n[:, 1], fixes_n[:, 0])
@@ -306,16 +331,16 @@ def _draw_tracks(axes: Axes, shown: Shown, size: float, window: tuple[float, flo
         path = within(baseline.t, *_map(baseline))
         axes.plot(*path, "--", linewidth=1.0, color=style.BASELINE, label="baseline")
     axes.plot(*within(smoothed.t, *_map(smoothed)), linewidth=1.6, color=style.SMOOTHED, label="smoothed")
+    _frame(axes, *limits)
 
 
 def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
     """Draw one pass of the tightest corner with the legend above it, and its frame on the map of the whole."""
     t, (x, y) = shown.smoothed.t, _map(shown.smoothed)
     middle = float(t[_tightest(shown.smoothed)])
-    _draw_tracks(axes, shown, 4.5, (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
     corner = np.abs(t - middle) <= 0.5 * CORNER_TIME
     x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=2 * CLOSE_UP) for line in (x, y))
-    _frame(axes, x_limits, y_limits)
+    _draw_tracks(axes, shown, 4.5, (x_limits, y_limits), (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
     axes.set_title(f"One corner at {style.clock(middle - shown.start)}")
     style.outside_legend(axes)
     size = x_limits[1] - x_limits[0], y_limits[1] - y_limits[0]
@@ -348,32 +373,30 @@ def _limit_of_most(values: Array) -> float:
     return 1.2 * float(np.percentile(known, 99.8)) + 0.05 if known.size else 1.0
 
 
-def _draw_speed(axes: Axes, shown: Shown) -> None:
+def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = None) -> None:
+    """Draw the speed over the session, or over the part between two times."""
+    window = part or (shown.start, shown.start + shown.seconds)
     fixes = shown.session.gnss
-    raw = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1])
-    size = 2.5 if len(fixes) < MANY_FIXES else 1.0
-    axes.plot(fixes.t - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
+    here = slice(*np.searchsorted(fixes.t, window))
+    raw = np.hypot(fixes.velocity_n[here, 0], fixes.velocity_n[here, 1])
+    size = 2.5 if len(raw) < MANY_FIXES else 1.0
+    axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
-        _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--")
-    _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED)
+        _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part)
+    _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED, part=part)
     axes.set_ylabel("speed (km/h)")
     top = float(np.max(shown.smoothed.speed)) / KMH
     axes.set_ylim(-0.03 * top, 1.12 * top + 1.0)
-    _time_axis(axes, shown)
+    axes.set_xlim(window[0] - shown.start, window[1] - shown.start)
+    style.clock_axis(axes, window[1] - window[0])
 
 
-def _near_fastest(shown: Shown) -> slice:
+def _near_fastest(shown: Shown) -> tuple[float, float]:
+    """Times (s) around the top speed."""
     t = shown.smoothed.t
     middle = float(t[np.argmax(shown.smoothed.speed)])
-    first = np.clip(middle - 0.5 * CLOSE_UP_TIME, t[0], max(t[-1] - CLOSE_UP_TIME, t[0]))
-    i, j = np.searchsorted(t, [first, first + CLOSE_UP_TIME])
-    return slice(int(i), int(j) + 1)
-
-
-def _zoom_to_fastest(axes: Axes, shown: Shown) -> None:
-    near = shown.smoothed.t[_near_fastest(shown)] - shown.start
-    axes.set_xlim(near[0], near[-1])
-    style.clock_axis(axes, max(float(near[-1] - near[0]), 1e-3))
+    first = float(np.clip(middle - 0.5 * CLOSE_UP_TIME, t[0], max(t[-1] - CLOSE_UP_TIME, t[0])))
+    return first, first + min(CLOSE_UP_TIME, shown.seconds)
 
 
 def _line(
@@ -387,12 +410,23 @@ def _line(
     line: str = "-",
     width: float = 1.2,
     wraps: bool = False,
+    part: tuple[float, float] | None = None,
 ) -> None:
-    t, thin = style.thinned(trajectory.t - shown.start, values)
+    rows = slice(None) if part is None else slice(*np.searchsorted(trajectory.t, part))
+    t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=2 * style.pixels(axes))
     thin = style.broken_at_wraps(thin) if wraps else thin
     axes.plot(t, thin, line, color=colour, label=label, linewidth=width)
 
 
-def _time_axis(axes: Axes, shown: Shown) -> None:
+def _time_axes(rows: list[Axes], shown: Shown) -> None:
+    """Give axes one above the other the time of the session, labelled once."""
+    for axes in rows:
+        _time_axis(axes, shown, is_labelled=axes is rows[-1])
+
+
+def _time_axis(axes: Axes, shown: Shown, is_labelled: bool = True) -> None:
     axes.set_xlim(0.0, shown.seconds)
     style.clock_axis(axes, shown.seconds)
+    if not is_labelled:
+        axes.set_xlabel("")
+        axes.tick_params(labelbottom=False)

@@ -3,14 +3,19 @@
 Everything here works on Figure and Axes objects; pyplot and its global state are never touched.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MultipleLocator, NullFormatter
+from matplotlib.gridspec import GridSpec
+from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, MultipleLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation
+from PIL import Image
 
 from smoother.arrays import Array
 
@@ -25,6 +30,7 @@ STYLE: Any = {  # matplotlib types every key of it by name
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # there; else every label above the axes is measured first
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.spines.top": False,
@@ -42,22 +48,97 @@ STYLE: Any = {  # matplotlib types every key of it by name
     "lines.linewidth": 1.2,
     "figure.facecolor": "white",
 }
-DOTS_PER_INCH = 130
-LINE_POINTS = 4000  # more than any figure has pixels across
+DOTS_PER_INCH = 110
+COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
+SHADES = 48  # of a line coloured by something: more than an eye tells apart
+MOST_TICKS = 6  # along an axis
+_DECADES = range(-4, 5)
+GRID: Any = {"colors": "#dddddd", "linewidths": 0.6, "zorder": 0.5}
+SETTLED: Any = STYLE | {"axes.grid": False}  # where :func:`save` draws the grid
+X_LABELS: Any = {"ha": "center", "va": "top", "color": "#444444"}
+Y_LABELS: Any = {"ha": "right", "va": "center_baseline", "color": "#444444"}
+MARGINS = {"left": 0.8, "right": 0.2, "top": 0.72, "bottom": 0.6}  # inches, for labels of one line
 
 
-def new_figure(title: str, width: float = 12.0, height: float = 7.2) -> Figure:
-    """Return an empty figure, inches, under a heading that is never read as mathematics."""
-    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained")
-    heading = figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
+def new_figure(title: str, width: float = 12.0, height: float = 7.2, *, is_laid_out: bool = True) -> Figure:
+    """Return an empty figure, inches, under a heading that is never read as mathematics.
+
+    is_laid_out: matplotlib finds room for all labels, which costs as much as drawing twice; else see :func:`panels`.
+    """
+    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained" if is_laid_out else None)
+    y = {} if is_laid_out else {"y": 1.0 - 0.1 / height, "va": "top"}
+    heading = figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK, **y)
     heading.set_parse_math(False)  # a session may be called $1$
     return figure
 
 
+def panels(
+    figure: Figure, rows: int = 1, columns: int = 1, *, between: float = 0.2, beside: float = 0.85, **more: Any
+) -> GridSpec:
+    """Return a grid of `rows` and `columns` with room for heading, titles and labels around it.
+
+    between, beside: inches between rows and between columns. more: margins in inches (left, right, top, bottom), and
+    what GridSpec takes (width_ratios, height_ratios).
+    """
+    width, height = figure.get_size_inches()
+    margin = {side: more.pop(side, usual) for side, usual in MARGINS.items()}
+    inside = width - margin["left"] - margin["right"], height - margin["top"] - margin["bottom"]
+    return figure.add_gridspec(
+        rows,
+        columns,
+        left=margin["left"] / width,
+        right=1.0 - margin["right"] / width,
+        bottom=margin["bottom"] / height,
+        top=1.0 - margin["top"] / height,
+        wspace=beside / ((inside[0] - (columns - 1) * beside) / columns),
+        hspace=between / ((inside[1] - (rows - 1) * between) / rows),
+        **more,
+    )
+
+
+def rows(figure: Figure, count: int, **more: Any) -> list[Axes]:
+    """Return axes one above the other; `more` as for :func:`panels`."""
+    grid = panels(figure, count, **more)
+    return [figure.add_subplot(grid[row, 0]) for row in range(count)]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG. Its axes are final then."""
+    for axes in figure.axes:
+        if not hasattr(axes, "_colorbar"):
+            _settle(axes)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
+    drawn.convert("RGB").save(path, format="png", compress_level=COMPRESSION, dpi=(figure.dpi, figure.dpi))
+
+
+def _settle(axes: Axes) -> None:
+    """Put lines and texts where the ticks are: matplotlib's ticks cost more than all else that a figure shows."""
+    axes.apply_aspect()
+    for axis, is_x in ((axes.xaxis, True), (axes.yaxis, False)):
+        if isinstance(axis.get_major_locator(), AutoLocator):
+            axis.set_major_locator(MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]))
+        low, high = sorted(axis.get_view_interval())
+        ticks = np.array([tick for tick in axis.get_majorticklocs() if low <= tick <= high])
+        labels = axis.get_major_formatter().format_ticks(list(ticks))
+        across = axes.get_xaxis_transform() if is_x else axes.get_yaxis_transform()
+        ends = [[(tick, 0.0), (tick, 1.0)] if is_x else [(0.0, tick), (1.0, tick)] for tick in ticks]
+        axes.add_collection(LineCollection(ends, transform=across, **GRID), autolim=False)
+        if axis.get_tick_params().get("labelbottom" if is_x else "labelleft", True):
+            aside = (0.0, -0.06) if is_x else (-0.06, 0.0)  # inches
+            style: Any = X_LABELS if is_x else Y_LABELS
+            style = style | {"transform": across + ScaledTranslation(*aside, axes.figure.dpi_scale_trans)}
+            for tick, label in zip(ticks, labels, strict=True):
+                axes.text(tick if is_x else 0.0, 0.0 if is_x else tick, label, **style)
+            axis.labelpad = 20.0 if is_x else 8.0 + 6.5 * max(map(len, labels), default=0)  # points
+        axis.set_major_locator(NullLocator())
+
+
 def clock_axis(axes: Axes, seconds: float) -> None:
     """Label the x axis of `seconds` length as minutes:seconds, or hours:minutes when it is long."""
-    step = next((step for step in _TICK_STEPS if seconds / step <= 12), 6 * 3600)
+    step = next((step for step in _TICK_STEPS if seconds / step <= 8), 6 * 3600)
     axes.xaxis.set_major_locator(MultipleLocator(step))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: clock(x, step)))
     axes.set_xlabel("time since the first fix (h:min:s)" if seconds >= 3600 else "time since the first fix (min:s)")
@@ -66,9 +147,14 @@ def clock_axis(axes: Axes, seconds: float) -> None:
 def logarithmic(axes: Axes) -> None:
     """Make the y axis logarithmic, labelled 0.1, 0.2, 0.5, 1 instead of with powers of ten."""
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(FixedLocator([m * 10.0**e for e in range(-4, 5) for m in (1, 2, 5)]))
+    low, high = axes.get_ylim()
+    for steps in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):  # the finer ones where hardly any of the others is in view
+        ticks = [m * 10.0**e for e in _DECADES for m in steps if low <= m * 10.0**e <= high]
+        if len(ticks) > 2:
+            break
+    axes.yaxis.set_major_locator(FixedLocator(ticks))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def clock(seconds: float, step: float = 1.0) -> str:
@@ -80,11 +166,16 @@ def clock(seconds: float, step: float = 1.0) -> str:
     return f"{int(minutes // 60)}:{int(minutes % 60):02d}:{second}"
 
 
-def thinned(t: Array, *values: Array, points: int = LINE_POINTS) -> list[Array]:
+def pixels(axes: Axes) -> int:
+    """Width of axes that are not moved any more."""
+    return max(1, round(axes.get_window_extent().width))
+
+
+def thinned(t: Array, *values: Array, points: int) -> list[Array]:
     """Return t (N,) and each of values (N,) with at most about `points` rows, keeping every bin's extremes.
 
     Rows are those where the first of `values` is smallest and largest in its bin, so that no peak is lost; unknown
-    rows stay unknown.
+    rows stay unknown. Two points to a pixel look like all of them.
     """
     size = -(-2 * len(t) // points)
     if size <= 2:
@@ -99,9 +190,17 @@ def thinned(t: Array, *values: Array, points: int = LINE_POINTS) -> list[Array]:
     return [np.asarray(t)[rows], *(value[rows] for value in values)]
 
 
+def thinned_path(x: Array, y: Array, *values: Array, step: float) -> list[Array]:
+    """Return x, y (N,) and each of values (N,) at rows about `step` apart, or as far as they are; ends are kept."""
+    way = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.hypot(np.diff(x), np.diff(y)), nan=step))])
+    rows = np.flatnonzero(np.diff(np.floor(way / step), prepend=-1.0, append=np.inf)[:-1] > 0.0)
+    rows = np.unique(np.append(rows, len(x) - 1))
+    return [x[rows], y[rows], *(value[rows] for value in values)]
+
+
 def band(axes: Axes, t: Array, value: Array, sigma: Array, colour: str) -> None:
     """Draw value with a band of two sigma."""
-    t_, value_, sigma_ = thinned(t, value, sigma)
+    t_, value_, sigma_ = thinned(t, value, sigma, points=pixels(axes))
     axes.fill_between(t_, value_ - 2 * sigma_, value_ + 2 * sigma_, color=colour, alpha=0.2, linewidth=0)
 
 
@@ -124,13 +223,13 @@ def limits_around(values: Array, margin: float = 0.08, least: float = 0.0) -> tu
 
 def coloured_line(axes: Axes, x: Array, y: Array, colour_by: Array, **style: Any) -> LineCollection:
     """Draw a line whose colour follows a third quantity (N,); return it for the colour bar."""
-    rows = np.arange(0, len(x), max(1, len(x) // (2 * LINE_POINTS)))
-    x, y, c = x[rows], y[rows], colour_by[rows]
+    top = max(float(np.max(colour_by[np.isfinite(colour_by)], initial=0.0)), 1e-9)
+    shade = np.floor(np.nan_to_num(colour_by[:-1]) / top * SHADES)
+    first = np.flatnonzero(np.diff(shade, prepend=-1.0))
     points = np.stack([x, y], axis=1)
-    segments = np.stack([points[:-1], points[1:]], axis=1)
-    scale = Normalize(0.0, max(float(np.max(c[np.isfinite(c)], initial=0.0)), 1e-9))
-    lines = LineCollection(list(segments), cmap="viridis", norm=scale, capstyle="round", **style)
-    lines.set_array(c[:-1])
+    parts = [points[i : j + 1] for i, j in zip(first, np.append(first[1:], len(shade)), strict=True)]
+    lines = LineCollection(parts, cmap="viridis", norm=Normalize(0.0, top), capstyle="round", **style)
+    lines.set_array((shade[first] + 0.5) * top / SHADES)
     axes.add_collection(lines)
     return lines
 

@@ -36,7 +36,7 @@ def test_a_full_session_gets_every_figure_the_main_one_first(
     assert shares[-1] == 1.0
     for path in paths:
         pixels = image.imread(path)
-        assert pixels.shape[1] >= 1500
+        assert pixels.shape[1] >= 1300
         assert pixels[..., :3].std() > 0.05  # not blank
 
 
@@ -92,6 +92,32 @@ def test_thinning_keeps_every_peak_and_bounds_the_points() -> None:
     assert thin.min() == -30.0
     assert np.all(np.diff(thin_t) > 0.0)
     assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+
+
+def test_a_thinned_path_keeps_its_ends_and_leaves_no_hole_and_no_crowd() -> None:
+    way = np.concatenate([np.zeros(50), np.linspace(0.0, 100.0, 2001), [140.0]])  # a stand, a drive, a jump
+    x, y, which = style.thinned_path(way, 2.0 * way, np.arange(len(way)), step=1.0)
+    assert (which[0], which[-1]) == (0, len(way) - 1)
+    apart = np.hypot(np.diff(x), np.diff(y))
+    assert np.all(apart[:-2] > 0.8)
+    assert np.all(apart[:-2] < 1.2)
+    assert len(which) == pytest.approx(100.0 * np.sqrt(5.0), abs=4)
+
+
+def test_ticks_are_drawn_where_matplotlib_would_put_them(tmp_path: Path) -> None:
+    with matplotlib.rc_context(style.SETTLED):
+        figure = style.new_figure("ticks", is_laid_out=False)
+        upper, lower = style.rows(figure, 2)
+        for axes in (upper, lower):
+            axes.set_ylim(0.3, 40.0)
+            axes.set_xlim(0.0, 610.0)
+            style.clock_axis(axes, 610.0)
+        upper.tick_params(labelbottom=False)
+        style.logarithmic(upper)
+        style.save(figure, tmp_path / "ticks.png")
+    said = [[text.get_text() for text in axes.texts] for axes in (upper, lower)]
+    assert said[0] == ["0.5", "1", "2", "5", "10", "20"]
+    assert said[1] == ["0:00", "2:00", "4:00", "6:00", "8:00", "10:00", "10", "20", "30", "40"]
 
 
 def test_thinning_lives_with_stretches_that_are_unknown() -> None:
