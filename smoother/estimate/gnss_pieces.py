@@ -17,6 +17,7 @@ from smoother.samples import Session
 PIECE = 3600.0  # s
 LONG = 2.0 * PIECE  # s, from which on a session is taken in pieces
 OVERLAP = 120.0  # s to either side
+BLEND = 20.0  # s over which one piece gives way to the next
 FEWEST_FIXES = 100  # of a piece; one with fewer goes with the one before
 PER_FIX = ("position_residual_n", "velocity_residual_n", "position_weight", "velocity_weight", "up_weight")
 SCALES = ("position_scale", "up_scale", "velocity_scale")
@@ -29,11 +30,13 @@ def fit_path(session: Session, options: GnssPathOptions | None = None) -> GnssPa
     if t[-1] - t[0] < LONG:
         return fit_gnss_path(session, options)
     edges = _edges(t)
+    insides = [(t >= first - OVERLAP) & (t < last + OVERLAP) for first, last in pairwise(edges)]
+    paths = [fit_gnss_path(replace(session, gnss=session.gnss.select(inside)), options) for inside in insides]
     parts = []
-    for first, last in pairwise(edges):
-        inside = (t >= first - OVERLAP) & (t < last + OVERLAP)
-        path = fit_gnss_path(replace(session, gnss=session.gnss.select(inside)), options)
-        parts.append(_core(path, t[inside], first, last))
+    for i, (first, last) in enumerate(pairwise(edges)):
+        path = paths[i] if i == 0 else _drawn(paths[i], paths[i - 1], first)
+        path = path if i + 1 == len(paths) else _drawn(path, paths[i + 1], last)
+        parts.append(_core(path, t[insides[i]], first, last))
     return _joined(parts, session)
 
 
@@ -47,6 +50,17 @@ def _edges(t: Array) -> list[float]:
     if np.count_nonzero(t >= edges[-1]) < FEWEST_FIXES and len(edges) > 1:
         edges.pop()
     return [*edges, np.inf]
+
+
+def _drawn(path: GnssPath, neighbour: GnssPath, edge: float) -> GnssPath:
+    """Return the path drawn towards its neighbour near the time where they change over, and half the way there."""
+    near = np.abs(path.t - edge) < 0.5 * BLEND
+    share, other = 0.5 - np.abs(path.t[near] - edge)[:, None] / BLEND, neighbour.at(path.t[near])
+    changes: dict[str, Any] = {}
+    for name in PER_NODE[1:]:
+        changes[name] = getattr(path, name).copy()
+        changes[name][near] += share * (getattr(other, name) - changes[name][near])
+    return replace(path, **changes)
 
 
 def _core(path: GnssPath, stamps: Array, first: float, last: float) -> GnssPath:
