@@ -24,7 +24,7 @@ enum {
     APP_CARD_CHECK_US = 2000000,
     APP_CARD_RETRY_US = 20000,       /* doubles with each failure .. */
     APP_CARD_RETRY_MOST_US = 2000000, /* .. up to this */
-    APP_CARD_RESUMES = 3,            /* before the card is taken for a new one */
+    APP_CARD_RESUMES = 5,            /* within 0.6 s, before the card is taken for a new one */
     APP_STOP_LONGEST_US = 10000000,  /* for the last blocks, should the card be away */
     APP_BLOCKED_LONGEST_US = 60000000, /* one call into the card: then the watchdog may bite */
     APP_FIX_US = 3000000             /* how long a fix counts */

@@ -10,14 +10,14 @@ enum {
     SLOW = 5,             /* 36 MHz / 64 = 562 kHz; registers may be written at 1 MHz at most */
     FAST = 1,             /* 36 MHz / 4 = 9 MHz; samples may be read at 20 MHz */
     EDGE_MISSING_US = 30000, /* longer than the longest period that can be set */
-    STUCK_TICKS = 10
+    STUCK_US = 5000 /* a burst takes 30 us */
 };
 
 static const board_events_t *volatile events;
 static volatile bool is_running;
 static volatile uint64_t edge_us;
+static uint64_t again_us; /* an edge that came during a burst: its sample may not be in it; 0: none */
 static uint64_t burst_us;
-static uint8_t stuck;
 static uint8_t out[MPU9250_BURST] = {MPU9250_BURST_COMMAND};
 static uint8_t in[MPU9250_BURST];
 
@@ -31,9 +31,8 @@ static void select_imu(bool is_selected)
 
 static void start_burst(uint64_t time_us_)
 {
-    if (is_running && ++stuck < STUCK_TICKS)
+    if (is_running && time_us_ - burst_us < STUCK_US)
         return;
-    stuck = 0;
     is_running = true;
     burst_us = time_us_;
     select_imu(false);
@@ -49,10 +48,13 @@ void DMA1_Channel4_IRQHandler(void)
         return;
     select_imu(false);
     is_running = false;
-    stuck = 0;
     const board_events_t *to = events;
     if (result == 1 && to)
         to->on_burst(to->context, burst_us, in);
+    const uint64_t next_us = again_us;
+    again_us = 0;
+    if (next_us && to)
+        start_burst(next_us);
 }
 
 static void on_tick(uint64_t now_us)
@@ -66,6 +68,8 @@ void EXTI0_IRQHandler(void)
 {
     EXTI->PR = EXTI_LINE0;
     edge_us = time_us();
+    if (events && is_running)
+        again_us = edge_us; /* that burst was started by a glitch, or this edge is one: then there is nothing new */
     if (events)
         start_burst(edge_us);
 }
@@ -86,6 +90,7 @@ static void stop_sampling(void *context)
     spi_stop(&spi_imu);
     select_imu(false);
     is_running = false;
+    again_us = 0;
     spi_init(&spi_imu, SLOW);
 }
 

@@ -364,6 +364,26 @@ static void test_refused_and_misheard_blocks_are_written_again(void)
     end();
 }
 
+/* A contact that lets go on a bump, for any time up to what the ring holds. */
+static void test_loose_contact_of_half_a_second_costs_nothing(void)
+{
+    for (uint32_t away_us = 1000; away_us < 560000; away_us += 43000) {
+        begin(1300);
+        boot();
+        run(3000000 + away_us % 27000); /* at different fills of the block */
+        sim.card.is_absent = true;
+        run(away_us);
+        sd_model_power_cycle(&sim.card);
+        run(3000000);
+        stop();
+        const log_t log = read_log();
+        CHECK_EQUAL(log.files, 1);
+        CHECK_EQUAL(log.gaps, 0);
+        CHECK_EQUAL(log.strange, 0);
+        end();
+    }
+}
+
 static void test_card_pulled_out_comes_back_to_the_same_recording(void)
 {
     begin(1300);
@@ -781,6 +801,7 @@ int main(int argc, char **argv)
         TEST(stall_beyond_the_bound_leaves_a_gap_with_the_right_count),
         TEST(card_that_hangs_is_started_again_and_the_file_goes_on),
         TEST(refused_and_misheard_blocks_are_written_again),
+        TEST(loose_contact_of_half_a_second_costs_nothing),
         TEST(card_pulled_out_comes_back_to_the_same_recording),
         TEST(another_card_takes_the_recording_on),
         TEST(full_card_ends_the_recording_and_nothing_else),
