@@ -4,7 +4,6 @@ A process here ends when its pipe closes, so none is left behind, however the on
 """
 
 import contextlib
-import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -18,7 +17,6 @@ from smoother.live.identify import Window, find_line, identify
 from smoother.live.lag import LagStart
 
 T = TypeVar("T")
-LET_OTHERS = 5  # of `nice`: what takes seconds anyway stands back behind what is shown
 ENDS_WITHIN = 1.0  # s, before it is made to end
 
 
@@ -143,7 +141,6 @@ class Background:
 
 def serve_jobs(connection: Connection) -> None:
     """Be the process of :class:`Background`."""
-    os.nice(LET_OTHERS)
     with contextlib.suppress(EOFError, OSError):  # nobody asks any more
         while True:
             function, *args = connection.recv()

@@ -49,7 +49,7 @@ def panel(frame: Frame, name: str) -> Panel:
         rows.append((f"rate {axis}", Text(f"{bar(value, RATE_RANGE)} {value:+6.1f} °/s")))
     link_style = "" if link.is_open else "bold red"
     rows += [
-        ("rates", Text(words.rates(s))),
+        ("rates", Text(words.rates(frame))),
         ("compass", Text(words.compass(s))),
         ("link", Text(words.connection(link, name), style=link_style)),
         ("lost", Text(words.losses(frame))),

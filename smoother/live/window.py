@@ -19,6 +19,7 @@ from smoother.units import DEG, STANDARD_GRAVITY
 
 FRAMES = 40.0  # a second; a machine that is busy with other things leaves out a third of them
 WIDTH, HEIGHT = 1060, 640  # pixels
+WRAPPED, LONGEST = 560, 150  # pixels of a line of words, letters of two
 FORCE_RANGE, RATE_RANGE = 3.0, 180.0  # g, deg/s
 INK, DIM, FAINT, PAPER = "#1a1c20", "#6b7280", "#d5dae2", "#ffffff"
 AXES = ("#c0392b", "#1e8449", "#2458b3")  # forward, left, up
@@ -66,7 +67,7 @@ class WindowView:
         canvas = tkinter.Canvas(self._root, width=WIDTH, height=HEIGHT, background=PAPER, highlightthickness=0)
         canvas.pack()
         self._box = _Box(canvas, (330.0, 235.0), 118.0)
-        self._words = _Words(canvas, (28.0, 425.0))
+        self._words = _Words(canvas, (28.0, 420.0))
         self._force = _Bars(canvas, (680.0, 22.0), "specific force, g", FORCE_RANGE)
         self._rate = _Bars(canvas, (680.0, 215.0), "angular rate, °/s", RATE_RANGE)
         self._sphere = _Sphere(canvas, (740.0, 530.0), 72.0)
@@ -85,7 +86,7 @@ class WindowView:
         if not self._is_open:
             return False
         s = frame.snapshot
-        self._box.update(s)
+        self._box.update(s, is_stale=words.is_stale(frame))
         self._words.update(frame, self._name)
         self._force.update(s.force / STANDARD_GRAVITY)
         self._rate.update(s.rate / DEG)
@@ -153,10 +154,11 @@ class _Box:
         self._second = _text(canvas, 28, 60, 15, AXES[2])
         self._stage = _text(canvas, 28, 84, 14, DIM)
 
-    def update(self, s: Snapshot) -> None:
+    def update(self, s: Snapshot, *, is_stale: bool) -> None:
         R = s.madgwick if s.lag is None else s.lag.R_nb
         both = s.lag is not None and s.madgwick is not None
-        self._title.set(text="roll {}   pitch {}   yaw {}".format(*words.angles(R)))
+        title = "roll {}   pitch {}   yaw {}".format(*words.angles(R))
+        self._title.set(text=title, fill=DIM if is_stale else INK)
         second = "Madgwick (dashed): roll {}   pitch {}   yaw {}".format(*words.angles(s.madgwick))
         self._second.set(text=second if both else "Madgwick's filter" if s.madgwick is not None else "")
         self._stage.set(text=words.smoother(s))
@@ -190,15 +192,18 @@ class _Box:
 class _Words:
     """What is said in words."""
 
-    _LABELS = ("GPS", "speed", "laps", "rates", "link", "lost", "delay", "record")
+    _LABELS = ("GPS", "speed", "laps", "rates", "link", "delay", "record", "lost")
 
     def __init__(self, canvas: tkinter.Canvas, corner: tuple[float, float]) -> None:
         self._lines: dict[str, _Item] = {}
         for i, label in enumerate(self._LABELS):
             y = corner[1] + 26 * i
             _text(canvas, corner[0], y, 14, DIM, text=label)
-            is_large = label == "speed"
-            self._lines[label] = _text(canvas, corner[0] + 66, y, 20 if is_large else 14, bold=is_large)
+            x, is_large = corner[0] + 66, label == "speed"
+            if label == "lost":  # the last one has room for a second line
+                self._lines[label] = _text(canvas, x, y - 9, 14, anchor="nw", width=WRAPPED)
+            else:
+                self._lines[label] = _text(canvas, x, y, 20 if is_large else 14, bold=is_large)
 
     def update(self, frame: Frame, name: str) -> None:
         s, link = frame.snapshot, frame.link
@@ -206,14 +211,16 @@ class _Words:
             "GPS": words.gps(s),
             "speed": words.speed(s),
             "laps": words.laps(s),
-            "rates": words.rates(s),
+            "rates": words.rates(frame),
             "link": words.connection(link, name),
             "lost": words.losses(frame),
             "delay": words.delay(frame),
             "record": words.recording(frame),
         }
         for label, text in texts.items():
-            self._lines[label].set(text=text if len(text) < 76 else text[:73] + "...")
+            longest = LONGEST if label == "lost" else LONGEST // 2
+            self._lines[label].set(text=text if len(text) < longest else text[: longest - 3] + "...")
+        self._lines["speed"].set(fill=DIM if words.is_stale(frame) else INK)
         self._lines["GPS"].set(fill=GOOD if words.is_gps_good(s) else BAD)
         self._lines["record"].set(fill=INK if words.is_recording_well(frame) else BAD)
         self._lines["link"].set(fill=INK if link.is_open or link.is_over else BAD)

@@ -11,6 +11,7 @@ from smoother.live.receiver import LinkStatus
 from smoother.units import DEG, KMH
 
 FEW_SATELLITES = 5
+VAGUE = 30.0  # deg; what an attitude is unsure by before the drive has shown how the box is mounted
 
 
 def angles(R: np.ndarray | None) -> tuple[str, str, str]:
@@ -56,8 +57,16 @@ def laps(s: Snapshot) -> str:
     return f"lap {s.laps.lap}  {lap_time(s.laps.running)}   last {lap_time(s.laps.last)}   best {lap_time(s.laps.best)}"
 
 
-def rates(s: Snapshot) -> str:
+def is_stale(frame: Frame) -> bool:
+    """Whether what is shown is old: nothing comes any more."""
+    return frame.delay > SILENT or (not frame.link.is_open and not frame.link.is_over)
+
+
+def rates(frame: Frame) -> str:
     """Samples a second of each sensor."""
+    s = frame.snapshot
+    if is_stale(frame):
+        return "-"
     return "   ".join(
         f"{label} {s.rates.get(name, 0.0):.{digits}f} Hz"
         for name, label, digits in (("imu", "IMU", 0), ("mag", "compass", 0), ("gps", "GPS", 1))
@@ -88,7 +97,7 @@ def connection(link: LinkStatus, name: str) -> str:
 
 def delay(frame: Frame) -> str:
     """How old what is shown is, and the smoother's part of it."""
-    if frame.delay > SILENT:
+    if frame.delay > SILENT and not frame.link.is_over:
         return f"nothing came for {frame.delay:.0f} s"
     own = f", smoother {1e3 * frame.smoother_delay:.0f} ms" if math.isfinite(frame.smoother_delay) else ""
     return f"{1e3 * frame.delay:.0f} ms{own}"
@@ -110,13 +119,19 @@ def recording(frame: Frame) -> str:
 
 def compass(s: Snapshot) -> str:
     """How much of the sphere was seen."""
-    rms = f", off the ellipsoid {s.field_rms:.2f} uT rms" if math.isfinite(s.field_rms) else ""
-    return f"{s.coverage:.0%} of the directions{rms}"
+    if s.coverage == 0.0:
+        return "turn the box every way to see its sphere"
+    rms = f", {s.field_rms:.2f} uT off the ellipsoid" if math.isfinite(s.field_rms) else ""
+    return f"{s.coverage:.0%} seen{rms}"
 
 
 def smoother(s: Snapshot) -> str:
     """What the smoother does, and how sure it is."""
+    if s.is_calibrating:
+        return "calibrating the compass: turn the box every way"
     if s.lag is None:
         return s.stage
     worst = float(np.max(s.lag.attitude_sigma)) / DEG
+    if worst > VAGUE:
+        return "smoothing, the mounting is still rough"
     return f"smoothing, attitude ±{worst:.1f}°, speed ±{float(np.max(s.lag.velocity_sigma[:2])) / KMH:.1f} km/h"
