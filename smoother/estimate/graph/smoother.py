@@ -21,6 +21,7 @@ from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import GraphOptions, Start, make_start, on_grid
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
+from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
 
@@ -43,7 +44,19 @@ class GraphSmoother:
     name: str = "smoother"
 
     def estimate(self, session: Session) -> Trajectory:
-        """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified."""
+        """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified.
+
+        Where the clock of the session is far off, `rate` and latencies are in true seconds, times are the session's.
+        """
+        scale = clock_scale(session)
+        if scale == 1.0:
+            return self._in_true_time(session)
+        found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
+        runs = f"{100.0 * abs(scale - 1.0):.1f} % {'fast' if scale > 1.0 else 'slow'}"
+        problem = Problem("clock_scale", f"the recording's clock runs {runs} against the receiver's UTC; taken out")
+        return replace(found, report=replace(found.report, problems=(*found.report.problems, problem)))
+
+    def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None or len(session.gnss) < 10:
             return self._from_fixes(session, ())
         if _overlap(session.imu, session.gnss) < SHORTEST_OVERLAP:

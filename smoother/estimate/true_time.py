@@ -1,0 +1,74 @@
+"""Sessions whose clock is off by more than any crystal: estimated in true seconds, with times told in their own.
+
+The receiver's UTC shows it. Metres per wrong second would be wrong velocities, and forces that do not fit the path.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.samples import Session
+from smoother.trajectory import JointPosition, Trajectory
+
+CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
+BEYOND_BELIEF = 0.1  # more is not a clock
+FEWEST_FIXES, SHORTEST = 50, 20.0  # s
+ENOUGH = 200  # fixes, evenly taken
+STEADY = 0.05  # s; how far typical fixes may lie off the line
+
+
+def clock_scale(session: Session) -> float:
+    """Return how many seconds of the session pass in a true one; 1 where its clock is good, or nothing tells."""
+    unix_s, t = session.gnss.unix_s, session.gnss.t
+    assert unix_s is not None
+    known = np.flatnonzero(np.isfinite(unix_s))
+    if known.size < FEWEST_FIXES or abs(unix_s[known[-1]] - unix_s[known[0]]) < SHORTEST:
+        return 1.0
+    some = known[:: -(-known.size // ENOUGH)]
+    utc, t = unix_s[some] - unix_s[some[0]], t[some]
+    slope = _slope(utc, t)
+    rest = t - slope * utc
+    scatter = float(np.median(np.abs(rest - np.median(rest))))
+    is_off = CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF and scatter < STEADY
+    return slope if is_off else 1.0
+
+
+def _slope(x: Array, y: Array) -> float:
+    """Median slope of all pairs of points with different x. Source: Sen 1968."""
+    i, j = np.triu_indices(x.size, 1)
+    apart = np.abs(x[j] - x[i]) > 1.0
+    return float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 1.0
+
+
+def in_true_time(session: Session, scale: float) -> Session:
+    """Return the session with its times in true seconds since its zero."""
+    imu, mag = session.imu, session.mag
+    return replace(
+        session,
+        gnss=replace(session.gnss, t=session.gnss.t / scale),
+        imu=None if imu is None else replace(imu, t=imu.t / scale),
+        mag=None if mag is None else replace(mag, t=mag.t / scale),
+    )
+
+
+def in_session_time(trajectory: Trajectory, scale: float) -> Trajectory:
+    """Return the trajectory with its times on the clock of the session; all else stays in true seconds."""
+    report, joint = trajectory.report, trajectory.joint
+    if report.keyframes is not None:
+        report = replace(report, keyframes=replace(report.keyframes, t=report.keyframes.t * scale))
+    return replace(
+        trajectory, t=trajectory.t * scale, report=report, joint=None if joint is None else _Scaled(joint, scale)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """A JointPosition that is asked on the clock of the session."""
+
+    joint: JointPosition
+    scale: float
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        return self.joint.covariance(t / self.scale, direction_n)
