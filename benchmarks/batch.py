@@ -2,7 +2,9 @@
 
     python benchmarks/batch.py                         8 sessions of 5 minutes; 1 and 2 at a time, and 2 Dask workers
     python benchmarks/batch.py --sessions 16 --minutes 10 --workers 1 2 4
+    python benchmarks/batch.py --parts                 what each part of a session costs, with its memory and disk
     python benchmarks/batch.py --finished 1000         as many finished sessions: found, compared, listed
+    python benchmarks/batch.py --tasks 20000           what a Dask scheduler takes for so many tasks that do nothing
 
 The sessions are simulated karts as the logger writes them (200 Hz, 5 Hz, preset kart), smoothed with the defaults of
 `smooth batch`. Times are those of the whole command in a process of its own; `load` is what others wanted of the
@@ -11,6 +13,7 @@ workers of Dask these are processes started before, so that only the batch is ti
 """
 
 import argparse
+import gzip
 import json
 import os
 import resource
@@ -28,6 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before nu
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+import polars as pl
 
 from smoother.sim.record_log import write_klg
 from smoother.sim.simulation import simulate_preset
@@ -60,11 +64,17 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--dask", type=int, default=2, help="workers of the Dask cluster; 0: none")
     parser.add_argument("--finished", type=int, default=0, help="measure finding and listing so many sessions instead")
+    parser.add_argument("--parts", action="store_true", help="measure what each part of a session costs instead")
+    parser.add_argument("--tasks", type=int, default=0, help="measure so many empty tasks of a Dask scheduler instead")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name) / "day"
         if given.finished:
             show_finished(directory, given.finished)
+        elif given.parts:
+            show_parts(directory, given.sessions, given.minutes)
+        elif given.tasks:
+            show_tasks(directory.parent, given.tasks)
         else:
             show_workers(directory, given.sessions, given.minutes, given.workers, given.dask)
 
@@ -104,6 +114,60 @@ def show_cost(directory: Path, run: Run) -> None:
     print(f"(report {report / n / 1e6:.1f}, trajectory {rows / n / 1e6:.1f})")
 
 
+def show_parts(directory: Path, sessions: int, minutes: float) -> None:
+    """Print the processor time, memory and disk of a session with ever more of its parts."""
+    for i in range(sessions):
+        write_klg(simulate_preset("kart", i, duration=60.0 * minutes), directory / f"run{i + 1}")
+    start = [_start_of_interpreter() for _ in range(5)]
+    print(f"{sessions} sessions of {minutes:g} min; the interpreter with its libraries alone: {min(start):.2f} s")
+    print("| options | processor, s (least .. most) | memory, MB | written, MB |")
+    print("|---|---|---|---|")
+    for options in (("--no-baseline", "--no-figures"), ("--no-baseline",), (), ("--pictures",)):
+        run = batch("parts", directory, "--again", "--jobs", "1", *options)
+        written = sum(path.stat().st_size for path in directory.rglob("smoothed/**/*") if path.is_file()) / sessions
+        cpu, memory = run.column("cpu_s"), run.column("memory_mb").max()
+        name = f"`{' '.join(options)}`" if options else "none"
+        spread = f"{np.median(cpu):.1f} ({cpu.min():.1f} .. {cpu.max():.1f})"
+        print(f"| {name} | {spread} | {memory:.0f} | {written / 1e6:.1f} |")
+    (rows,) = list(directory.glob("run1/smoothed/trajectory.csv"))
+    table = pl.read_csv(rows, infer_schema_length=None)
+    table.write_parquet(rows.with_suffix(".parquet"), compression="zstd")
+    sizes = [path.stat().st_size / 1e6 for path in (rows, rows.with_suffix(".parquet"))]
+    print(f"trajectory.csv {sizes[0]:.1f} MB, as Parquet {sizes[1]:.1f} MB", end="; ")
+    (log,) = list(directory.glob("run1/*.KLG"))
+    print(f"recording {log.stat().st_size / 1e6:.1f} MB, as .gz {len(gzip.compress(log.read_bytes(), 6)) / 1e6:.1f} MB")
+
+
+def _start_of_interpreter() -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    imports = "import smoother.cli.main, smoother.estimate.graph.smoother, smoother.report.page, smoother.session.load"
+    subprocess.run([sys.executable, "-P", "-c", imports], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def show_tasks(directory: Path, count: int) -> None:
+    """Print what a scheduler takes for tasks that do nothing: its share of a batch."""
+    from distributed import Client
+
+    with cluster(2, directory) as address, Client(address) as client:
+        memory = client.run_on_scheduler(_memory)
+        start, cpu = time.perf_counter(), client.run_on_scheduler(time.process_time)
+        futures = client.map(abs, range(count), pure=False)
+        client.gather(futures)
+        wall = time.perf_counter() - start
+        cpu = client.run_on_scheduler(time.process_time) - cpu
+        held = client.run_on_scheduler(_memory) - memory
+    each = 1e3 / count
+    print(f"{count} empty tasks, 2 workers: {wall * each:.2f} ms each on the clock; of the scheduler")
+    print(f"{cpu * each:.2f} ms of processor time and {held / count / 1e3:.1f} kB of memory each")
+
+
+def _memory() -> int:
+    """Bytes that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
 def show_finished(directory: Path, count: int) -> None:
     """Print what it takes to find, compare and list sessions of which none has changed."""
     first = directory / "kart1" / "run1"
@@ -112,7 +176,9 @@ def show_finished(directory: Path, count: int) -> None:
     for i in range(1, count):
         kart = directory / f"kart{i % 20 + 1}"
         kart.mkdir(exist_ok=True)
-        shutil.copytree(first, kart / f"run{i + 1}", copy_function=shutil.copyfile)  # other times of change: everything is read and compared
+        shutil.copytree(
+            first, kart / f"run{i + 1}", copy_function=shutil.copyfile
+        )  # other times of change: everything is read and compared
     copied = batch("copied", directory)
     again = batch("again", directory)
     assert all(run.column("kept").all() for run in (copied, again))

@@ -59,7 +59,7 @@ class Plan:
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
 @click.option("--no-figures", is_flag=True, help="Write tables only, no reports.")
-@click.option("--pictures", is_flag=True, help="Write the figures as files too; takes about twice as long.")
+@click.option("--pictures", is_flag=True, help="Write the figures as files too; takes half as long again.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the page when done.")
 def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: bool, **given: Any) -> int:

@@ -44,7 +44,7 @@ STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAME
 class Options:
     """How a session is smoothed: `rate` in Hz of the rows; solver batch or isam2; whether to add the extras.
 
-    figures : the report and, unless `pictures` is off, its figures as files, which take longer than all the rest.
+    figures : the report and, unless `pictures` is off, its figures as files, which take half as long as all the rest.
     """
 
     rate: float = 50.0

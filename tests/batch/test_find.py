@@ -4,12 +4,14 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from smoother.batch.find import find_sessions
 from smoother.batch.task import Task
 from smoother.errors import UsageError
-from smoother.sim.record_log import DRIVE_FILE, write_klg
+from smoother.session.log_encode import encode
+from smoother.sim.record_log import DRIVE_FILE, calibration_records, write_klg
 from smoother.sim.simulation import simulate_preset
 
 FIXES = "t_s,lat_deg,lon_deg\n0,45,12\n"
@@ -86,6 +88,12 @@ def test_a_card_of_the_logger_holds_a_session_for_each_recording(tmp_path: Path)
     assert [task.out.relative_to(card).as_posix() for task in tasks] == ["smoothed/LOG00001", "smoothed/LOG00002"]
     assert [task.kart for task in tasks] == ["kart7", "kart7"]
     assert [path.name for path in tasks[0].inputs] == ["LOG00001.KLG"]
+    (card / "LOG00000.KLG").write_bytes(encode(calibration_records(np.eye(3)[[0, 1, 2] * 40]), 7))
+    tasks = find_sessions([tmp_path]).tasks
+    assert [[path.name for path in task.inputs] for task in tasks] == [
+        ["LOG00001.KLG", "LOG00000.KLG"],
+        ["LOG00002.KLG", "LOG00000.KLG"],
+    ]
     (card / "LOG00002.KLG").unlink()
     assert [task.session.name for task in find_sessions([tmp_path]).tasks] == ["kart7"]
 

@@ -101,6 +101,8 @@ def test_sessions_are_sorted_by_any_column_and_what_is_unknown_stays_below(opene
     assert best[-2:] == ["–", "–"]
     assert sort(7)[:2] == ["1:05.000", "1:04.000"]
     assert sort(6)[:3] == ["0", "1", "2"]
+    for column in (4, 5, 6, 7, 8, 9):
+        assert all(sort(column)[-2:] == ["–", "–"] for _ in range(2)), column
 
 
 def test_sessions_are_searched_by_words(opened: Any) -> None:
