@@ -67,7 +67,7 @@ bounds: $(VENV)/for-releasing
 audit: $(VENV)/for-releasing
 	@mkdir -p build
 	@$(BIN)/python -m uv pip compile --quiet --extra dask pyproject.toml -o build/audited.txt
-	$(BIN)/python -m pip_audit --disable-pip --no-deps -r build/audited.txt
+	$(BIN)/python -m pip_audit --strict --disable-pip --no-deps -r build/audited.txt
 
 dependencies: $(VENV)/for-releasing
 	@$(BIN)/python .ci/dependencies.py
