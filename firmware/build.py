@@ -40,6 +40,9 @@ DEBIAN_PACKAGES = {
     "make": ["make"],
     "cppcheck": ["cppcheck"],
     "fsck.fat": ["dosfstools"],
+    "mkfs.fat": ["dosfstools"],
+    "mcopy": ["mtools"],
+    "qemu-system-arm": ["qemu-system-arm"],
 }
 TO_BUILD = ("arm-none-eabi-gcc", "cmake", "make")
 

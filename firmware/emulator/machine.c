@@ -217,6 +217,22 @@ static void let_happen(machine_t *machine)
     machine->is_attention = true;
 }
 
+/* Make one of the interrupts that are switched on pending, each in turn: some are more urgent than what runs. */
+static void probe(machine_t *machine, uint32_t place)
+{
+    const unsigned count = bits_set((uint32_t)machine->enabled) + bits_set((uint32_t)(machine->enabled >> 32));
+    uint64_t left = machine->enabled;
+    if (count == 0)
+        return;
+    for (unsigned i = machine->probed[place]++ % count; i > 0; i--)
+        left &= left - 1;
+    const int irq = __builtin_ctzll(left);
+    machine->pending |= 1ull << irq;
+    machine->pending_since[irq] = machine->cycles;
+    machine->is_attention = true;
+    machine->asked++;
+}
+
 static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 {
     machine_t *machine = user;
@@ -229,6 +245,8 @@ static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void 
         cost = machine->cost[at / 2] = look_at(machine, at);
     if (machine->cycles >= machine->next_event)
         let_happen(machine);
+    if (machine->probed[at / 2] < machine->probes && !machine->interrupted[at / 2])
+        probe(machine, at / 2);
     if (machine->in_it_block) {
         machine->in_it_block--;
     } else if (machine->is_attention) {
@@ -318,8 +336,9 @@ int machine_init(machine_t *machine, const uint8_t *image, size_t size)
     machine->ram = calloc(1, RAM_BYTES);
     machine->cost = calloc(1, FLASH_BYTES / 2);
     machine->interrupted = calloc(1, FLASH_BYTES / 2);
+    machine->probed = calloc(1, FLASH_BYTES / 2);
     uint8_t *id = calloc(1, ID_BYTES);
-    if (!machine->flash || !machine->ram || !machine->cost || !machine->interrupted || !id || size > FLASH_BYTES)
+    if (!machine->flash || !machine->ram || !machine->cost || !machine->interrupted || !machine->probed || !id || size > FLASH_BYTES)
         return -1;
     memcpy(machine->flash, image, size);
     memcpy(id + ID_OFFSET, "emulated, no", 12);

@@ -50,6 +50,7 @@ struct machine {
     bool is_returning;   /* an exception return was met */
     bool is_reset_wanted, is_over;
     bool is_stuck_wanted; /* the main loop shall not come back from where it is */
+    unsigned probes;      /* so many times ask for an interrupt before each instruction, until one comes */
     const char *fault;
     uint32_t fault_pc;
 
@@ -64,6 +65,8 @@ struct machine {
     irq_stats_t irqs[IRQS];
     uint32_t lowest_stack;
     uint8_t *interrupted; /* at each half word of the flash: whether an interrupt came before it */
+    uint8_t *probed;      /* how many times one was asked for there */
+    uint64_t asked;
 };
 
 int machine_init(machine_t *machine, const uint8_t *image, size_t size);

@@ -632,6 +632,8 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
         }
     if (strcmp(name, "seed") == 0)
         world->random = value;
+    else if (strcmp(name, "probes") == 0)
+        world->machine.probes = (unsigned)value;
     else if (strcmp(name, "pulse_every_us") == 0)
         world->pulse_every_us = world->next_pulse_us = value;
     else if (strcmp(name, "list_writes") == 0)
@@ -800,7 +802,7 @@ void world_report(const world_t *world)
     unsigned executed, interrupted;
     machine_count_places(machine, &executed, &interrupted);
     printf("simulated_s=%.3f\n", (double)machine->cycles / us / 1e6);
-    printf("places=%u\nplaces_interrupted=%u\n", executed, interrupted);
+    printf("places=%u\nplaces_interrupted=%u\nasked=%" PRIu64 "\n", executed, interrupted, machine->asked);
     printf("instructions=%" PRIu64 "\n", machine->instructions);
     printf("load=%.4f\n", measured > 0 ? 1.0 - (double)(machine->slept - world->measured_slept) / measured : 0.0);
     printf("stack_used=%u\nstack_size=%u\n", top - RAM_AT - 4 * free_words, top - RAM_AT);
