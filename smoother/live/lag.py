@@ -352,4 +352,5 @@ def _parameters() -> gtsam.ISAM2Params:
         thresholds.insert((symbol, np.array(limit)))
     parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = 1
+    parameters.findUnusedFactorSlots = True  # else the list of factors grows as long as the stream goes on
     return parameters

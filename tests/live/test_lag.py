@@ -20,17 +20,18 @@ from smoother.units import DEG
 TICK = 300  # bytes at once, a fifteenth of a second
 
 
-def run_through(stream: bytes) -> list[Snapshot]:
-    engine = Engine(Aboard(Foreground()))
-    snapshots = [engine.step([Chunk(at * 1e-4, stream[at : at + TICK])])[0] for at in range(0, len(stream), TICK)]
-    for _ in range(400):  # let a smoother that catches up finish
-        snapshots.append(engine.step([])[0])
-    return snapshots
+@pytest.fixture(scope="module")
+def navigating() -> Aboard:
+    return Aboard(Foreground())
 
 
 @pytest.fixture(scope="module")
-def snapshots(drive) -> list[Snapshot]:
-    return run_through(drive.stream)
+def snapshots(drive, navigating: Aboard) -> list[Snapshot]:
+    engine, stream = Engine(navigating), drive.stream
+    taken = [engine.step([Chunk(at * 1e-4, stream[at : at + TICK])])[0] for at in range(0, len(stream), TICK)]
+    for _ in range(400):  # let a smoother that catches up finish
+        taken.append(engine.step([])[0])
+    return taken
 
 
 def test_rows_of_a_fix_have_the_jacobians_they_claim() -> None:
@@ -96,6 +97,15 @@ def _batch_covariance(batch: Trajectory, t: float, end: float) -> Array:
     k = int(np.clip(np.searchsorted(keyframes.t, t), 1, np.searchsorted(keyframes.t, end) - 1))
     share = (t - keyframes.t[k - 1]) / (keyframes.t[k] - keyframes.t[k - 1])
     return np.asarray((1.0 - share) * keyframes.covariance[k - 1] + share * keyframes.covariance[k])
+
+
+def test_what_is_older_than_the_lag_is_forgotten(navigating: Aboard, snapshots: list[Snapshot]) -> None:
+    assert snapshots[-1].lag is not None
+    lag = navigating._navigator._lag
+    assert lag is not None and lag.fixes_used > 200
+    # four seconds of keyframes, with five factors each and the margins of those forgotten
+    assert lag._smoother.getFactors().size() < 150
+    assert len(lag._smoother.timestamps()) < 4 * 5 * 6
 
 
 def test_madgwick_is_there_at_once_and_the_smoother_when_it_drove(snapshots: list[Snapshot]) -> None:
