@@ -105,9 +105,24 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
             ("rolling best", _rolling(said)),
             ("consistency", _consistency(said)),
         ]
+    if slide := _slide(analysis):
+        pairs.append(("sideslip", slide))
     if source := SIGMA_SOURCES.get(analysis["sigma_source"], ""):
         pairs.append(("error bars", source))
     return pairs
+
+
+def _slide(analysis: dict[str, Any]) -> str:
+    """How far the nose points into the corners on the best lap, in the one where most, or why nobody knows."""
+    if analysis.get("no_sideslip"):
+        return f"not observable: {analysis['no_sideslip']}"
+    best = (analysis["statistics"] or {}).get("best_lap")
+    cells = [(c["number"], one) for c in analysis["corners"] for one in c["laps"] if one["lap"] == best]
+    known = [(n, one) for n, one in cells if one.get("slide_deg") is not None and math.isfinite(one["slide_deg"])]
+    if not known:
+        return ""
+    n, most = max(known, key=lambda pair: pair[1]["slide_deg"])
+    return f"most in corner {n}: {most['slide_deg']:.1f} ± {most['slide_sigma_deg']:.1f} deg, nose inwards (lap {best})"
 
 
 def _theoretical(said: dict[str, Any]) -> str:

@@ -24,6 +24,7 @@ from smoother.laps.results import (
     SigmaSource,
 )
 from smoother.laps.sectors import found_sectors, lap_sigmas, line_times
+from smoother.laps.sideslip import why_hidden
 from smoother.laps.sigma import Drift, position_errors
 from smoother.laps.statistics import official_times, statistics_of
 from smoother.laps.timing import BESIDE, raw_crossings
@@ -161,6 +162,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
         lap_distance=_lap_distance(circuit),
         track="" if options.lines is None else options.lines.name,
         problems=circuit.problems,
+        no_sideslip=why_hidden(given.trajectory, path),
     )
 
 

@@ -15,6 +15,7 @@ from smoother.laps.delta import GRID, SURE
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
+from smoother.laps.sideslip import outward
 from smoother.laps.sigma import Crossed, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
@@ -175,6 +176,7 @@ def _corner(
     lowest = np.where(known, np.min(np.nan_to_num(traces.speed[:, inside], nan=np.inf), axis=1), np.nan)
     ends = _at(traces.speed, d, np.array([bend.start, bend.end]))
     braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
+    slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
     with np.errstate(invalid="ignore"):
         is_real = np.abs(lost) > SURE * lost_sigma
     return Corner(
@@ -195,6 +197,8 @@ def _corner(
         time_lost=lost,
         time_lost_sigma=lost_sigma,
         is_real=is_real & np.isfinite(lost_sigma) & (lost_sigma > 0.0),
+        slide=slide,
+        slide_sigma=slide_sigma,
     )
 
 

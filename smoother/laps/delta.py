@@ -10,15 +10,14 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.fit.running import local_polynomial
-from smoother.frames import wrap_angle
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
 from smoother.laps.path import PlanPath, level_acceleration, plan_path
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
+from smoother.laps.sideslip import sideslip_of
 from smoother.laps.sigma import Crossed, covariances, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
-from smoother.units import DEG
 
 GRID = 2.0  # m between places
 SIGMA_PLACES = 40  # places to a lap at which sigmas are worked out; between them they hardly change
@@ -26,8 +25,6 @@ BLENDED = 30.0  # m over which times on the grid are led into the crossing times
 SMOOTHED_OVER = 0.4  # s, of the acceleration that zones are judged by
 BRAKING, BRAKING_ENDS = -2.0, -1.0  # m/s^2, hysteresis
 DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
-MOVING = 5.0  # m/s, above which a heading can be compared with a course
-OBSERVABLE = 2.5 * DEG  # rad, sigma of sideslip: a kart slides 3 to 8 deg
 SURE = 2.0  # sigmas
 
 
@@ -48,7 +45,7 @@ def row_values(trajectory: Trajectory) -> Timed:
     path = plan_path(trajectory)
     acceleration = level_acceleration(trajectory)
     along = _smoothed(acceleration[:, 0], path.t)
-    sideslip, sigma, balance = _sideslip(trajectory, path, acceleration[:, 1])
+    sideslip, sigma, balance = sideslip_of(trajectory, path, acceleration[:, 1])
     return Timed(along, acceleration[:, 1], zones(along), sideslip, sigma, balance)
 
 
@@ -73,25 +70,6 @@ def _hysteresis(values: Array, enter: float, leave: float) -> BoolArray:
     reached = np.zeros(int(run[-1]) + 1, dtype=np.bool_)
     np.logical_or.at(reached, run, values > enter)
     return np.asarray(above & reached[run])
-
-
-def _sideslip(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Array, Array, Array]:
-    """Sideslip, its sigma (N,) rad, and balance (N,) rad/s; all NaN where the attitude does not show them."""
-    nothing = np.full(len(trajectory), np.nan)
-    sigmas = trajectory.sigmas
-    mounting = trajectory.report.identified.get("R_bs")
-    if sigmas is None or trajectory.report.mode != "full" or (mounting is not None and not mounting.observable):
-        return nothing, nothing.copy(), nothing.copy()
-    course = np.arctan2(path.velocity_n[:, 1], path.velocity_n[:, 0])
-    sideslip = wrap_angle(course - trajectory.euler[:, 2])
-    across = np.hypot(sigmas.velocity_n[:, 0], sigmas.velocity_n[:, 1]) / np.sqrt(2.0)
-    sigma = np.hypot(sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1))
-    moving = path.speed > MOVING
-    if not moving.any() or not float(np.nanmedian(sigma[moving])) < OBSERVABLE:
-        return nothing, nothing.copy(), nothing.copy()
-    balance = trajectory.angular_rate_b[:, 2] - left / np.maximum(path.speed, 0.1)
-    hidden = ~moving | ~(sigma < 2.0 * OBSERVABLE)
-    return tuple(np.where(hidden, np.nan, v) for v in (sideslip, sigma, balance))  # type: ignore[return-value]
 
 
 def grid_of(curve: Curve) -> Array:

@@ -9,6 +9,7 @@ from smoother.arrays import Array
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
+from smoother.units import DEG
 
 TIME_DIGITS, SIGMA_DIGITS, DIGITS = 4, 4, 3
 Document = dict[str, Any]
@@ -76,6 +77,7 @@ def analysis_document(analysis: LapAnalysis, origin: Origin, drift: Drift | None
         "reference_name": analysis.reference_name,
         "statistics": _statistics(analysis.statistics, analysis),
         "corners": [_corner(corner, analysis) for corner in analysis.corners],
+        "no_sideslip": analysis.no_sideslip or None,
         "problems": [{"code": p.code, "text": p.text} for p in analysis.problems],
         "official": [
             {
@@ -137,6 +139,8 @@ def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
         "time_s": corner.time,
         "time_lost_s": corner.time_lost,
         "time_lost_sigma_s": corner.time_lost_sigma,
+        "slide_deg": corner.slide / DEG,
+        "slide_sigma_deg": corner.slide_sigma / DEG,
     }
     laps = []
     for i, lap in enumerate(analysis.laps):

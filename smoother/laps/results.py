@@ -146,7 +146,8 @@ class Corner:
     segment (2,) m: the stretch whose time is compared, from the braking zone before to the acceleration after; the
     segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, with speed_sigma
     m/s (of each of the three, typical). braking_point m, NaN where the lap did not brake, braking_sigma m. time s spent
-    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above two sigma.
+    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above two sigma. slide
+    rad, mean sideslip between start and end, positive: the nose points into the corner, with slide_sigma.
     """
 
     number: int
@@ -166,6 +167,8 @@ class Corner:
     time_lost: Array
     time_lost_sigma: Array
     is_real: BoolArray
+    slide: Array
+    slide_sigma: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +221,7 @@ class LapAnalysis:
     without laps. reference_lap: index in `laps` of the lap that deltas refer to, None when it comes from another
     session (then `reference_name` says from where) or there is none. lap_of_row (N,) number of the lap of each row
     of the trajectory, -1 where none; lap_distance (N,) m, track distance since the line, NaN away from the track.
-    track: its name, empty if unknown. problems: what was lived with, for people.
+    track: its name, empty if unknown. problems: what was lived with, for people. no_sideslip: why there is none.
     """
 
     laps: tuple[Lap, ...]
@@ -237,6 +240,7 @@ class LapAnalysis:
     lap_distance: Array
     track: str = ""
     problems: tuple[Problem, ...] = field(default=())
+    no_sideslip: str = ""
 
     @property
     def sectors(self) -> int:

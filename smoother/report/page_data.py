@@ -16,7 +16,7 @@ from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
-from smoother.units import STANDARD_GRAVITY
+from smoother.units import DEG, STANDARD_GRAVITY
 
 MOST_RATE = 20.0  # Hz of any trace
 SLOW_RATE = 2.0  # Hz of what changes slowly: sigmas
@@ -106,6 +106,8 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
         "offset_sigma": traces.lateral_sigma[cut],
         "is_off": np.where(traces.is_off_line[cut], 1.0, 0.0),
     }
+    if np.isfinite(traces.sideslip[cut]).any():
+        named |= {"sideslip": traces.sideslip[cut] / DEG, "sideslip_sigma": traces.sideslip_sigma[cut] / DEG}
     main = drawn.index(main_lap(laps))
     against = laps.reference_lap
     return {

@@ -126,17 +126,12 @@ def _missing(told: Told) -> Iterator[str]:
     if told.laps is None or not any(lap.is_timed for lap in told.laps.laps):
         why = "" if told.laps is None else "; ".join(p.text for p in told.laps.problems)
         yield f"Laps, and all that is compared between them{': ' + why if why else '.'}"
-    elif _lacks_sideslip(told):
-        yield "Sideslip: the heading is not known well enough to tell it from the direction of travel."
+    elif told.laps.no_sideslip and told.smoothed.report.mode != "gps-only":
+        yield f"Sideslip: {told.laps.no_sideslip}."
     if told.smoothed.sigmas is None:
         yield "Error bars: the estimator gave no sigmas."
     if told.baseline is None:
         yield "The comparison with the baseline: it was not asked for, or has no estimate."
-
-
-def _lacks_sideslip(told: Told) -> bool:
-    traces = None if told.laps is None else told.laps.traces
-    return traces is not None and told.smoothed.report.mode != "gps-only" and not np.isfinite(traces.sideslip).any()
 
 
 def lap_section(told: Told) -> list[Element]:
@@ -243,7 +238,8 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         "minimum",
         "exit",
     ]
-    heads += ["usual loss (s)", "real in"]
+    slides = any(np.isfinite(c.slide[shown]) for c in laps.corners)
+    heads += [*(["slide (deg)"] if slides else []), "usual loss (s)", "real in"]
     rows = []
     for c in laps.corners:
         lost = c.time_lost[timed]
@@ -251,12 +247,14 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         real = f"{int(c.is_real[timed].sum())} of {len(timed)}" if timed else DASH
         braking = with_sigma(float(c.braking_point[shown]), float(c.braking_sigma[shown]), 0)
         speeds = [speed_cell(float(speed[shown])) for speed in (c.entry_speed, c.min_speed, c.exit_speed)]
-        cells: list[Child] = [_corner_name(c), number(c.radius, 0), braking, *speeds, number(usual, 2, True), real]
-        rows.append(row(*cells))
+        cells: list[Child] = [_corner_name(c), number(c.radius, 0), braking, *speeds]
+        slide = with_sigma(float(c.slide[shown]) / DEG, float(c.slide_sigma[shown]) / DEG, 1, signed=True)
+        rows.append(row(*cells, *([slide] if slides else []), number(usual, 2, True), real))
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
     sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
     title = f"Corners on lap {laps.laps[shown].number}"
-    note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}"
+    slide = " Slide: how far the nose points into the corner, beyond the path." if slides else ""
+    note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}{slide}"
     return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.laps.statistics import expected_minimum, least_without_luck
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
-from smoother.trajectory import Trajectory
+from smoother.trajectory import EstimateReport, Trajectory
 
 Made = Callable[..., Trajectory]
 Fixes = Callable[..., FixPath]
@@ -220,6 +221,28 @@ def test_sideslip_shows_only_where_the_attitude_is_known(make: Made, fixes: Fixe
     assert np.nanmedian(traces.sideslip) == pytest.approx(-slip, abs=1e-3)
     assert np.nanmedian(traces.balance) == pytest.approx(0.0, abs=0.01)
     assert np.isnan(blind.sideslip).all()
+
+
+def test_a_slide_has_its_sigma_and_is_counted_outwards_in_either_direction(driven: Trajectory, fixes: Fixes) -> None:
+    turn = np.clip(driven.angular_rate_b[:, 2] / 0.5, -1.0, 1.0) * 0.05  # rad: the nose goes before the path
+    c, s, o, l = np.cos(turn), np.sin(turn), np.zeros(len(turn)), np.ones(len(turn))
+    turned = np.stack([np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, l], -1)], axis=1)
+    slid = Trajectory(**{**vars(driven), "R_nb": driven.R_nb @ turned})
+    found, before = analyse(slid, fixes(slid)), analyse(driven, fixes(driven))
+    assert found.no_sideslip == ""
+    pairs = [(a, b) for a, b in zip(found.corners, before.corners, strict=True) if a.radius < 20.0]
+    assert {corner.turns_left for corner, _ in pairs} == {True, False}
+    for corner, other in pairs:
+        more = (corner.slide - other.slide)[np.isfinite(corner.slide)]
+        assert more == pytest.approx(np.full(len(more), 0.05), abs=0.02)  # less at both ends, where it turns less
+        assert np.nanmax(corner.slide_sigma) == pytest.approx(0.013, abs=0.004)  # 0.01 rad, and 0.1 m/s of 12 m/s
+    assert slid.sigmas is not None
+    unsure = Trajectory(**{**vars(slid), "sigmas": replace(slid.sigmas, attitude=np.full((len(slid), 3), 0.06))})
+    hidden = analyse(unsure, fixes(unsure))
+    assert "only sure to" in hidden.no_sideslip
+    assert all(np.isnan(corner.slide).all() for corner in hidden.corners)
+    alone = Trajectory(**{**vars(driven), "report": EstimateReport(mode="gps-only")})
+    assert "no motion sensor" in analyse(alone, fixes(alone)).no_sideslip
 
 
 def test_rows_of_laps_csv_have_the_names_of_the_contract(tmp_path: Path, found: LapAnalysis) -> None:

@@ -186,6 +186,7 @@
     { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
     { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
     { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
+    { name: "sideslip", title: () => "sideslip (deg), + slides to its left, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {

@@ -1,0 +1,71 @@
+"""Sideslip, where heading and direction of travel are known well enough to tell them apart, and why not elsewhere.
+
+The direction of travel is that of the antenna. How the box sits in the kart was found from the same motion, so a
+sideslip that is there on the straights as well is taken for a box that sits askew, and does not show.
+"""
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.frames import wrap_angle
+from smoother.laps.path import PlanPath
+from smoother.trajectory import Trajectory
+from smoother.units import DEG
+
+MOVING = 5.0  # m/s, above which a heading can be compared with a course
+OBSERVABLE = 2.5 * DEG  # rad, sigma of sideslip: a kart slides 3 to 8 deg
+
+
+def sideslip_of(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Array, Array, Array]:
+    """Return sideslip, its sigma (N,) rad, and balance (N,) rad/s; NaN where the attitude does not show them.
+
+    left (N,) m/s^2: level acceleration to the left of the path.
+    """
+    nothing = np.full(len(trajectory), np.nan)
+    if why_hidden(trajectory, path):
+        return nothing, nothing.copy(), nothing.copy()
+    course = np.arctan2(path.velocity_n[:, 1], path.velocity_n[:, 0])
+    sideslip = wrap_angle(course - trajectory.euler[:, 2])
+    sigma = _sigma(trajectory, path)
+    balance = trajectory.angular_rate_b[:, 2] - left / np.maximum(path.speed, 0.1)
+    hidden = ~(path.speed > MOVING) | ~(sigma < 2.0 * OBSERVABLE)
+    return tuple(np.where(hidden, np.nan, v) for v in (sideslip, sigma, balance))  # type: ignore[return-value]
+
+
+def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
+    """Return why there is no sideslip, for people; empty where there is."""
+    mounting = trajectory.report.identified.get("R_bs")
+    if trajectory.report.mode != "full":
+        return "no motion sensor could be used"
+    if trajectory.sigmas is None:
+        return "the estimator gave no sigmas"
+    if mounting is not None and not mounting.observable:
+        return "how the box sits in the kart could not be found out"
+    moving = path.speed > MOVING
+    if not moving.any():
+        return "the kart was never faster than a walk"
+    sigma = float(np.nanmedian(_sigma(trajectory, path)[moving]))
+    if not sigma < OBSERVABLE:
+        return f"heading against direction of travel is only sure to ± {sigma / DEG:.1f} deg, a kart slides 3 to 8"
+    return ""
+
+
+def _sigma(trajectory: Trajectory, path: PlanPath) -> Array:
+    """Sigma (N,) rad: heading, and velocity across the direction of travel."""
+    assert trajectory.sigmas is not None
+    velocity = trajectory.sigmas.velocity_n
+    across = np.hypot(velocity[:, 0], velocity[:, 1]) / np.sqrt(2.0)
+    return np.asarray(np.hypot(trajectory.sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1)))
+
+
+def outward(sideslip: Array, sigma: Array, inside: BoolArray, turns_left: bool) -> tuple[Array, Array]:
+    """Return the mean slide (L,) rad of each lap at the places `inside` (M,) of a corner, and its sigma (L,) rad.
+
+    sideslip, sigma (L, M) rad. Positive: the nose points into the corner, further than the path. Errors of the heading
+    last longer than a corner, so the mean is no surer than each place. NaN where part of it is not observable.
+    """
+    there, spread = sideslip[:, inside], sigma[:, inside]
+    if there.shape[1] == 0:
+        return np.full(len(there), np.nan), np.full(len(there), np.nan)
+    mean = there.mean(axis=1) * (-1.0 if turns_left else 1.0)
+    return mean, np.sqrt((spread**2).mean(axis=1))
