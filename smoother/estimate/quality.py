@@ -10,10 +10,12 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.resample import resample
-from smoother.frames import wrap_angle
+from smoother.fit.running import gaussian_mean
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
+
+ROW = 0.1  # s, between the rows that are asked about attitude
 
 
 @dataclass(frozen=True)
@@ -27,10 +29,13 @@ class QualityLimits:
     normalised_rms: of the residuals of any factor; 1 is honest, beyond this the noise model is wrong by as much.
     rejected_share: of the measurements of any factor.
     sigma_yaw: median, of a session of at least lean_seconds with less than least_driving of its rows driven; beyond it
-    the heading is a guess. lean_step: how far the mean roll or pitch on the two sides of any moment, each at least
-    lean_seconds of driving, may differ: hills cancel over laps, a box that slipped does not. sideways: angle between
-    heading and direction of travel that no kart holds, and sideways_share of the driving, faster than driving_speed,
-    in which it is forgiven.
+    the heading is a guess. lean_step: how far the mean roll, or angle of floor or nose to the direction of travel,
+    on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of the scatter
+    of its means over block_seconds by lean_significance sigma: a box that slipped does both. (Real karts and cars had
+    up to 6.6 sigma and 3 deg, not both.) rattle: how fast roll or floor may swing about their running mean over
+    rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
+    sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
+    faster than driving_speed, in which it is forgiven.
     """
 
     near_fix: float = 5.0  # m
@@ -44,8 +49,15 @@ class QualityLimits:
     fewest_residuals: int = 20  # below it neither share nor rms means anything
     sigma_yaw: float = 30.0 * DEG
     least_driving: float = 0.01
-    lean_step: float = 5.0 * DEG
+    lean_step: float = 2.5 * DEG
+    lean_significance: float = 8.0
+    unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they say nothing about the mounting
     lean_seconds: float = 60.0  # s
+    block_seconds: float = 20.0  # s
+    rattle: float = 5.0 * DEG
+    rattle_ratio: float = 5.0
+    rattle_span: float = 2.0  # s
+    rattle_seconds: float = 3.0  # s
     driving_speed: float = 5.0  # m/s
     sideways: float = 35.0 * DEG
     sideways_share: float = 0.20
@@ -125,37 +137,67 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
 
 
 def _attitude_measures(estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
-    """How well the heading is known, how far the mean lean steps, how much of the driving is sideways; where known."""
+    """How well the heading is known, how the box stands in the kart from time to time, how much of it is sideways."""
+    estimate = _thinned(estimate)
     known = np.isfinite(estimate.R_nb).all(axis=(1, 2))
     if estimate.report.mode != "full" or estimate.sigmas is None or not known.any():
         return {}
-    velocity = estimate.velocity_n[:, :2]
-    driving = known & (np.hypot(velocity[:, 0], velocity[:, 1]) > limits.driving_speed)
-    t, euler = estimate.t[driving], estimate.euler[driving]
+    driving = known & (estimate.speed > limits.driving_speed)
+    t = estimate.t[driving]
     if estimate.t[-1] - estimate.t[0] < limits.lean_seconds:
         return {}
     if np.mean(driving) < limits.least_driving:
         return {"parked_sigma_yaw_rad": float(np.median(estimate.sigmas.attitude[known, 2]))}
     if t[-1] - t[0] < limits.lean_seconds:
         return {}
-    beta = wrap_angle(euler[:, 2] - np.arctan2(velocity[driving, 1], velocity[driving, 0]))
-    sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.lean_step / 2.0, axis=1)  # not in a gap of the IMU
-    # seconds of driving, so that a stop between is no part of either side
-    rows = round(limits.lean_seconds / float(np.median(np.diff(t))))
+    velocity_b = np.einsum("nji,nj->ni", estimate.R_nb[driving], estimate.velocity_n[driving])
+    beta = np.arctan2(velocity_b[:, 1], velocity_b[:, 0])
+    # an uphill road tilts the floor and the direction of travel alike
+    floor = np.arctan2(velocity_b[:, 2], np.hypot(velocity_b[:, 0], velocity_b[:, 1]))
+    angles = np.stack([estimate.euler[driving, 0], floor, beta], axis=1)
+    sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.unsure, axis=1)  # not in a gap of the IMU
+    step = float(np.median(np.diff(t)))
+    steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
-        "largest_lean_step_rad": max(_largest_step(euler[sure, i], rows) for i in range(2)),
+        "largest_lean_step_rad": max(steps),
+        "rattling_s": max(_rattling(angles[sure, i], step, limits) for i in range(2)),
     }
 
 
-def _largest_step(values: Array, fewest: int) -> float:
-    """Largest difference of the means (N,) before and after any row with at least `fewest` rows on either side."""
+def _thinned(estimate: Trajectory) -> Trajectory:
+    """Ten rows a second: more tell no more about attitude."""
+    if len(estimate) < 2:
+        return estimate
+    return estimate.every(max(1, round(ROW / float(np.median(np.diff(estimate.t))))))
+
+
+def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
+    """Largest significant difference of the means of values (N,) rad, `step` s apart, before and after any row.
+
+    Rows count, not time, so that a stop between is no part of either side. Zero where nothing is significant.
+    """
+    fewest, block = round(limits.lean_seconds / step), max(1, round(limits.block_seconds / step))
     if values.size < 2 * fewest:
         return 0.0
     before = np.cumsum(values)[fewest - 1 : values.size - fewest]
     count = np.arange(fewest, values.size - fewest + 1)
-    after = values.sum() - before
-    return float(np.max(np.abs(before / count - after / (values.size - count))))
+    change = (values.sum() - before) / (values.size - count) - before / count
+    at = int(np.argmax(np.abs(change)))
+    n, largest = int(count[at]), float(np.abs(change[at]))
+    rest = values - np.where(np.arange(values.size) < n, before[at] / n, before[at] / n + change[at])
+    means = rest[: values.size // block * block].reshape(-1, block).mean(axis=1)
+    sigma = np.std(means, ddof=2) * np.sqrt(block / n + block / (values.size - n))
+    return largest if largest > limits.lean_significance * sigma else 0.0
+
+
+def _rattling(values: Array, step: float, limits: QualityLimits) -> float:
+    """Time, s, for which values (N,) rad, `step` s apart, swing more than a kart does, and than they usually do."""
+    width = limits.rattle_span / step
+    if values.size < 4.0 * width:
+        return 0.0
+    swing = np.sqrt(gaussian_mean((values - gaussian_mean(values, 0.5 * width)) ** 2, width))
+    return step * float(np.count_nonzero(swing > max(limits.rattle, limits.rattle_ratio * float(np.median(swing)))))
 
 
 def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list[str]:
@@ -165,7 +207,10 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
         reasons.append(f"the heading is not known (sigma {sigma / DEG:.0f} deg): the kart hardly drove")
     step = measures.get("largest_lean_step_rad", 0.0)
     if step > limits.lean_step:
-        reasons.append(f"the kart seems to lean by {step / DEG:.0f} deg more from some time on: did the box move?")
+        reasons.append(f"the kart seems to stand {step / DEG:.0f} deg askew from some time on: did the box move?")
+    rattling = measures.get("rattling_s", 0.0)
+    if rattling > limits.rattle_seconds:
+        reasons.append(f"the kart seems to rock from side to side for {rattling:.0f} s: was the box loose?")
     share = measures.get("sideways_share", 0.0)
     if share > limits.sideways_share:
         reasons.append(f"the kart seems to drive sideways for {100.0 * share:.0f} % of the way: did the box move?")

@@ -1,10 +1,12 @@
 """The quality gate: passes what is honest, however poor, and stops what is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from smoother.estimate.quality import QualityLimits, assess
-from smoother.frames import Origin, nwu_to_geodetic
+from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
 from smoother.samples import GnssFixes, Session
 from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
 
@@ -97,3 +99,57 @@ def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() 
     wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
     assert assess(session(wander, hacc=0.0), estimate(sigma=3.0)).measures["far_fix_share"] == 0.0
     assert assess(session(wander, hacc=0.0), estimate(sigma=0.1)).measures["far_fix_share"] > 0.1
+
+
+def leaning(roll: np.ndarray | float, pitch: np.ndarray | float = 0.0, yaw: np.ndarray | float = 0.0) -> Trajectory:
+    """The drive with an attitude that wanders by a degree from corner to corner, and by these angles (rad) besides."""
+    plain, rng = estimate(), np.random.default_rng(4)
+    n = len(plain)
+    wander = np.repeat(rng.normal(0.0, np.radians(1.0), (n // 100 + 1, 3)), 100, axis=0)[:n]
+    angles = wander.T + np.stack([np.broadcast_to(angle, n) for angle in (roll, pitch, yaw)])
+    assert plain.sigmas is not None
+    sigmas = replace(plain.sigmas, attitude=np.full((n, 3), np.radians(0.8)))
+    report = EstimateReport(mode="full")
+    return replace(plain, R_nb=rotation_from_euler(*angles), sigmas=sigmas, report=report)
+
+
+def half_way(degrees: float) -> np.ndarray:
+    n = len(estimate())
+    return np.where(np.arange(n) > 0.5 * n, np.radians(degrees), 0.0)
+
+
+def test_a_kart_that_leans_and_slides_from_corner_to_corner_passes() -> None:
+    assert assess(session(), leaning(0.0)).passed
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> None:
+    angles = [half_way(4.0) if i == axis else 0.0 for i in range(3)]
+    quality = assess(session(), leaning(*angles))
+    assert not quality.passed
+    assert "askew" in quality.reasons[0]
+    assert quality.measures["largest_lean_step_rad"] == pytest.approx(np.radians(4.0), abs=np.radians(0.6))
+
+
+def test_a_step_that_does_not_stand_out_of_the_scatter_is_none() -> None:
+    n = len(estimate())
+    slow = np.radians(6.0) * np.sin(2.0 * np.pi * np.arange(n) * 0.02 / 90.0)  # a long climb, a long descent
+    assert "largest_lean_step_rad" in assess(session(), leaning(slow)).measures
+    assert assess(session(), leaning(slow)).measures["largest_lean_step_rad"] == 0.0
+
+
+def test_a_hill_tilts_floor_and_direction_of_travel_alike() -> None:
+    climb = half_way(5.0)  # positive pitch is nose down
+    plain = leaning(0.0, climb)
+    velocity = SPEED * np.stack([np.cos(climb), 0.0 * climb, -np.sin(climb)], axis=1)
+    downhill = replace(plain, velocity_n=velocity)
+    assert assess(session(), downhill).measures["largest_lean_step_rad"] == 0.0
+
+
+def test_a_box_that_swings_for_some_seconds_is_seen_and_one_that_always_does_is_not() -> None:
+    t = estimate().t
+    swing = np.radians(12.0) * np.sin(2.0 * np.pi * t)
+    loose = assess(session(), leaning(np.where((t > 100.0) & (t < 110.0), swing, 0.0)))
+    assert any("loose" in reason for reason in loose.reasons)
+    assert loose.measures["rattling_s"] == pytest.approx(10.0, abs=3.0)  # a mean over 2 s on either end
+    assert assess(session(), leaning(swing)).measures["rattling_s"] == 0.0
