@@ -2,6 +2,7 @@
 
     python benchmarks/batch.py                         8 sessions of 5 minutes; 1 and 2 at a time, and 2 Dask workers
     python benchmarks/batch.py --sessions 16 --minutes 10 --workers 1 2 4
+    python benchmarks/batch.py --waiting 4 --sessions 32 --workers 1 2 4 8 16    sessions that only wait, for 4 s each
     python benchmarks/batch.py --parts                 what each part of a session costs, with its memory and disk
     python benchmarks/batch.py --finished 1000         as many finished sessions: found, compared, listed
     python benchmarks/batch.py --tasks 20000           what a Dask scheduler takes for so many tasks that do nothing
@@ -33,6 +34,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import polars as pl
 
+from smoother.batch.local import run_here
+from smoother.batch.task import Task
 from smoother.sim.record_log import write_klg
 from smoother.sim.simulation import simulate_preset
 
@@ -64,6 +67,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--dask", type=int, default=2, help="workers of the Dask cluster; 0: none")
     parser.add_argument("--finished", type=int, default=0, help="measure finding and listing so many sessions instead")
+    parser.add_argument("--waiting", type=float, default=0.0, help="let the sessions wait so many s, and do nothing")
     parser.add_argument("--parts", action="store_true", help="measure what each part of a session costs instead")
     parser.add_argument("--tasks", type=int, default=0, help="measure so many empty tasks of a Dask scheduler instead")
     given = parser.parse_args()
@@ -71,6 +75,8 @@ def main() -> None:
         directory = Path(name) / "day"
         if given.finished:
             show_finished(directory, given.finished)
+        elif given.waiting:
+            show_waiting(directory, given.sessions, given.waiting, given.workers)
         elif given.parts:
             show_parts(directory, given.sessions, given.minutes)
         elif given.tasks:
@@ -112,6 +118,20 @@ def show_cost(directory: Path, run: Run) -> None:
         end="",
     )
     print(f"(report {report / n / 1e6:.1f}, trajectory {rows / n / 1e6:.1f})")
+
+
+def show_waiting(directory: Path, sessions: int, seconds: float, workers: Sequence[int]) -> None:
+    """Print how the time falls with more workers than this machine has cores: what the batch itself allows."""
+    command = ("-S", "-c", f"import time; time.sleep({seconds})")
+    tasks = [Task(directory, directory / str(i), (), str(i)) for i in range(sessions)]
+    print(f"{sessions} sessions that wait {seconds:g} s; least possible: the rounds times {seconds:g} s")
+    print("| at a time | clock, s | least possible, s | processor of the batch, s | load |")
+    print("|---|---|---|---|---|")
+    for n in workers:
+        load, start, cpu = os.getloadavg()[0], time.perf_counter(), time.process_time()
+        assert len(list(run_here(tasks, n, command))) == sessions
+        wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+        print(f"| {n} | {wall:.1f} | {-(-sessions // n) * seconds:.1f} | {cpu:.2f} | {load:.1f} |")
 
 
 def show_parts(directory: Path, sessions: int, minutes: float) -> None:

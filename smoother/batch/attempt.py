@@ -176,7 +176,7 @@ def _failure(task: Task, ended: Ended) -> tuple[State, str]:
     if ended.is_late:
         return "limit", f"not finished after {task.limits.seconds:g} s (--time-limit)"
     if ended.code == 2:
-        return "unusable", (lines or ["smooth: no reason given"])[-1].removeprefix("smooth: ")
+        return "unusable", _reason(task, lines)
     if any(word in line for word in OUT_OF_MEMORY for line in lines):
         return "limit", f"needs more than {task.limits.megabytes} MB of memory (--memory-limit)"
     last = lines[-1] if lines else "nothing was said"
@@ -185,6 +185,12 @@ def _failure(task: Task, ended: Ended) -> tuple[State, str]:
         again = f", {ended.cost.starts} times" if ended.cost.starts > 1 else ""
         return "broken", f"the process was ended by {name}{again}"
     return "broken", f"a bug in this program: {last} (all of it in {ERROR_LOG})"
+
+
+def _reason(task: Task, lines: list[str]) -> str:
+    """The last thing that was said, without the name of the session, which stands beside it."""
+    last = lines[-1] if lines else "no reason was given"
+    return last.removeprefix("smooth: ").removeprefix(f"{task.session}: ")
 
 
 def _keep_words(task: Task, said: Outcome, ended: Ended) -> None:

@@ -51,9 +51,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class Best:
-    """The best lap of a kart or a driver on a track, in which session; of how many sessions and laps that count."""
+    """The best lap of a kart or a driver on a track, in which session; of how many sessions and laps that count.
 
-    who: str
+    who : None for all those that nobody named.
+    """
+
+    who: str | None
     entry: Entry
     sessions: int
     laps: int
@@ -126,16 +129,16 @@ def tracks_of(entries: Sequence[Entry]) -> list[Track]:
     for name, group in _grouped(timed, lambda entry: entry.track):
         lengths = sorted(entry.facts.length_m for entry in group if entry.facts.length_m is not None)
         length = lengths[len(lengths) // 2] if lengths else math.nan
-        karts, drivers = _bests(group, lambda entry: entry.kart), _bests(group, lambda entry: entry.facts.driver)
+        karts = _bests(group, lambda entry: entry.kart)
+        drivers = _bests([e for e in group if e.facts.driver is not None], lambda entry: entry.facts.driver)
         made.append(Track(name, karts, drivers, len(group), length))
     return sorted(made, key=lambda track: (-track.sessions, track.name))
 
 
 def _bests(entries: Iterable[Entry], who: Callable[[Entry], str | None]) -> tuple[Best, ...]:
-    named = [entry for entry in entries if who(entry) is not None]
     bests = [
-        Best(name, min(group, key=lambda entry: entry.facts.best_s or math.inf), len(group), _laps(group))
-        for name, group in _grouped(named, who)
+        Best(name or None, min(group, key=lambda entry: entry.facts.best_s or math.inf), len(group), _laps(group))
+        for name, group in _grouped(list(entries), who)
     ]
     return tuple(sorted(bests, key=lambda best: best.time))
 

@@ -78,7 +78,7 @@ def _best(best: Best, who: str) -> Document:
     facts = best.entry.facts
     other = {"driver": facts.driver} if who == "kart" else {"kart": best.entry.kart}
     return {
-        who: readable(best.who),
+        who: None if best.who is None else readable(best.who),
         "best_s": facts.best_s,
         "best_sigma_s": facts.best_sigma_s,
         "lap": facts.best_lap,

@@ -83,7 +83,8 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     mark = element("span", str(failed), class_="bad" if failed else "good")
     cards.append(_card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
     if tracks and (bests := tracks[0].karts or tracks[0].drivers):
-        where = f"{bests[0].who}, {tracks[0].name}" if len(tracks) > 1 else bests[0].who
+        who = bests[0].who or _short(bests[0].entry)
+        where = f"{who}, {tracks[0].name}" if len(tracks) > 1 else who
         cards.append(_card("Best lap", lap_clock(bests[0].time), where))
     laps = sum(entry.facts.laps or 0 for entry in entries if entry.counts)
     karts = {entry.kart for entry in entries if entry.counts and entry.kart}
@@ -122,7 +123,7 @@ def _bests(who: str, other: str, bests: Sequence[Best], directory: Path) -> Elem
     rows = [
         row(
             _cell(str(i), "number"),
-            _cell(best.who, "name"),
+            _cell(best.who or "not named", "name"),
             element("td", lap_clock(best.time), _pm(best.entry.facts.best_sigma_s), class_="number"),
             _cell(number(best.time - fastest, 3, signed=True) if i > 1 else "", "number"),
             _cell((best.entry.facts.driver if who == "kart" else best.entry.kart) or DASH, "name"),

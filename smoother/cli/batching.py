@@ -239,7 +239,13 @@ def show(document: dict[str, Any], page: str, index: str) -> None:
 
 def _bests(bests: list[dict[str, Any]], who: str) -> tuple[list[str], list[list[str]]]:
     rows = [
-        [best[who], lap_clock(best["best_s"]), number(best["best_sigma_s"], 3), str(best["laps"]), best["session"]]
+        [
+            best[who] or "not named",
+            lap_clock(best["best_s"]),
+            number(best["best_sigma_s"], 3),
+            str(best["laps"]),
+            best["session"],
+        ]
         for best in bests
     ]
     return [who, "best lap", "±", "laps", "session"], rows

@@ -41,8 +41,13 @@ def test_the_best_lap_of_each_kart_and_driver_is_of_sessions_to_be_trusted(tmp_p
         entry(tmp_path, "e", None, kart="3", driver="Cay", laps=0),
         Entry(Task(tmp_path, tmp_path, (), "f", "4")),
     ]
+    entries.append(entry(tmp_path, "g", 61.0))
     (track,) = tracks_of(with_tracks(entries))
-    assert [(best.who, best.time, best.entry.task.name) for best in track.karts] == [("2", 58.0, "c"), ("1", 59.0, "b")]
+    assert [(best.who, best.time, best.entry.task.name) for best in track.karts] == [
+        ("2", 58.0, "c"),
+        ("1", 59.0, "b"),
+        (None, 61.0, "g"),
+    ]
     assert [(best.who, best.time, best.sessions, best.laps) for best in track.drivers] == [
         ("Ann", 58.0, 2, 10),
         ("Bob", 59.0, 1, 5),
