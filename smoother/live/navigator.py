@@ -27,6 +27,8 @@ WINDOW = 130.0  # s of samples and fixes for the identification
 IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving; then mounting and delays are known
 RETRY_AFTER = 10.0  # s of driving after an identification or a smoother that failed
 CATCH_UP = 1  # fixes that a new smoother takes in with each step besides as many as came new; 10 ms each
+PIECE = 0.1  # s of samples that are taken in together
+LONGEST_GAP = 15.0  # s without samples, over which nothing of a state is left worth carrying on
 LINE_EVERY = 10.0  # s of path between searches for the lap
 
 Item = ImuSamples | GnssFixes
@@ -85,6 +87,7 @@ class Navigator:
         self._next_start: LagStart | None = None
         self._todo: deque[Item] = deque()
         self._identification: Job[LagStart | str] | None = None
+        self._identified_from = 0.0
         self._line: Job[Line | None] | None = None
         self._driven = 0.0
         self._identify_at = IDENTIFY_AFTER[0]
@@ -100,17 +103,14 @@ class Navigator:
     def take(self, items: Sequence[Item], arrival: float) -> int:
         """Take in samples and fixes (a row each); return how many were fixes. arrival s of the newest bytes."""
         fixes = 0
-        for item in items:
+        for item in in_order(items):
             if isinstance(item, GnssFixes):
                 fixes += 1
                 self._take_fix(item)
+                self._lag_state()  # for the path that laps are timed on
             else:
-                self._imu.append(item)
-                self._pass_on(item)
-        now = self._imu[-1].t[-1] if self._imu else 0.0
-        for held in (self._imu, self._fixes):
-            while held and held[0].t[-1] < now - WINDOW:
-                held.popleft()
+                self._take_imu(item)
+        self._forget()
         self._arrival = max(self._arrival, arrival)
         return fixes
 
@@ -135,7 +135,24 @@ class Navigator:
             self.is_busy,
         )
 
+    def _forget(self) -> None:
+        """Let go of what is older than the window; what is being identified on is still needed to catch up."""
+        now = float(self._imu[-1].t[-1]) if self._imu else 0.0
+        oldest = now - WINDOW if self._identification is None else min(now - WINDOW, self._identified_from)
+        for held in (self._imu, self._fixes):
+            while held and held[0].t[-1] < oldest:
+                held.popleft()
+
     # ---- inside -----------------------------------------------------------------------------------------------------
+
+    def _take_imu(self, imu: ImuSamples) -> None:
+        gap = float(imu.t[0] - self._imu[-1].t[-1]) if self._imu else 0.0
+        self._imu.append(imu)
+        if gap > LONGEST_GAP and (self._lag is not None or self._next is not None):
+            self._next, self._next_start = None, None
+            self._todo.clear()
+            self._lose(f"nothing came for {gap:.0f} s, the smoother begins again")
+        self._pass_on(imu)
 
     def _take_fix(self, fix: GnssFixes) -> None:
         t = float(fix.t[-1])
@@ -151,8 +168,8 @@ class Navigator:
     def _pass_on(self, item: Item) -> None:
         if self._next is not None:
             self._todo.append(item)
-        if self._lag is not None and self._origin is not None and not _feed(self._lag, item, self._origin):
-            self._lose("the smoother failed and begins again")
+        if self._lag is not None and self._origin is not None and (flaw := _feed(self._lag, item, self._origin)):
+            self._lose(flaw)
 
     def _lose(self, why: str) -> None:
         self._lag, self._start, self._flaw = None, None, why
@@ -167,7 +184,7 @@ class Navigator:
             window = Window(_all_imu(self._imu), _all_fixes(self._fixes), self._origin)
             later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
             self._identify_at = later[0] if later else float("inf")
-            self._identification = self._worker.identify(window)
+            self._identification, self._identified_from = self._worker.identify(window), float(window.imu.t[0])
 
     def _begin_again(self, start: LagStart | str) -> None:
         """Start a smoother at the head of the window with what was identified; the old one goes on meanwhile."""
@@ -192,8 +209,8 @@ class Navigator:
         while self._todo and fixes < most:
             item = self._todo.popleft()
             fixes += isinstance(item, GnssFixes)
-            if not _feed(self._next, item, self._origin):
-                self._next, self._flaw = None, "the smoother failed and begins again"
+            if flaw := _feed(self._next, item, self._origin):
+                self._next, self._flaw = None, flaw
                 self._todo.clear()
                 self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
                 return
@@ -256,16 +273,38 @@ class Aboard:
         return replace(navigation, is_busy=self._navigator.is_busy)
 
 
-def _feed(lag: FixedLag, item: Item, origin: Origin) -> bool:
-    """Give a smoother its next item; False if it failed."""
+def in_order(items: Sequence[Item]) -> list[Item]:
+    """Return samples in pieces of at most :data:`PIECE`, and fixes among them where they belong.
+
+    A file that is played as fast as it goes comes a minute at a time, first all samples, then all fixes.
+    """
+    pieces: list[Item] = []
+    for item in items:
+        length = float(item.t[-1] - item.t[0])
+        if isinstance(item, GnssFixes) or length <= PIECE:
+            pieces.append(item)
+            continue
+        cuts = np.searchsorted(item.t, item.t[0] + PIECE * np.arange(1, int(length / PIECE) + 1))
+        pieces += [_part(item, part) for part in np.split(np.arange(len(item.t)), cuts) if part.size]
+    return sorted(pieces, key=lambda item: (float(item.t[-1]), isinstance(item, GnssFixes)))
+
+
+def _part(imu: ImuSamples, part: np.ndarray) -> ImuSamples:
+    return replace(
+        imu, t=imu.t[part], specific_force_s=imu.specific_force_s[part], angular_rate_s=imu.angular_rate_s[part]
+    )
+
+
+def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:
+    """Give a smoother its next item; return what went wrong, nothing if all is well."""
     try:
         if isinstance(item, ImuSamples):
             lag.add_imu(item)
         else:
             lag.add_fix(float(item.t[-1]), item.position_n(origin)[-1], item.velocity_n[-1])
-    except RuntimeError:  # what GTSAM's exceptions are in Python
-        return False
-    return True
+    except RuntimeError as error:  # what GTSAM's exceptions are in Python
+        return f"the smoother failed ({' '.join(str(error).split())[:60]}) and begins again"
+    return ""
 
 
 def speed_of(fix: GnssFixes) -> float:

@@ -1,0 +1,46 @@
+"""Samples and fixes reach the smoother in the order of their times, however they came."""
+
+import numpy as np
+
+from smoother.live.identify import Foreground
+from smoother.live.navigator import LONGEST_GAP, PIECE, Item, Navigator, in_order
+from smoother.prepare import prepare
+from smoother.samples import GnssFixes, ImuSamples
+
+
+def items_of(drive, end: float) -> tuple[ImuSamples, list[GnssFixes]]:
+    session = prepare(drive.simulation.raw)
+    assert session.imu is not None
+    use = session.imu.t < end
+    imu = ImuSamples(session.imu.t[use], session.imu.specific_force_s[use], session.imu.angular_rate_s[use])
+    fixes = [session.gnss.select(np.array([i])) for i in np.flatnonzero(session.gnss.t < end)]
+    return imu, fixes
+
+
+def test_a_minute_that_came_at_once_is_taken_in_as_if_it_had_come_in_time(drive) -> None:
+    imu, fixes = items_of(drive, 20.0)
+    ordered = in_order([imu, *fixes])
+    pieces = [item for item in ordered if isinstance(item, ImuSamples)]
+    np.testing.assert_array_equal(np.concatenate([piece.t for piece in pieces]), imu.t)
+    np.testing.assert_array_equal(np.concatenate([piece.angular_rate_s for piece in pieces]), imu.angular_rate_s)
+    assert max(piece.t[-1] - piece.t[0] for piece in pieces) <= PIECE
+    ends = np.array([item.t[-1] for item in ordered])
+    assert np.all(np.diff(ends) >= 0.0)
+    assert [item for item in ordered if isinstance(item, GnssFixes)] == fixes
+
+
+def test_the_smoother_runs_on_a_stream_in_lumps_and_is_given_up_over_a_long_gap(drive) -> None:
+    imu, fixes = items_of(drive, 40.0)
+    navigator = Navigator(Foreground())
+    for start in range(0, 40, 8):  # s; lumps as a file gives them that is played as fast as it goes
+        part = (imu.t >= start) & (imu.t < start + 8)
+        lump: list[Item] = [ImuSamples(imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part])]
+        navigator.take([*lump, *(fix for fix in fixes if start <= fix.t[-1] < start + 8)], 1.0)
+        while navigator.work(50):
+            pass
+    assert navigator.look().stage == "smoothing"
+    assert navigator._lag is not None and navigator._lag.fixes_late <= 2
+    later = ImuSamples(imu.t[-200:] + LONGEST_GAP + 2.0, imu.specific_force_s[-200:], imu.angular_rate_s[-200:])
+    navigator.take([later], 2.0)
+    assert navigator.look().lag is None
+    assert "nothing came for 16 s" in navigator._flaw
