@@ -23,6 +23,7 @@ FOLDER = FIRMWARE.parent / "build" / "host-tests"
 sys.path.insert(0, str(FIRMWARE))
 import build  # noqa: E402
 
+HANGS_AFTER = 1800  # s; half a minute is enough on a machine that does nothing else
 PROGRAMS = ("sdcard", "mpu9250", "neo6m", "app")
 
 
@@ -53,7 +54,7 @@ def programs():
 
 def run(programs, program, *arguments):
     done = subprocess.run(
-        [programs / f"test_{program}", *arguments], capture_output=True, text=True, errors="replace", timeout=300
+        [programs / f"test_{program}", *arguments], capture_output=True, text=True, errors="replace", timeout=HANGS_AFTER
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     return done.stdout
