@@ -154,9 +154,10 @@ class Trajectory:
 
     def every(self, step: int) -> "Trajectory":
         """Return each `step`-th row, the first one included; the report and the joint covariance stay as they are."""
-        if step == 1:
-            return self
-        rows = slice(None, None, step)
+        return self if step == 1 else self.rows(slice(None, None, step))
+
+    def rows(self, rows: slice) -> "Trajectory":
+        """Return some of the rows; the report and the joint covariance stay as they are."""
         sigmas = self.sigmas
         if sigmas is not None:
             sigmas = Sigmas(*(values[rows] for values in vars(sigmas).values()))

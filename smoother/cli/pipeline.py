@@ -22,6 +22,7 @@ from smoother.cli.lap_stage import (
     steps,
 )
 from smoother.cli.output import Progress, duration, no_progress, plain, warn
+from smoother.disc import release
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
@@ -36,6 +37,7 @@ OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
 PAGE = "report.html"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
+SHOWN_ROWS = 1_000_000  # five hours at 50 Hz
 STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
 """What an earlier run with other options may have left, and this one then removes."""
 
@@ -127,12 +129,15 @@ def estimate(session: Session, options: Options, watch: Stopwatch, progress: Pro
         every = steps(options.rate)
         smoother = GraphSmoother(GraphOptions(rate=options.rate * every, solver=options.solver), progress=progress)
         smoothed = smoother.estimate(session)
+    release(session.imu, smoothed)
     baseline = None
     if options.baseline:
         progress("baseline", 0.0)
         with watch.stage("baseline"):
             baseline = estimate_baseline(session, options.rate)
-    return Estimates(session, smoothed, baseline, assess(session, smoothed), every=every)
+    quality = assess(session, smoothed)
+    release(session.imu, smoothed, baseline)
+    return Estimates(session, smoothed, baseline, quality, every=every)
 
 
 def estimate_baseline(session: Session, rate: float) -> Trajectory:
@@ -165,7 +170,9 @@ def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Pr
     """Add the laps."""
     progress("laps", 0.0)
     with watch.stage("laps"):
-        return replace(estimates, laps=analyse_session(estimates.session, estimates.smoothed, said))
+        laps = analyse_session(estimates.session, estimates.smoothed, said)
+        release(estimates.smoothed)
+        return replace(estimates, laps=laps)
 
 
 def output_directory(path: Path, out: Path | None, name: str) -> Path:
@@ -223,7 +230,8 @@ def _write_figures(estimates: Estimates, directory: Path, options: Options, prog
         return
     from smoother.report.figures import Shown, save_figures
 
-    shown = Shown(estimates.session, estimates.smoothed, estimates.baseline, heading(estimates))
+    smoothed, baseline = _shown(estimates)
+    shown = Shown(estimates.session, smoothed, baseline, heading(estimates))
     save_figures(shown, directory / FIGURES, lambda share: progress("figures", share))
 
 
@@ -233,9 +241,16 @@ def _write_page(estimates: Estimates, directory: Path, options: Options) -> Path
         return directory / TRAJECTORY
     from smoother.report.page import Report, write_page
 
-    session, smoothed, baseline = estimates.session, estimates.smoothed, estimates.baseline
+    session, (smoothed, baseline) = estimates.session, _shown(estimates)
     write_page(directory / PAGE, Report(session, smoothed, baseline, estimates.laps, estimates.quality))
     return directory / PAGE
+
+
+def _shown(estimates: Estimates) -> tuple[Trajectory, Trajectory | None]:
+    """The trajectories as they are drawn: no more rows than pixels can show, even of a close-up."""
+    smoothed, baseline = estimates.smoothed, estimates.baseline
+    few = smoothed.every(-(-len(smoothed) // SHOWN_ROWS))
+    return few, None if baseline is None else baseline.every(-(-len(baseline) // SHOWN_ROWS))
 
 
 def heading(estimates: Estimates) -> str:

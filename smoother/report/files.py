@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array
+from smoother.disc import pieces, release
 from smoother.documents import replacing as replacing
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import Session
@@ -23,6 +24,7 @@ from smoother.units import DEG
 TIME_DIGITS = 6
 ANGLE_DIGITS = 9  # of latitude and longitude: 0.1 mm on the ground
 DIGITS = 4
+TOGETHER = 1 << 18  # rows that are written together, 90 MB of text
 
 Columns = dict[str, Array]
 
@@ -34,8 +36,13 @@ LapColumns = tuple[pl.Series, Array]
 def write_trajectory(
     path: Path, trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
 ) -> None:
-    """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`."""
-    write_csv(path, trajectory_table(trajectory, origin, unix_at_zero, laps))
+    """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`; large ones in parts."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        for part in [*pieces(len(trajectory), TOGETHER)] or [slice(0)]:
+            of_part = None if laps is None else (laps[0][part], laps[1][part])
+            table = trajectory_table(trajectory.rows(part), origin, unix_at_zero, of_part)
+            table.write_csv(file, include_header=part.start in (None, 0))
+            release(trajectory)
 
 
 def write_fixes(path: Path, session: Session, residuals: FixResiduals | None) -> None:

@@ -123,7 +123,9 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
         problems.append(Problem("imu_missing", "no IMU recorded: smoothed from GPS alone"))
         return None
     base = regularize(imu.t)
-    for code, reason in _reasons_against(imu, base.period):
+    reasons = list(_reasons_against(imu, base.period))
+    release(imu)
+    for code, reason in reasons:
         problems.append(Problem(code, f"{file}: {reason}: smoothed from GPS alone"))
         return None
     problems += describe_time_base(base, "imu", file)

@@ -7,9 +7,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
+from smoother.report import files
 from smoother.report.files import replacing, to_json, write_fixes, write_trajectory
 from smoother.samples import Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
@@ -116,6 +118,17 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_rubbish(tmp_path: Path)
         raise RuntimeError
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_table_that_is_written_in_parts_is_the_same_to_the_byte(
+    tmp_path: Path, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    laps = pl.Series("lap", [None, *range(len(trajectory) - 1)], dtype=pl.Int64), np.arange(len(trajectory)) * 1.5
+    write_trajectory(tmp_path / "whole.csv", trajectory, ORIGIN, 1.7e9, laps)
+    monkeypatch.setattr(files, "TOGETHER", 7)
+    write_trajectory(tmp_path / "parts.csv", trajectory, ORIGIN, 1.7e9, laps)
+    assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    assert len(rows(tmp_path / "parts.csv")) == len(trajectory) > 7
 
 
 def test_json_is_strict() -> None:
