@@ -54,7 +54,11 @@ def programs():
 
 def run(programs, program, *arguments):
     done = subprocess.run(
-        [programs / f"test_{program}", *arguments], capture_output=True, text=True, errors="replace", timeout=HANGS_AFTER
+        [programs / f"test_{program}", *arguments],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=HANGS_AFTER,
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     return done.stdout
