@@ -43,6 +43,7 @@ bench: $(VENV)/for-benchmarks
 	$(BIN)/python benchmarks/thinning.py --jobs $(JOBS)
 	$(BIN)/python benchmarks/accuracy.py --preset white --preset kart --preset kart_harsh --jobs $(JOBS)
 	$(BIN)/python benchmarks/lap_times.py --jobs $(JOBS)
+	$(BIN)/python benchmarks/batch.py
 
 picture: demo
 	mkdir -p docs/figures
