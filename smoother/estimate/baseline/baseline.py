@@ -15,6 +15,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.disc import pieces, release, roomy
 from smoother.estimate.baseline import alignment, noise
 from smoother.estimate.baseline.kalman import KalmanInput, KalmanOutput, run_kalman
 from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
@@ -111,12 +112,17 @@ def _inertial(session: Session, course: alignment.Course, options: BaselineOptio
     steps = average_into_steps(imu, rest.is_at_rest, float(session.gnss.t[0]), 1.0 / options.rate)
     mag = _usable_magnetometer(session, options)
     R_ns, problems = _attitude(session, steps, mag, rest, options)
-    acceleration_n = np.einsum("nij,nj->ni", R_ns, steps.specific_force_s) + GRAVITY_N
+    acceleration_n = roomy(steps.specific_force_s.shape)
+    for part in pieces(len(R_ns)):
+        acceleration_n[part] = np.einsum("nij,nj->ni", R_ns[part], steps.specific_force_s[part]) + GRAVITY_N
+        release(R_ns, steps)
     if mag is None:
         north = alignment.north_from_motion(steps.t, acceleration_n[:, :2], course)
         problems += () if north is not None else (_NO_NORTH,)
         turn = alignment.turned_about_up(north or 0.0)
-        R_ns, acceleration_n = turn @ R_ns, acceleration_n @ turn.T
+        for part in pieces(len(R_ns)):
+            R_ns[part], acceleration_n[part] = turn @ R_ns[part], acceleration_n[part] @ turn.T
+            release(R_ns, acceleration_n)
     R_bs, mounting_problems = _mounting(session, steps.t, R_ns, rest, course, mag is not None)
     problems = rest.problems + problems + mounting_problems
     return Inertial(steps, R_ns, acceleration_n, R_bs, rest.gyro_bias, problems)
@@ -148,10 +154,15 @@ def _attitude(
         np.minimum(steps.interval, LONGEST_STEP), force, rate, field, UNITY, options.beta, options.zeta
     )
     # The filter knows the attitude at the end of each step; half way there it was between two of them.
-    middle = after + np.vstack([UNITY, after[:-1]])
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    # Its x axis is magnetic north, which lies the declination east of true north.
-    return alignment.turned_about_up(-declination) @ so3.from_quaternion_wxyz(middle) @ R_0s, problems
+    R_ns, before = roomy((len(after), 3, 3)), UNITY
+    for part in pieces(len(after)):
+        middle = after[part] + np.vstack([before, after[part.start : part.stop - 1]])
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        # Its x axis is magnetic north, which lies the declination east of true north.
+        R_ns[part] = alignment.turned_about_up(-declination) @ so3.from_quaternion_wxyz(middle) @ R_0s
+        before = after[part.stop - 1].copy()
+        release(R_ns, after)
+    return R_ns, problems
 
 
 def _field_at(t: Array, mag: MagSamples) -> Array:
@@ -242,6 +253,8 @@ def _trajectory(
     R_nb, acceleration_b, angular_rate_b = np.full((n, 3, 3), np.nan), unknown, unknown
     if inertial is not None:
         R_nb, acceleration_b, angular_rate_b = _body_motion(inertial, t)
+    for values in (R_nb, acceleration_b, angular_rate_b):
+        values.flags.writeable = False
     problems = (_NO_IMU,) if inertial is None else inertial.problems
     return Trajectory(
         t=t,
@@ -257,18 +270,21 @@ def _trajectory(
 
 def _body_motion(inertial: Inertial, t: Array) -> tuple[Array, Array, Array]:
     """R_nb (K, 3, 3), kinematic acceleration and rate (K, 3) in b at t, NaN farther than LONGEST_STEP from a step."""
-    steps, R_bs = inertial.steps, inertial.R_bs
-    rate_s = steps.angular_rate_s - inertial.gyro_bias
-    near = nearest(steps.t, t)
-    away = t - steps.t[near]
-    R_ns = inertial.R_ns[near] @ so3.exp(np.clip(away, -LONGEST_STEP, LONGEST_STEP)[:, None] * rate_s[near])
-    acceleration_s = np.einsum("nji,nj->ni", inertial.R_ns, inertial.acceleration_n)
-    is_known = np.abs(away) <= LONGEST_STEP
-    return (
-        np.where(is_known[:, None, None], R_ns @ R_bs.T, np.nan),
-        np.where(is_known[:, None], acceleration_s[near] @ R_bs.T, np.nan),
-        np.where(is_known[:, None], rate_s[near] @ R_bs.T, np.nan),
-    )
+    n, steps, R_sb = len(t), inertial.steps, inertial.R_bs.T
+    R_nb, acceleration_b, angular_rate_b, at = roomy((n, 3, 3)), roomy((n, 3)), roomy((n, 3)), steps.t
+    for part in pieces(n):
+        near = nearest(at, t[part])
+        away = (t[part] - at[near])[:, None]
+        is_known = np.abs(away) <= LONGEST_STEP
+        rate_s = steps.angular_rate_s[near] - inertial.gyro_bias
+        R_ns = inertial.R_ns[near]
+        acceleration_s = np.einsum("nji,nj->ni", R_ns, inertial.acceleration_n[near])
+        turned = R_ns @ so3.exp(np.clip(away, -LONGEST_STEP, LONGEST_STEP) * rate_s)
+        R_nb[part] = np.where(is_known[:, :, None], turned @ R_sb, np.nan)
+        acceleration_b[part] = np.where(is_known, acceleration_s @ R_sb, np.nan)
+        angular_rate_b[part] = np.where(is_known, rate_s @ R_sb, np.nan)
+        release(R_nb, acceleration_b, angular_rate_b, inertial)
+    return R_nb, acceleration_b, angular_rate_b
 
 
 def _with_unknown_up(horizontal: Array) -> Array:

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, IntArray
-from smoother.estimate.baseline.steps import collect
+from smoother.disc import pieces, release, roomy
+from smoother.estimate.baseline.steps import CHUNK, collect
 
 START_VELOCITY, START_ACCELERATION = 15.0, 5.0  # m/s, m/s^2: sigma before anything is measured; a kart in motion
 START_POSITION = 1e3  # m, sigma about the first fix
@@ -60,15 +61,27 @@ def run_kalman(data: KalmanInput, alpha: float) -> KalmanOutput:
     axes = [
         _run_axis(data, acceleration[:, i], float(variances[i]), position[:, i], alpha) for i in range(2)
     ]  # each (K, 5): p, v, a, var p, var v
-    both = np.stack(axes, axis=-1)
-    turned = both[:, :3] @ principal.T
-    covariance = np.einsum("ij,kcj,lj->kcil", principal, both[:, 3:], principal)
-    return KalmanOutput(turned[:, 0], turned[:, 1], turned[:, 2], covariance[:, 0], covariance[:, 1])
+    n = len(acceleration)
+    out = KalmanOutput(*(roomy((n, 2)) for _ in range(3)), *(roomy((n, 2, 2)) for _ in range(2)))
+    for part in pieces(n):
+        both = np.stack([axis[part] for axis in axes], axis=-1)
+        turned = both[:, :3] @ principal.T
+        covariance = np.einsum("ij,kcj,lj->kcil", principal, both[:, 3:], principal)
+        out.position[part], out.velocity[part], out.acceleration[part] = turned[:, 0], turned[:, 1], turned[:, 2]
+        out.position_covariance[part], out.velocity_covariance[part] = covariance[:, 0], covariance[:, 1]
+        release(axes, out)
+    return out
 
 
 def _run_axis(data: KalmanInput, acceleration: Array, accel_variance: float, position: Array, alpha: float) -> Array:
     rows = _axis_states(data, acceleration, accel_variance, position, alpha)
     return collect(rows, len(acceleration), 5)
+
+
+def _floats(values: Array) -> Iterator[float]:
+    """Plain floats, some at a time: a list of a day's would be gigabytes."""
+    for part in pieces(len(values), CHUNK):
+        yield from values[part].tolist()
 
 
 def _axis_states(
@@ -83,7 +96,7 @@ def _axis_states(
     vv, va, aa = START_VELOCITY**2, 0.0, START_ACCELERATION**2
     fixes = zip(data.at_step.tolist(), data.delay.tolist(), position.tolist(), data.fix_variance.tolist(), strict=True)
     fix = next(fixes, None)
-    for k, measured in enumerate(acceleration.tolist()):
+    for k, measured in enumerate(_floats(acceleration)):
         if k:
             p += dt * v + half * a  # eq. 2.46 to 2.48
             v += dt * a

@@ -10,6 +10,7 @@ from itertools import islice
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces, release, roomy
 from smoother.samples import ImuSamples
 
 CHUNK = 65536  # rows
@@ -61,7 +62,17 @@ def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, per
     held = np.flatnonzero(count)
 
     def mean(values: Array) -> Array:
-        return np.stack([np.bincount(number - first, column)[held] / count[held] for column in values.T], axis=-1)
+        out = roomy((len(held), values.shape[1]))
+        for i, column in enumerate(values.T):
+            total = np.zeros(len(count))
+            for part in pieces(len(column)):
+                at = number[part] - first
+                low = int(at.min())
+                some = np.bincount(at - low, column[part])
+                total[low : low + len(some)] += some
+                release(values)
+            out[:, i] = total[held] / count[held]
+        return out
 
     resting = np.bincount(number - first, is_at_rest.astype(np.float64))[held] == count[held]
     return Steps(start, period, first + held, mean(imu.specific_force_s), mean(imu.angular_rate_s), resting)
@@ -69,9 +80,10 @@ def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, per
 
 def collect(rows: Iterable[tuple[float, ...]], count: int, width: int) -> Array:
     """Array (count, width) of rows, filled in chunks: a list of a day's floats would be gigabytes."""
-    out, source = np.empty((count, width)), iter(rows)
-    for i in range(0, count, CHUNK):
-        out[i : i + CHUNK] = list(islice(source, CHUNK))
+    out, source = roomy((count, width)), iter(rows)
+    for part in pieces(count, CHUNK):
+        out[part] = list(islice(source, CHUNK))
+        release(out)
     return out
 
 
