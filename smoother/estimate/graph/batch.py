@@ -267,6 +267,13 @@ def moved(solution: ChainSolution) -> float:
     return max(math.sqrt(float(np.mean(solution.x[:, part] ** 2 / sigma2[:, part]))) for part in (ROTATION, VELOCITY))
 
 
+def constants_moved(solution: ChainSolution) -> float:
+    """Root mean square of a step of latencies and lever arm, each over its sigma."""
+    part = slice(POSITION_LATENCY.start, LEVER_ARM.stop)
+    sigma2 = np.diag(solution.constants_covariance)[part]
+    return math.sqrt(float(np.mean(solution.constants[part] ** 2 / sigma2)))
+
+
 def _of_keyframes(system: ChainSystem) -> ChainSystem:
     """Return the system without the constants: they stay where they are."""
     n_keyframes, n = system.rhs.shape

@@ -15,17 +15,18 @@ from smoother.arrays import Array
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.state import ChainState
 
-CORRELATION_TIME = 2.0  # s; slip and lean last about as long as a corner does
+MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 
 
 @dataclass(frozen=True, eq=False)
 class FittedMounting:
-    """R_bs (3, 3), sigma (3,) rad about the axes of b, and whether the drive determined it."""
+    """R_bs (3, 3), sigma (3,) rad about axes of b, whether it is known, and whether from the attitudes themselves."""
 
     R_bs: Array
     sigma: Array
     is_observable: bool
+    is_fitted: bool = False
 
 
 def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
@@ -38,7 +39,7 @@ def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
     R_sn = state.R_ns[use].transpose(0, 2, 1)
     velocity_s = np.einsum("kij,kj->ki", R_sn, state.velocity_n[use] * [1.0, 1.0, 0.0])
     up_s, acceleration_s = R_sn[:, :, 2], np.einsum("kij,kj->ki", R_sn, acceleration_n)
-    R_bs, sigma = rough_R_bs, np.zeros(3)
+    R_bs, sigma, memory = rough_R_bs, np.zeros(3), max(1, round(MEMORY / state.interval))
     for _ in range(4):  # small angles: a turn of the mounting changes what counts as forward and left
         velocity_b, up_b, acceleration_b = (x @ R_bs.T for x in (velocity_s, up_s, acceleration_s))
         one = np.ones(len(velocity_b))
@@ -46,19 +47,22 @@ def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
         forward = np.stack([one, acceleration_b[:, 0]], axis=1)
         # turning the body axes by w about b moves a vector v in b by -w x v
         fits = [
-            _intercept(lateral, up_b[:, 1]),
-            _intercept(forward, -up_b[:, 0]),
-            _intercept(lateral, np.arctan2(velocity_b[:, 1], velocity_b[:, 0])),
+            _intercept(lateral, up_b[:, 1], memory),
+            _intercept(forward, -up_b[:, 0], memory),
+            _intercept(lateral, np.arctan2(velocity_b[:, 1], velocity_b[:, 0]), memory),
         ]
         turn = np.array([fit[0] for fit in fits])
         sigma = np.array([fit[1] for fit in fits])
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
-    sigma *= np.sqrt(max(1.0, CORRELATION_TIME / state.interval))
-    return FittedMounting(R_bs, sigma, True)
+    return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
 
 
-def _intercept(design: Array, angle: Array) -> tuple[float, float]:
-    """Intercept of a line with Cauchy weights, and its sigma for independent samples. design (N, 2), angle (N,)."""
+def _intercept(design: Array, angle: Array, memory: int) -> tuple[float, float]:
+    """Intercept of a line with Cauchy weights, and its sigma. design (N, 2), angle (N,).
+
+    memory: number of samples beyond which errors are taken for independent. Source of the sigma: the sandwich of
+    M-estimation (Huber 1981, 7.6) with the autocovariances summed up to the first that is not positive (Geyer 1992).
+    """
     weight = np.ones(len(angle))
     for _ in range(8):
         normal = (design * weight[:, None]).T @ design
@@ -66,5 +70,18 @@ def _intercept(design: Array, angle: Array) -> tuple[float, float]:
         residual = angle - design @ line
         scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
         weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
-    variance = scale**2 * np.linalg.inv(normal)[0, 0]
-    return float(line[0]), float(np.sqrt(variance))
+    slope = weight * (2.0 * weight - 1.0)  # of weight times residual
+    bread = np.linalg.inv((design * slope[:, None]).T @ design)
+    pull = (design * (weight * residual)[:, None]) @ bread[0]
+    return float(line[0]), float(np.sqrt(_variance_of_sum(pull, memory)))
+
+
+def _variance_of_sum(pull: Array, memory: int) -> float:
+    """Variance of the sum of N correlated values (N,) of mean zero."""
+    total = float(pull @ pull)
+    for lag in range(1, min(memory, len(pull) - 1) + 1):
+        together = float(pull[lag:] @ pull[:-lag])
+        if together <= 0.0:
+            break
+        total += 2.0 * together
+    return total

@@ -1,7 +1,7 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
+from smoother.estimate.graph.chain import ChainFactor, ChainSolution
 from smoother.estimate.graph.imu import (
     JERK_RATE,
     YAW_JERK_RATE,
@@ -25,7 +26,9 @@ from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
+    CONSTANTS_SIZE,
     GYRO_BIAS,
+    KEYFRAME_SIZE,
     LEVER_ARM,
     OFFSET,
     ROTATION,
@@ -50,6 +53,7 @@ from smoother.units import DEG
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew in its own case, which no drive can show
 MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
+SAMPLES = 40  # keyframes whose errors are averaged; they last for seconds or for the session, so that forty will do
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
@@ -59,7 +63,7 @@ class Uncertainty:
     """What is known of the errors of K keyframes.
 
     antenna (K, 9, 9): covariance of the errors in n of the sensor's attitude, the antenna's velocity and its position;
-    biases (K, 6): sigmas of force and rate; track (K,) m^2: see :func:`_track_variance`.
+    biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see :func:`_track_variance`.
     """
 
     antenna: Array
@@ -72,6 +76,7 @@ class Estimated:
     """What a solved graph says, of one piece or of windows: all that the output is made of.
 
     joint: how errors hang together, given the variance (3,) m^2 that the session cannot show; None where unknown.
+    common_attitude (3, 3) rad^2: covariance in s of the mean error of all attitudes; zero where unknown.
     """
 
     state: ChainState
@@ -79,6 +84,7 @@ class Estimated:
     uncertainty: Uncertainty
     rows: dict[str, Rows]
     joint: Callable[[Array], JointPosition] | None
+    common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 def estimated(solved: Solved) -> Estimated:
@@ -90,7 +96,17 @@ def estimated(solved: Solved) -> Estimated:
         uncertainty_of(solved),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
+        np.zeros((3, 3)) if factor is None else _common_attitude(factor, state),
     )
+
+
+def _common_attitude(factor: ChainFactor, state: ChainState) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes over the session."""
+    at = np.repeat(np.linspace(0, len(state.t) - 2, SAMPLES).astype(np.int64), 3)
+    left = np.zeros((len(at), KEYFRAME_SIZE))
+    left[:, ROTATION] = np.tile(np.eye(3), (SAMPLES, 1))
+    joint = factor.covariance(at, left, np.zeros_like(left), np.zeros((len(at), CONSTANTS_SIZE)))
+    return np.asarray(joint.reshape(SAMPLES, 3, SAMPLES, 3).mean(axis=(0, 2)))
 
 
 def build_trajectory(
@@ -207,7 +223,7 @@ def uncertainty_of(solved: Solved) -> Uncertainty:
     S, cross = solved.solution.constants_covariance, J @ solved.solution.constants_cross @ C.transpose(0, 2, 1)
     antenna = J @ P @ J.transpose(0, 2, 1) + C @ S @ C.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
     sigma = np.sqrt(np.einsum("kii->ki", P))
-    return Uncertainty(antenna, sigma[:, ACCEL_BIAS.start : GYRO_BIAS.stop], _track_variance(state, P))
+    return Uncertainty(antenna, sigma[:, ACCEL_BIAS.start : GYRO_BIAS.stop], _track_variance(state, solved.solution))
 
 
 def _turning(state: ChainState) -> Array:
@@ -217,14 +233,33 @@ def _turning(state: ChainState) -> Array:
     return np.concatenate([turn, turn[-1:]])
 
 
+def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -> Array:
+    """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
+
+    An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
+    mounting: the box seems askew by so much more, and the kart is none the worse for it.
+    """
+    if not mounting.is_fitted:
+        return np.ones(3)
+    some = slice(None, None, max(1, len(R_nb) // (10 * SAMPLES)))
+    attitude = R_nb[some].transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb[some]
+    common = mounting.R_bs @ found.common_attitude @ mounting.R_bs.T
+    mean = np.einsum("kii->i", attitude) / len(attitude)
+    return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
+
+
 def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance = R @ mounting.R_bs.T, roomy(known.antenna.shape)
+    left = _left_of_attitude(found, mounting, R_nb)
     for part in pieces(len(R), TOGETHER):
         covariance[part] = known.antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
+        left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)
+        covariance[part, 0:3] = left_n @ covariance[part, 0:3]
+        covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * mounting.sigma**2) @ R_nb[part].transpose(0, 2, 1)
         release(covariance, known)
     return Keyframes(
@@ -244,7 +279,7 @@ def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Key
 def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, velocity_n: Array) -> dict[str, Array]:
     """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
 
-    covariance (K, 9, 9) and track (K,) m^2 of the keyframes; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
+    covariance (K, 9, 9) and track (K, 2) m^2 of the keyframes; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
     i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
     share = ((t - at[i]) / (at[i + 1] - at[i]))[:, None, None]
@@ -254,23 +289,28 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
     attitude = np.einsum("nri,nri->nr", by_turn @ covariance[:, 0:3, 0:3], by_turn)
     direction = velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]
     speed = np.einsum("ni,nij,nj->n", direction, covariance[:, 3:5, 3:5], direction)
-    track = (1.0 - share[:, 0, 0]) * track[i] + share[:, 0, 0] * track[i + 1]
+    later = share[:, 0, 0]
+    alone = (1.0 - later) ** 2 * track[i, 0] + later**2 * track[i + 1, 0]
+    variance = alone + 2.0 * later * (1.0 - later) * track[i, 1]
     return {
         "position_n": np.sqrt(diagonal[:, 6:9]),
         "velocity_n": np.sqrt(diagonal[:, 3:6]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
         "attitude": np.sqrt(np.maximum(attitude, 0.0)),
-        "track": np.sqrt(np.maximum(track, 0.0)),
+        "track": np.sqrt(np.maximum(variance, 0.0)),
     }
 
 
-def _track_variance(state: ChainState, P: Array) -> Array:
-    """Variance (K,) m^2, per horizontal axis, of position plus offset: the line in the frame of the fixes."""
-    R = state.R_ns
-    position, offset = P[:, TRANSLATION, TRANSLATION], P[:, OFFSET, OFFSET]
-    cross = R @ P[:, TRANSLATION, OFFSET]
-    total = R @ position @ R.transpose(0, 2, 1) + offset + cross + cross.transpose(0, 2, 1)
-    return np.asarray(0.5 * (total[:, 0, 0] + total[:, 1, 1]))
+def _track_variance(state: ChainState, solution: ChainSolution) -> Array:
+    """Variance of position plus offset, the line in the frame of the fixes, m^2 per horizontal axis, (K, 2).
+
+    Of each keyframe, and together with the next one: the offset is rough, and between two keyframes it is their mean.
+    """
+    by_state = np.zeros((len(state.t), 2, KEYFRAME_SIZE))
+    by_state[:, :, TRANSLATION], by_state[:, :, OFFSET] = state.R_ns[:, :2], np.eye(3)[:2]
+    own = 0.5 * np.sum((by_state @ solution.covariance) * by_state, axis=(1, 2))
+    with_next = 0.5 * np.sum((by_state[:-1] @ solution.cross) * by_state[1:], axis=(1, 2))
+    return np.stack([own, np.append(with_next, own[-1])], axis=1)
 
 
 _UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad"}
@@ -333,10 +373,11 @@ def _identified(
         "configured" if stated else "identified",
     )
     stated = config.mounting.R_bs is not None
+    common = np.diag(mounting.R_bs @ found.common_attitude @ mounting.R_bs.T)
     source = "configured" if stated else "identified" if mounting.is_observable else "default"
     out["R_bs"] = Identified(
         mounting.R_bs.tolist(),
-        None if stated else np.hypot(mounting.sigma, AXES_SIGMA).tolist(),
+        None if stated else np.sqrt(mounting.sigma**2 + AXES_SIGMA**2 + common).tolist(),
         "1 (sigma: rad)",
         mounting.is_observable,
         source,

@@ -6,7 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Scatter, Solved, moved, update_noise
+from smoother.estimate.graph.batch import (
+    Batch,
+    Data,
+    Noise,
+    Priors,
+    Scatter,
+    Solved,
+    constants_moved,
+    moved,
+    update_noise,
+)
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -18,6 +28,7 @@ from smoother.fit.magnetic_model import session_field
 from smoother.samples import Problem, Session
 
 WELL_KNOWN = 0.2  # of a sigma: a last step that moved by less adds 2 % to the error, and what it leaves is smaller
+CONSTANTS_WELL_KNOWN = 0.4  # likewise of the constants, whose steps shrink by more from one to the next
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 
@@ -118,11 +129,16 @@ def finish(
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
         say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
-        if turn + 1 == options.final_rounds or (turn > 0 and moved(solved.solution) < WELL_KNOWN):
+        if turn + 1 == options.final_rounds or (turn > 0 and _is_settled(solved)):
             break
         noise = _reestimated(solved, noise, start, scatter)
     assert solved is not None
     return solved, noise
+
+
+def _is_settled(solved: Solved) -> bool:
+    solution = solved.solution
+    return moved(solution) < WELL_KNOWN and constants_moved(solution) < CONSTANTS_WELL_KNOWN
 
 
 def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:

@@ -74,7 +74,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
     n, pieces = len(start.state.t), []
-    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy(n))
+    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)))
     for i, (first, last) in enumerate(pairwise(edges)):
         piece, known = _solve_piece(session, start, first, last, noise, held, options)
         pieces.append(piece)
