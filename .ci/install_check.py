@@ -152,8 +152,10 @@ def check(place: Place, wheel: Path, seconds: float, tests: list[str]) -> bool:
             try_demo(programs, folder, seconds)
             told = versions(programs, folder)
             if tests:
-                # the program, not `python -m`: the folder it runs in is not to be imported from
-                told += "; " + run([programs / "pytest", "-q", *tests], ROOT).strip().splitlines()[-1]
+                # the program, not `python -m`: the folder it runs in is not to be imported from; and what is old may
+                # warn about what is new
+                pytest = [programs / "pytest", "-q", "-o", "filterwarnings=default", *tests]
+                told += "; " + run(pytest, ROOT).strip().splitlines()[-1]
         except CheckError as error:
             print(f"Python {version}, {place.bounds}: FAILED\n{error}", flush=True)
             return False
