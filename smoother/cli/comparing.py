@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,30 +18,39 @@ from smoother.errors import UsageError
 if TYPE_CHECKING:
     from smoother.laps.results import LapAnalysis, ReferenceLap
     from smoother.laps.stored import Stored
+    from smoother.report.compare_page import Compared
 
+PAGE = "comparison.html"
 FAR = 5000.0  # m between two sessions: not the same track
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """One session: its name for people, its results, its laps on the common line."""
-
-    name: str
-    stored: Stored
-    analysis: LapAnalysis
 
 
 @click.command(short_help="Laps of several sessions on one reference line.")
 @sessions_argument
 @line_option
 @click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")
+@click.option(
+    "--out",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Where the page goes [smoothed/comparison.html of the first session].",
+)
+@click.option("--open", "open_it", is_flag=True, help="Show the page when done.")
 @units_option
 @json_option
-def compare(sessions: tuple[Path, ...], line: str | None, against: int | None, units: str, as_json: bool) -> int:
+def compare(
+    sessions: tuple[Path, ...],
+    line: str | None,
+    against: int | None,
+    out: Path | None,
+    open_it: bool,
+    units: str,
+    as_json: bool,
+) -> int:
     """Compare sessions, drivers or karts on one track: best laps, and what was lost to the best of all in each corner.
 
-    The reference line is that of the first session, so is the start/finish line unless --line says otherwise. Every
-    difference carries one sigma; `*` marks those that are larger than two and so not the luck of the timing.
+    Writes a page with map, traces and corners of all; it needs no network. The reference line is that of the first
+    session, so is the start/finish line unless --line says otherwise. Every difference carries one sigma; `*` marks
+    those that are larger than two and so not the luck of the timing.
     """
     require_sessions(sessions, "smooth compare")
     if len(sessions) < 2:
@@ -54,13 +62,30 @@ def compare(sessions: tuple[Path, ...], line: str | None, against: int | None, u
         said = told(sessions[0], wanted, None)
         names = [_name(path) for path in sessions]
         compared = compare_results([directory for directory, _ in found], names, said, against)
+        page = written(out or found[0][0] / PAGE, compared)
     if as_json:
         from smoother.report.files import to_json
 
         say_json(to_json(document(compared)))
     else:
         show(compared, units)
+        say("")
+        say(str(page))
+    if open_it:
+        click.launch(str(page))
     return EXIT_DONE if all(passed for _, passed in found) else EXIT_QUALITY
+
+
+def written(path: Path, compared: list[Compared]) -> Path:
+    """Write the page and return its path. Raises UsageError where that cannot be done."""
+    from smoother.report.compare_page import write_comparison
+
+    try:
+        write_comparison(path, compared)
+    except OSError as error:
+        reason = error.strerror or error
+        raise UsageError(f"{path}: cannot be written ({reason}); name another place with --out FILE") from error
+    return path
 
 
 def compare_results(directories: list[Path], names: list[str], said: Stated, against: int | None) -> list[Compared]:
@@ -69,6 +94,7 @@ def compare_results(directories: list[Path], names: list[str], said: Stated, aga
     Raises UsageError when the first has no laps, or another was driven elsewhere.
     """
     from smoother.laps.stored import read_stored
+    from smoother.report.compare_page import Compared
 
     first = read_stored(directories[0])
     stored = [first, *(read_stored(directory, first.origin) for directory in directories[1:])]

@@ -6,7 +6,6 @@ its canvases follow neither theme nor paper by style sheet.
 """
 
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -15,12 +14,11 @@ from smoother.estimate.quality import Quality
 from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
 from smoother.report.files import replacing
+from smoother.report.page_charts import figure, grip, linked, picker, styled
 from smoother.report.page_data import Document, Numbers, drawn_laps, lap_name, page_data, stretches
-from smoother.report.page_html import element, whole_page
+from smoother.report.page_html import element
 from smoother.samples import RawImu, RawMag, RawSession, Session
 from smoother.trajectory import Trajectory
-
-TEMPLATE = files("smoother.report") / "template"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +47,9 @@ def page(report: Report) -> str:
     body = [
         words.header(told),
         _contents(told),
-        element("noscript", element("p", "The charts need JavaScript; the tables do not.", class_="bad")),
         element("main", words.summary(told), *words.lap_section(told), *_charts(told, numbers), *_quality(told)),
     ]
-    style, script = ((TEMPLATE / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    return whole_page(told.title, body, style, script, numbers)
+    return styled(told.title, body, numbers)
 
 
 def recorded_check(session: Session) -> Check:
@@ -77,81 +73,31 @@ def _contents(told: words.Told) -> Element:
 
 
 def _charts(told: words.Told, numbers: Document) -> list[Element]:
-    linked = element(
-        "div",
-        element("div", _figure("map", "Map of the laps, coloured by speed"), _readout(told), class_="stay"),
-        element("div", _slider(numbers), _figure("traces", "Speed, time lost, accelerations and line over the track")),
-        class_="linked",
-    )
     title = "Map and traces" if told.laps is not None and told.laps.traces is not None else "The session"
-    circle = element(
-        "div",
-        _figure("circle", "Accelerations forward and sideways in g"),
-        element("p", _circle_words(told), class_="soft"),
-        class_="pair",
-    )
     return [
         element("h2", title, id="driving"),
         _picker(told),
-        linked,
+        linked(numbers),
         *words.corner_section(told),
         element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
-        circle,
+        grip(_circle_words(told)),
         element("h2", "Baseline against smoother", id="compared"),
         element("p", _compared_words(told), class_="soft"),
         *words.baseline_section(told),
         element(
             "div",
-            _figure("compared-map", "Fixes, baseline and smoother"),
-            _figure("compared-speed", "Speed"),
+            figure("compared-map", "Fixes, baseline and smoother"),
+            figure("compared-speed", "Speed"),
             class_="pair",
         ),
     ]
 
 
-def _figure(name: str, label: str) -> Element:
-    return element("figure", id=name, data_label=label)
-
-
 def _picker(told: words.Told) -> Element:
-    """Which laps are drawn, which of them colours the map, and which part of the track is shown."""
     laps = told.laps
-    names = ["whole session"]
-    parts: list[tuple[str, tuple[float, float]]] = []
-    if laps is not None and laps.traces is not None:
-        names, parts = [lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps)
-    boxes = [
-        element("label", element("input", type="checkbox", value=str(i)), element("svg"), name, class_="lap")
-        for i, name in enumerate(names)
-    ]
-    choices = [element("option", "whole lap" if parts else "everything", value="whole")]
-    choices += [element("option", name, value=str(i)) for i, (name, _) in enumerate(parts)]
-    choices.append(element("option", "own choice", value="own", disabled="disabled"))
-    fields = element(
-        "fieldset", element("legend", "Laps shown"), element("div", *boxes, class_="picker"), id="laps-picked"
-    )
-    coloured = element("label", "Speed colours: ", element("select", id="coloured"))
-    part = element("label", "Part: ", element("select", *choices, id="stretch"))
-    return element("div", fields, element("div", coloured, part, class_="settings"))
-
-
-def _slider(numbers: Document) -> Element:
-    last = str(numbers["points"])
-    keys = (
-        "Move over map or traces, or use the slider: arrow keys, with Shift ten steps; + and − zoom, Esc shows all. "
-        "Drag over the traces to zoom, double-click to see all."
-    )
-    label = element("label", "Place: ", element("input", type="range", min="0", max=last, value="0", id="cursor"))
-    where = element("output", id="where")
-    return element("div", element("div", label, where, class_="settings"), element("p", keys, class_="keys"))
-
-
-def _readout(told: words.Told) -> Element:
-    unit = element("span", "km/h", class_="speed-unit")
-    heads = ("lost (s)", "line (m)", "drive (g)", "side (g)")
-    head = element("tr", element("th", "lap"), element("th", unit), *(element("th", name) for name in heads))
-    body = element("tbody", id="readout")
-    return element("div", element("table", element("thead", head), body), class_="scroll readout")
+    if laps is None or laps.traces is None:
+        return picker(["whole session"], [])
+    return picker([lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps))
 
 
 def _circle_words(told: words.Told) -> str:
@@ -173,7 +119,7 @@ def _quality(told: words.Told) -> list[Element]:
     return [
         element("h2", "Can I trust this?", id="quality"),
         *words.trust(told),
-        _figure("quality-time", "Sigma, residuals and gaps over time"),
+        figure("quality-time", "Sigma, residuals and gaps over time"),
         element("div", *tables, class_="pair"),
         words.identified_table(told),
     ]

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
 from smoother.samples import Session
@@ -54,16 +54,20 @@ def packed(values: Array) -> str:
 
 def page_data(numbers: Numbers) -> Document:
     """Return everything that the script needs."""
-    colours = colormaps["viridis"](np.linspace(0.05, 1.0, SHADES))
     shown = _whole_session(numbers) if numbers.traces is None else _laps(numbers, numbers.traces)
     return {
         **shown,
-        "palette": [to_hex(colour) for colour in colours],
-        "gates": _gates(numbers),
-        "cloud": _cloud(numbers.smoothed),
+        "palette": palette(),
+        "gates": gates(numbers.laps, numbers.middle),
+        "cloud": cloud(numbers.smoothed),
         "compared": _compared(numbers),
         "quality": _quality(numbers),
     }
+
+
+def palette() -> list[str]:
+    """Return the colours of speed, slow to fast."""
+    return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.05, 1.0, SHADES))]
 
 
 def drawn_laps(laps: LapAnalysis) -> list[int]:
@@ -90,24 +94,8 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
     laps = numbers.laps
     assert laps is not None
     drawn = drawn_laps(laps)
-    step = max(1, int(np.ceil(numbers.smoothed.speed.max() / (MOST_RATE * _spacing(traces.distance)))))
-    columns = np.arange(0, len(traces.distance), step)
-    cut = np.ix_(np.array(drawn), columns)
-    x, y = _places(numbers, traces.t[cut])
-    named = {
-        "x": x,
-        "y": y,
-        "speed": traces.speed[cut],
-        "delta": traces.delta[cut],
-        "delta_sigma": traces.delta_sigma[cut],
-        "longitudinal": traces.longitudinal[cut],
-        "sideways": traces.lateral_acceleration[cut],
-        "offset": traces.lateral[cut],
-        "offset_sigma": traces.lateral_sigma[cut],
-        "is_off": np.where(traces.is_off_line[cut], 1.0, 0.0),
-    }
-    if np.isfinite(traces.sideslip[cut]).any():
-        named |= {"sideslip": traces.sideslip[cut] / DEG, "sideslip_sigma": traces.sideslip_sigma[cut] / DEG}
+    columns = grid_columns(numbers.smoothed, traces)
+    named = lap_traces(traces, numbers.smoothed, numbers.middle, drawn, columns)
     main = drawn.index(main_lap(laps))
     against = laps.reference_lap
     return {
@@ -119,21 +107,51 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
         "best": main,
         "first": _first(laps, drawn, main),
         "against_name": laps.reference_name if against is None else f"lap {laps.laps[against].number}",
-        "corners": _corners(numbers),
+        "corners": corner_marks(laps, numbers.middle),
         "stretches": [list(part) for _, part in stretches(laps)],
-        "mean_line": None if laps.reference is None else _mean_line(laps.reference, numbers.middle),
+        "mean_line": None if laps.reference is None else mean_line(laps.reference, numbers.middle),
     }
+
+
+def grid_columns(smoothed: Trajectory, traces: Traces) -> IntArray:
+    """Return which places of the grid are drawn: no more than the rate allows where the kart is fastest."""
+    step = max(1, int(np.ceil(smoothed.speed.max() / (MOST_RATE * _spacing(traces.distance)))))
+    return np.arange(0, len(traces.distance), step)
+
+
+def lap_traces(
+    traces: Traces, smoothed: Trajectory, middle: Array, drawn: list[int], columns: IntArray
+) -> dict[str, Array]:
+    """Return what is drawn of laps `drawn` at the places `columns` of the grid, each (L, M)."""
+    cut = np.ix_(np.array(drawn), columns)
+    x, y = places(smoothed, middle, traces.t[cut])
+    return {
+        "x": x,
+        "y": y,
+        "speed": traces.speed[cut],
+        "delta": traces.delta[cut],
+        "delta_sigma": traces.delta_sigma[cut],
+        "longitudinal": traces.longitudinal[cut],
+        "sideways": traces.lateral_acceleration[cut],
+        "offset": traces.lateral[cut],
+        "offset_sigma": traces.lateral_sigma[cut],
+        "is_off": np.where(traces.is_off_line[cut], 1.0, 0.0),
+        **_slides(traces.sideslip[cut] / DEG, traces.sideslip_sigma[cut] / DEG),
+    }
+
+
+def _slides(sideslip: Array, sigma: Array) -> dict[str, Array]:
+    return {"sideslip": sideslip, "sideslip_sigma": sigma} if np.isfinite(sideslip).any() else {}
 
 
 def _spacing(distance: Array) -> float:
     return float(np.median(np.diff(distance))) if len(distance) > 1 else 2.0
 
 
-def _places(numbers: Numbers, t: Array) -> tuple[Array, Array]:
-    """Metres east and north at times t of any shape, NaN where t is."""
-    smoothed, (north, west) = numbers.smoothed, numbers.middle
-    y = np.interp(t, smoothed.t, smoothed.position_n[:, 0] - north)
-    x = np.interp(t, smoothed.t, west - smoothed.position_n[:, 1])
+def places(smoothed: Trajectory, middle: Array, t: Array) -> tuple[Array, Array]:
+    """Return metres east and north of the middle at times t of any shape, NaN where t is."""
+    y = np.interp(t, smoothed.t, smoothed.position_n[:, 0] - middle[0])
+    x = np.interp(t, smoothed.t, middle[1] - smoothed.position_n[:, 1])
     return x, y
 
 
@@ -154,11 +172,11 @@ def stretches(laps: LapAnalysis) -> list[tuple[str, tuple[float, float]]]:
     return parts
 
 
-def _corners(numbers: Numbers) -> list[Document]:
-    laps = numbers.laps
-    if laps is None or laps.reference is None:
+def corner_marks(laps: LapAnalysis, middle: Array) -> list[Document]:
+    """Return where the numbers of the corners stand on map and traces."""
+    if laps.reference is None:
         return []
-    line, (north, west) = laps.reference, numbers.middle
+    line, (north, west) = laps.reference, middle
     out: list[Document] = []
     for corner in laps.corners:
         k = int(np.argmin(np.abs(line.distance - corner.apex)))
@@ -171,21 +189,20 @@ def _corners(numbers: Numbers) -> list[Document]:
     return out
 
 
-def _mean_line(line: ReferenceLine, middle: Array) -> Document:
+def mean_line(line: ReferenceLine, middle: Array) -> Document:
+    """Return the reference line on the map."""
     points = line.position_n[::2]
     if line.is_closed:
         points = np.concatenate([points, line.position_n[:1]])
     return {"x": packed(middle[1] - points[:, 1]), "y": packed(points[:, 0] - middle[0])}
 
 
-def _gates(numbers: Numbers) -> list[Document]:
-    laps = numbers.laps
+def gates(laps: LapAnalysis | None, middle: Array) -> list[Document]:
+    """Return the lines of start, finish and sectors on the map."""
     if laps is None or laps.start_line is None:
         return []
     ends = [laps.start_line, *([] if laps.finish_line is None else [laps.finish_line])]
-    return [_gate(line, numbers.middle, True) for line in ends] + [
-        _gate(line, numbers.middle, False) for line in laps.sector_lines
-    ]
+    return [_gate(line, middle, True) for line in ends] + [_gate(line, middle, False) for line in laps.sector_lines]
 
 
 def _gate(line: Line, middle: Array, is_start: bool) -> Document:
@@ -204,7 +221,7 @@ def _whole_session(numbers: Numbers) -> Document:
     smoothed = numbers.smoothed
     rows = _thin_rows(smoothed.t, 0.5 * MOST_RATE)
     acceleration = level_acceleration(smoothed)[rows]
-    x, y = _places(numbers, smoothed.t[rows])
+    x, y = places(smoothed, numbers.middle, smoothed.t[rows])
     named = {
         "x": x,
         "y": y,
@@ -227,8 +244,8 @@ def _whole_session(numbers: Numbers) -> Document:
     }
 
 
-def _cloud(smoothed: Trajectory) -> Document:
-    """Accelerations of the whole session in g, and the radius that holds nearly all of them."""
+def cloud(smoothed: Trajectory) -> Document:
+    """Return accelerations of the whole session in g, and the radius that holds nearly all of them."""
     moving = np.flatnonzero(smoothed.speed > 2.0)
     rows = moving[:: max(1, -(-len(moving) // CLOUD))]
     g = level_acceleration(smoothed)[rows] / STANDARD_GRAVITY
@@ -253,7 +270,7 @@ def _compared(numbers: Numbers) -> Document:
     start, end = compared_times(numbers)
     t = np.linspace(start, end, max(2, int(0.5 * MOST_RATE * (end - start))))
     north, west = numbers.middle
-    x, y = _places(numbers, t)
+    x, y = places(numbers.smoothed, numbers.middle, t)
     smoothed, baseline, gnss = numbers.smoothed, numbers.baseline, numbers.session.gnss
     out: Document = {"t": packed(t - start), "x": packed(x), "y": packed(y)}
     out["speed"] = packed(np.interp(t, smoothed.t, smoothed.speed))

@@ -11,6 +11,7 @@ from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
+from smoother.report.page_charts import settings
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, counted, lap_clock, local_day, local_time, number, with_sigma
 from smoother.report.summary import distance_driven, merged
@@ -66,14 +67,7 @@ def header(told: Told) -> Element:
     words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
     if config.notes:
         words.append(element("p", config.notes, class_="soft"))
-    theme = _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
-    units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
-    return element("header", element("div", *words), element("div", units, theme, class_="settings"))
-
-
-def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:
-    made = [element("option", text, value=value) for value, text in options]
-    return element("label", f"{label} ", element("select", *made, id=name))
+    return element("header", element("div", *words), settings())
 
 
 def summary(told: Told) -> Element:
@@ -153,8 +147,8 @@ def lap_section(told: Told) -> list[Element]:
         if unix is not None:
             cells.append(local_time(unix + lap.start))
         gap = lap.time - said.best if said is not None and lap.is_valid else np.nan
-        cells += [_time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
-        cells += [_time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
+        cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
+        cells += [time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
         cells += [speed_cell(lap.top_speed), lap_clock(lap.raw_time)]
         if official:
             theirs = official.get(i)
@@ -175,7 +169,8 @@ def _sector(lap: Lap, k: int) -> tuple[float, float]:
     return (float(lap.sector_time[k]), float(lap.sector_sigma[k])) if known else (np.nan, np.nan)
 
 
-def _time_cell(time: float, sigma: float) -> Element:
+def time_cell(time: float, sigma: float) -> Element:
+    """A cell with a time and its sigma, s."""
     if not np.isfinite(time):
         return element("td", DASH)
     return element("td", lap_clock(time), element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else ""))
@@ -194,12 +189,13 @@ def corner_section(told: Told) -> list[Element]:
     return [
         element("h2", "Corners", id="corners"),
         element("p", note, class_="soft"),
-        table(["lap", *(_corner_name(c) for c in laps.corners)], _lost_rows(laps), class_="dense"),
+        table(["lap", *(corner_name(c) for c in laps.corners)], _lost_rows(laps), class_="dense"),
         *_corner_speeds(laps),
     ]
 
 
-def _corner_name(corner: Corner) -> str:
+def corner_name(corner: Corner) -> str:
+    """Return what a corner is called."""
     return f"{corner.number} {'left' if corner.turns_left else 'right'}"
 
 
@@ -209,12 +205,13 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
         if not lap.is_timed:
             continue
         name = str(lap.number) + ("" if lap.is_valid else f" ({', '.join(lap.reasons)})")
-        cells: list[Child] = [name, *(_lost_cell(corner, i) for corner in laps.corners)]
+        cells: list[Child] = [name, *(lost_cell(corner, i) for corner in laps.corners)]
         rows.append(row(*cells, class_="" if lap.is_valid else "out"))
     return rows
 
 
-def _lost_cell(corner: Corner, i: int) -> Element:
+def lost_cell(corner: Corner, i: int) -> Element:
+    """A cell with what lap i lost in a corner, marked where it is real."""
     lost, sigma = float(corner.time_lost[i]), float(corner.time_lost_sigma[i])
     if not np.isfinite(lost):
         return element("td", DASH)
@@ -247,7 +244,7 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         real = f"{int(c.is_real[timed].sum())} of {len(timed)}" if timed else DASH
         braking = with_sigma(float(c.braking_point[shown]), float(c.braking_sigma[shown]), 0)
         speeds = [speed_cell(float(speed[shown])) for speed in (c.entry_speed, c.min_speed, c.exit_speed)]
-        cells: list[Child] = [_corner_name(c), number(c.radius, 0), braking, *speeds]
+        cells: list[Child] = [corner_name(c), number(c.radius, 0), braking, *speeds]
         slide = with_sigma(float(c.slide[shown]) / DEG, float(c.slide_sigma[shown]) / DEG, 1, signed=True)
         rows.append(row(*cells, *([slide] if slides else []), number(usual, 2, True), real))
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan

@@ -105,6 +105,17 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps" in text and "lost against" in text
+    page = Path(text.splitlines()[-1])
+    assert page == lapped / "saturday" / "smoothed" / "comparison.html"
+    assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
+
+
+def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    sessions = [str(lapped / "saturday"), str(lapped / "sunday")]
+    assert run(["compare", *sessions, "--out", str(tmp_path / "page.html")]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "page.html")
+    assert run(["compare", *sessions, "--out", str(tmp_path / "no folder" / "page.html")]) == 2
+    assert "cannot be written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

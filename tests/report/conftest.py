@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
+from smoother.cli.lap_stage import analysed_rows
+from smoother.laps.analysis import LapOptions, analyse, reference_lap_of
+from smoother.laps.results import FixPath, Lap
+from smoother.laps.stored import Stored
 from smoother.prepare import prepare
+from smoother.report.compare_page import Compared
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import (
@@ -55,3 +60,32 @@ def trajectory(simulation: Simulation, session: Session) -> Trajectory:
         timings={"solve": 0.5},
     )
     return Trajectory(**{**vars(truth), "sigmas": sigmas, "report": report})
+
+
+@pytest.fixture(scope="session")
+def compared() -> list[Compared]:
+    """Two drives on one track, from truth: the second's GPS is two metres off, and its name is not a kind one."""
+    stored = [_driven(seed, aside) for seed, aside in ((5, 0.0), (6, 2.0))]
+    names = ["first", "<script>alert(1)</script>"]
+    own = analyse(stored[0].trajectory, stored[0].fixes)
+    lap = reference_lap_of(own, stored[0].trajectory, stored[0].fixes, f"first lap {_best(own.laps)}")
+    options = LapOptions(reference=own.reference, reference_lap=lap)
+    return [Compared(name, s, analyse(s.trajectory, s.fixes, options)) for name, s in zip(names, stored, strict=True)]
+
+
+def _best(laps: tuple[Lap, ...]) -> int:
+    return min((lap for lap in laps if lap.is_valid), key=lambda lap: lap.time).number
+
+
+def _driven(seed: int, aside: float) -> Stored:
+    drive = simulate_preset("kart", seed, track="tinbarn", duration=170.0)
+    t = np.arange(0.5, 169.0, 0.02)
+    truth, n = drive.truth.trajectory(t, drive.scenario.lever_arm_b), len(t)
+    sigmas = Sigmas(
+        np.full((n, 3), 1.5), np.full((n, 3), 0.1), np.full(n, 0.1), np.full((n, 3), 0.01), np.full(n, 0.05)
+    )
+    moved = Trajectory(
+        **{**vars(truth), "sigmas": sigmas, "position_n": truth.position_n + np.array([aside, 0.0, 0.0])}
+    )
+    rows = analysed_rows(moved)
+    return Stored(rows, FixPath(t[::10], moved.position_n[::10, :2]), drive.truth.origin, None, None, {})

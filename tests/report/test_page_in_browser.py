@@ -16,6 +16,7 @@ from smoother.cli.lap_stage import stated
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
 from smoother.config import SessionConfig
 from smoother.prepare import prepare
+from smoother.report.compare_page import Compared, write_comparison
 from smoother.report.page import Report, write_page
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
@@ -68,10 +69,25 @@ def browser() -> Iterator[Any]:
     driver.quit()
 
 
+@pytest.fixture(scope="module")
+def compared_page(tmp_path_factory: pytest.TempPathFactory, compared: list[Compared]) -> Path:
+    path = tmp_path_factory.mktemp("compared") / "comparison.html"
+    write_comparison(path, compared)
+    return path
+
+
 @pytest.fixture(params=["simulated_page", "adria_page"])
 def opened(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
+    yield from watched(browser, request.getfixturevalue(request.param))
+
+
+@pytest.fixture
+def opened_comparison(compared_page: Path, browser: Any) -> Iterator[Any]:
+    yield from watched(browser, compared_page)
+
+
+def watched(browser: Any, path: Path) -> Iterator[Any]:
     """The browser with the page open; afterwards its console must be empty and nothing else been asked for."""
-    path = request.getfixturevalue(request.param)
     browser.get_log("browser"), browser.get_log("performance")
     browser.get(path.as_uri())
     yield browser
@@ -199,3 +215,25 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])
     assert document.startswith(b"%PDF") and len(document) > 30_000
+
+
+def test_a_comparison_is_picked_looked_at_and_printed_like_a_report(opened_comparison: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.select import Select
+
+    page = opened_comparison
+    for chart in ("map", "traces", "circle"):
+        assert drawn(page, chart) > 3, chart
+    assert page.execute_script("return [...document.querySelectorAll('svg path')].every(p => !/NaN/.test(p.outerHTML))")
+    assert len(shown_laps(page)) == 2
+    free = page.find_elements("css selector", "#laps-picked input:not(:checked)")
+    free[0].click()
+    assert len(shown_laps(page)) == 3
+    page.find_element("id", "cursor").send_keys(Keys.ARROW_RIGHT)
+    assert place(page) > 0.0
+    Select(page.find_element("id", "theme")).select_by_value("dark")
+    assert page.execute_script("return getComputedStyle(document.body).backgroundColor") == "rgb(20, 24, 28)"
+    Select(page.find_element("id", "theme")).select_by_value("auto")
+    paper = page.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
+    document = base64.b64decode(paper["data"])
+    assert document.startswith(b"%PDF") and len(document) > 20_000

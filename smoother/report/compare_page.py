@@ -1,0 +1,233 @@
+"""comparison.html: several sessions on one reference line, in the look of report.html and as safe and self-contained.
+
+Which laps: of every session its best few that count. Differences carry their sigma and are called real only beyond two;
+places of different days share no GPS offset, so most differences of the line are within noise, and drawn so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.laps.results import Corner, LapAnalysis, Statistics, Traces
+from smoother.laps.stored import Stored
+from smoother.report.files import replacing
+from smoother.report.page_charts import grip, linked, picker, settings, styled
+from smoother.report.page_data import (
+    Document,
+    cloud,
+    corner_marks,
+    gates,
+    grid_columns,
+    lap_traces,
+    mean_line,
+    packed,
+    palette,
+    stretches,
+)
+from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell
+from smoother.report.page_words import DASH, counted, lap_clock, local_day, number
+
+MOST_LAPS = 6  # drawn of a session
+TITLE = "Comparison on one reference line"
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One session: its name for people, its results, its laps on the common line."""
+
+    name: str
+    stored: Stored
+    analysis: LapAnalysis
+
+    @property
+    def statistics(self) -> Statistics | None:
+        """Figures of the laps that count, None where none does."""
+        said = self.analysis.statistics
+        return said if said is not None and said.best_lap is not None else None
+
+
+def write_comparison(path: Path, compared: Sequence[Compared]) -> None:
+    """Write the page of sessions that were analysed on the reference line of the first."""
+    with replacing(path) as temporary:
+        temporary.write_text(comparison(compared), encoding="utf-8")
+
+
+def comparison(compared: Sequence[Compared]) -> str:
+    """Return the page as text."""
+    drawn = [(one, _drawn(one)) for one in compared]
+    numbers = _numbers([pair for pair in drawn if pair[1]])
+    names = [_lap_name(one, i) for one, laps in drawn for i in laps]
+    about = "; ".join(one.name for one in compared)
+    against = f"Everything is compared with {compared[0].analysis.reference_name}. ± is one sigma."
+    head = element("div", element("h1", TITLE), element("p", about), element("p", against, class_="soft"))
+    charts = [element("h2", "Map and traces", id="driving"), picker(names, stretches(compared[0].analysis))]
+    note = (
+        "The line is measured from that of the first session. The GPS is off by metres in another way on another day, "
+        "and the band says so; what is grey is within that noise."
+    )
+    body = [
+        element("header", head, settings()),
+        element(
+            "main",
+            *_best_laps(compared),
+            *charts,
+            linked(numbers),
+            element("p", note, class_="soft"),
+            *_corners(compared),
+            element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
+            grip("Grey: the whole of the first session; in colour: the laps and the part of the track shown above."),
+        ),
+    ]
+    return styled(f"{TITLE}: {about}", body, numbers)
+
+
+def _drawn(one: Compared) -> list[int]:
+    """Indices of the best laps with traces that count, or where none does that are timed; best first."""
+    traces, laps = one.analysis.traces, one.analysis.laps
+    if traces is None:
+        return []
+    timed = [i for i, lap in enumerate(laps) if lap.is_timed and np.isfinite(traces.speed[i]).sum() > 1]
+    counting = [i for i in timed if laps[i].is_valid]
+    return sorted(counting or timed, key=lambda i: laps[i].time)[:MOST_LAPS]
+
+
+def _lap_name(one: Compared, i: int) -> str:
+    return f"{one.name} lap {one.analysis.laps[i].number}"
+
+
+def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
+    """What the script draws; `drawn` holds the sessions that have laps, the first of all among them."""
+    first = drawn[0][0]
+    assert first.analysis.traces is not None and first.analysis.reference is not None
+    middle = np.asarray(np.median(first.stored.trajectory.position_n[:, :2], axis=0))
+    columns = grid_columns(first.stored.trajectory, first.analysis.traces)
+    parts = []
+    for one, laps in drawn:
+        assert one.analysis.traces is not None
+        part = lap_traces(one.analysis.traces, one.stored.trajectory, middle, laps, columns)
+        is_reference = [_lap_name(one, i) == one.analysis.reference_name for i in laps]
+        part["delta_sigma"] = np.where(np.array(is_reference)[:, None], 0.0, part["delta_sigma"])
+        parts.append(part)
+    shape = {name: [len(part["x"]) for part in parts] for name in {name for part in parts for name in part}}
+    named = {name: np.concatenate([_or_nothing(part, name, part["x"]) for part in parts]) for name in shape}
+    starts = np.cumsum([0, *(len(laps) for _, laps in drawn[:-1])]).tolist()
+    best = min(range(len(drawn)), key=lambda k: drawn[k][0].analysis.laps[drawn[k][1][0]].time)
+    return {
+        "axis": "distance",
+        "grid": packed(first.analysis.traces.distance[columns]),
+        "points": len(columns) - 1,
+        "traces": {name: packed(values) for name, values in named.items()},
+        "laps": [{"name": _lap_name(one, i)} for one, laps in drawn for i in laps],
+        "best": starts[best],
+        "first": [starts[best], *(start for start in starts if start != starts[best])],
+        "against_name": first.analysis.reference_name,
+        "corners": corner_marks(first.analysis, middle),
+        "stretches": [list(part) for _, part in stretches(first.analysis)],
+        "mean_line": mean_line(first.analysis.reference, middle),
+        "palette": palette(),
+        "gates": gates(first.analysis, middle),
+        "cloud": cloud(first.stored.trajectory),
+        "compared": None,
+        "quality": None,
+    }
+
+
+def _or_nothing(part: dict[str, Array], name: str, like: Array) -> Array:
+    return part[name] if name in part else np.full(like.shape, np.nan)
+
+
+def _best_laps(compared: Sequence[Compared]) -> list[Element]:
+    """The best lap of each session, what it lost, and how even the laps were."""
+    sectors = max(one.analysis.sectors for one in compared)
+    top = element("span", "top ", element("span", "km/h", class_="speed-unit"))
+    heads: list[Child] = ["session", "started", "laps", "best ± (s)", "lost (s)"]
+    heads += [*(f"S{i + 1} ±" for i in range(sectors)), "theoretical", "spread (s)", top]
+    least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
+    rows = [_best_row(one, sectors, least) for one in compared]
+    note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma."
+    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), table(heads, rows)]
+
+
+def _best_row(one: Compared, sectors: int, least: float) -> Element:
+    said, unix = one.statistics, one.stored.unix_at_zero
+    started = DASH if unix is None else local_day(unix + float(one.stored.trajectory.t[0]))
+    if said is None or said.best_lap is None:
+        return row(one.name, started, "0", *[DASH] * (sectors + 5), class_="out")
+    lap = one.analysis.laps[said.best_lap]
+    times: list[Child] = [time_cell(float(t), float(s)) for t, s in zip(lap.sector_time, lap.sector_sigma, strict=True)]
+    times += [DASH] * (sectors - len(times))
+    known: list[Child] = [lap_clock(said.theoretical), number(said.spread, 3), speed_cell(lap.top_speed)]
+    first: list[Child] = [
+        one.name,
+        started,
+        str(said.counted),
+        time_cell(said.best, said.best_sigma),
+        _lost(one, said.best_lap),
+    ]
+    return row(*first, *times, *known, class_="best" if said.best == least else "")
+
+
+def _lost(one: Compared, lap: int) -> Element:
+    """A cell with what a whole lap lost to the lap that all are compared with."""
+    traces: Traces | None = one.analysis.traces
+    if traces is None or _lap_name(one, lap) == one.analysis.reference_name:
+        return element("td", number(0.0, 3, signed=True))
+    lost, sigma = float(traces.delta[lap, -1]), float(traces.delta_sigma[lap, -1])
+    if not np.isfinite(lost):
+        return element("td", DASH)
+    is_real = np.isfinite(sigma) and abs(lost) > 2.0 * sigma
+    small = element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else "")
+    kind = ("slower" if lost > 0.0 else "faster") if is_real else "noise"
+    return element("td", f"{number(lost, 3, signed=True)}{'*' if is_real else ''}", small, class_=kind)
+
+
+def _corners(compared: Sequence[Compared]) -> list[Element]:
+    """Time lost and slowest speed of the best laps in every corner, and how often a loss was real."""
+    corners = compared[0].analysis.corners
+    with_laps = [one for one in compared if one.statistics is not None and len(one.analysis.corners) == len(corners)]
+    if not corners or not with_laps:
+        return []
+    note = (
+        f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
+        "corner. Bold with a star: real, more than two sigma. The rest is within noise: do not chase it."
+    )
+    heads = ["", *(corner_name(corner) for corner in corners)]
+    lost, usual, slowest = [], [], []
+    for one in with_laps:
+        said, mine = one.statistics, one.analysis.corners
+        assert said is not None and said.best_lap is not None
+        best = said.best_lap
+        lost.append(row(_lap_name(one, best), *(_lost_in(one, corner, best) for corner in mine)))
+        counting = [i for i, lap in enumerate(one.analysis.laps) if lap.is_valid]
+        usual.append(row(f"{one.name}, {counted(len(counting), 'lap')}", *(_usual(c, counting) for c in mine)))
+        slowest.append(row(_lap_name(one, best), *(speed_cell(float(corner.min_speed[best])) for corner in mine)))
+    unit = element("span", "km/h", class_="speed-unit")
+    return [
+        element("h2", "Corners", id="corners"),
+        element("p", note, class_="soft"),
+        table(heads, lost, "Best laps: time lost (s)", class_="dense"),
+        table(heads, usual, "All laps that count: median of the time lost (s), and in how many it is real", "dense"),
+        element("h3", "Slowest in the corner, ", unit),
+        table(heads, slowest, class_="dense"),
+    ]
+
+
+def _lost_in(one: Compared, corner: Corner, lap: int) -> Element:
+    if _lap_name(one, lap) == one.analysis.reference_name:  # the lap that all are compared with
+        return element("td", number(0.0, 2, signed=True), class_="noise")
+    return lost_cell(corner, lap)
+
+
+def _usual(corner: Corner, laps: list[int]) -> Element:
+    lost = corner.time_lost[laps]
+    known = lost[np.isfinite(lost)]
+    if not known.size:
+        return element("td", DASH)
+    real = int(np.count_nonzero(corner.is_real[laps]))
+    kind = "noise" if 2 * real < len(laps) else "slower" if np.median(known) > 0.0 else "faster"
+    return element("td", number(float(np.median(known)), 2, signed=True), element("small", f" {real}"), class_=kind)

@@ -1,0 +1,96 @@
+"""comparison.html as text: laps of all sessions on one line, what is real and what is not; names are text."""
+
+import json
+import re
+from base64 import b64decode
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother.report.compare_page import MOST_LAPS, Compared, comparison
+from smoother.trajectory import Trajectory
+
+
+def numbers(text: str) -> dict[str, object]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found is not None
+    document = json.loads(found.group(1))
+    assert isinstance(document, dict)
+    return document
+
+
+def trace(document: dict[str, object], name: str) -> np.ndarray:
+    traces, laps = document["traces"], document["laps"]
+    assert isinstance(traces, dict) and isinstance(laps, list)
+    return np.frombuffer(b64decode(traces[name]), dtype="<f4").reshape(len(laps), -1)
+
+
+def test_the_laps_of_all_sessions_are_drawn_the_best_of_each_first(compared: list[Compared]) -> None:
+    document = numbers(comparison(compared))
+    laps = document["laps"]
+    assert isinstance(laps, list)
+    counts = [min(MOST_LAPS, sum(lap.is_valid for lap in one.analysis.laps)) for one in compared]
+    assert len(laps) == sum(counts)
+    assert document["first"] == [0, counts[0]] or document["first"] == [counts[0], 0]
+    speed = trace(document, "speed")
+    assert np.isfinite(speed).mean() > 0.95
+    y = trace(document, "y")
+    assert np.nanmean(y[counts[0] :]) - np.nanmean(y[: counts[0]]) == pytest.approx(2.0, abs=1.2)  # drives of their own
+
+
+def test_the_lap_that_all_are_compared_with_loses_nothing_and_is_sure_of_it(compared: list[Compared]) -> None:
+    document = numbers(comparison(compared))
+    laps = document["laps"]
+    assert isinstance(laps, list)
+    reference = [lap["name"] for lap in laps].index(document["against_name"])
+    assert np.nanmax(np.abs(trace(document, "delta")[reference])) < 2e-3
+    assert np.nanmax(trace(document, "delta_sigma")[reference]) == 0.0
+    others = np.delete(trace(document, "delta_sigma"), reference, axis=0)
+    assert np.nanmin(np.nanmax(others, axis=1)) > 0.0
+
+
+def test_a_name_is_text_wherever_it_stands(compared: list[Compared]) -> None:
+    text = comparison(compared)
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    assert not re.findall(r"(?:href|src)=[\"'](?!#)", text)
+
+
+def test_a_loss_is_called_real_only_beyond_two_sigma(compared: list[Compared]) -> None:
+    text = comparison(compared)
+    starred = len(re.findall(r"<td class=\"(?:slower|faster)\">[+-][0-9.]+\*", text))
+    real = 0
+    for one in compared:
+        said = one.statistics
+        assert said is not None and said.best_lap is not None
+        real += sum(bool(corner.is_real[said.best_lap]) for corner in one.analysis.corners)
+        traces = one.analysis.traces
+        assert traces is not None
+        delta, sigma = traces.delta[said.best_lap, -1], traces.delta_sigma[said.best_lap, -1]
+        real += bool(abs(delta) > 2.0 * sigma)
+    assert starred == real
+
+
+def test_a_session_without_a_whole_lap_stands_in_the_table_and_is_not_drawn(compared: list[Compared]) -> None:
+    first, other = compared
+    assert other.analysis.traces is not None
+    nothing = replace(other, analysis=replace(other.analysis, traces=None, statistics=None, laps=(), corners=()))
+    text = comparison([first, nothing])
+    laps = numbers(text)["laps"]
+    assert isinstance(laps, list)
+    assert all(lap["name"].startswith("first") for lap in laps)
+    assert "alert(1)" in text
+
+
+def test_without_attitude_there_is_no_sideslip_to_draw(compared: list[Compared]) -> None:
+    def blind(one: Compared) -> Compared:
+        traces = one.analysis.traces
+        assert traces is not None and isinstance(one.stored.trajectory, Trajectory)
+        unknown = np.full(traces.sideslip.shape, np.nan)
+        return replace(one, analysis=replace(one.analysis, traces=replace(traces, sideslip=unknown)))
+
+    traces = numbers(comparison([blind(one) for one in compared]))["traces"]
+    assert isinstance(traces, dict) and "sideslip" not in traces
+    half = numbers(comparison([compared[0], blind(compared[1])]))
+    assert np.isfinite(trace(half, "sideslip")).any() and np.isnan(trace(half, "sideslip")).any()
