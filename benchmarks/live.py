@@ -166,12 +166,12 @@ def real_time(options: argparse.Namespace) -> None:
 
 def _show(port: str, options: argparse.Namespace) -> None:
     drawn: list[Drawn] = []
-    memory: list[tuple[float, float]] = []
+    memory: list[tuple[float, float, float]] = []
     began, cpu = time.monotonic(), time.process_time()
 
     def watch(newest: Drawn) -> None:
         drawn.append(newest)
-        memory.append((time.monotonic() - began, _resident()))
+        memory.append((time.monotonic() - began, _resident(os.getpid()), _resident(navigating.process_id)))
 
     stop = time.monotonic() + options.duration / options.speed - 0.5
     view = _view(options.terminal, port)
@@ -182,7 +182,7 @@ def _show(port: str, options: argparse.Namespace) -> None:
     print("ended in stage:", last.stage, "at", round(last.t, 1), "s; lost:", last.losses, link.dropped_bytes, "bytes")
 
 
-def _print(drawn: list[Drawn], memory: list[tuple[float, float]], seconds: float, cpu: float) -> None:
+def _print(drawn: list[Drawn], memory: list[tuple[float, float, float]], seconds: float, cpu: float) -> None:
     cost = np.array([d.cost for d in drawn]) * 1e3
     print(f"{len(drawn) / seconds:.1f} frames a second; drawing {np.median(cost):.1f} ms, worst {cost.max():.0f} ms")
     smoothed = [d.smoother_delay for d in drawn if np.isfinite(d.smoother_delay)]
@@ -191,8 +191,11 @@ def _print(drawn: list[Drawn], memory: list[tuple[float, float]], seconds: float
             ms = np.array(values) * 1e3
             print(f"{name} median {np.median(ms):.0f} ms, 99 % {np.percentile(ms, 99):.0f}, worst {ms.max():.0f} ms")
     print(f"{cpu / seconds:.0%} of a core, {_of_children() / seconds:.0%} in the processes beside")
-    half = [mb for t, mb in memory if t > 0.5 * seconds]
-    print(f"memory {memory[0][1]:.0f} MB at the start, {half[0]:.0f} half way, {half[-1]:.0f} MB at the end")
+    late = [row for row in memory if row[0] > 0.5 * seconds]
+    for i, name in ((1, "here"), (2, "in the smoother's process")):
+        print(
+            f"memory {name} {memory[0][i]:.0f} MB at the start, {late[0][i]:.0f} half way, {late[-1][i]:.0f} at the end"
+        )
     print(f"largest {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
@@ -202,9 +205,9 @@ def _of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _resident() -> float:
-    """Memory of this process now, MB."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+def _resident(process: int) -> float:
+    """Memory of a process now, MB."""
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
 
 
 def _view(is_terminal: bool, name: str):  # type: ignore[no-untyped-def]

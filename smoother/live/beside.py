@@ -45,6 +45,11 @@ class Beside:
         self._child = None
 
     @property
+    def process_id(self) -> int:
+        """Number of the process, for measurements; 0 while there is none."""
+        return 0 if self._child is None else self._child.process_id
+
+    @property
     def is_behind(self) -> bool:
         """Whether so much waits that a source that can wait should."""
         return self._seconds_waiting() > BEHIND

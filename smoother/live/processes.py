@@ -33,6 +33,11 @@ class Child:
         theirs.close()
 
     @property
+    def process_id(self) -> int:
+        """Number of the process, for measurements."""
+        return self._process.pid or 0
+
+    @property
     def how_it_ended(self) -> str:
         """In words, once it has ended."""
         self._process.join(ENDS_WITHIN)

@@ -64,11 +64,6 @@ def test_a_process_that_dies_is_said_and_the_next_job_finds_another(worker: Back
     assert answer_of(worker.ask(operator.add, 1, 2)) == 3
 
 
-def process_of(navigating: Beside) -> int:
-    assert navigating._child is not None and navigating._child._process.pid is not None
-    return navigating._child._process.pid
-
-
 class Broken:
     """Samples whose times cannot be read, but where they were made."""
 
@@ -92,14 +87,14 @@ def test_an_exception_in_the_navigator_is_shown_and_the_stream_goes_on(navigatin
 
 def test_a_navigator_that_hangs_is_not_waited_for_and_what_it_misses_is_counted(navigating: Beside) -> None:
     wait_for(lambda: navigating.give([second(0.0)], 4.5).arrival == 4.5)
-    os.kill(process_of(navigating), signal.SIGSTOP)
+    os.kill(navigating.process_id, signal.SIGSTOP)
     began = time.monotonic()
     for t in range(1, 201):
         newest = navigating.give([second(float(t))], 5.0)
     assert time.monotonic() - began < 5.0
     assert navigating.is_behind
     assert newest.left_out == pytest.approx(200.0 - beside.MOST_WAITING, abs=3.0)
-    os.kill(process_of(navigating), signal.SIGCONT)
+    os.kill(navigating.process_id, signal.SIGCONT)
     wait_for(lambda: not navigating.give([], 5.0).is_busy)
     assert not navigating.is_behind
 
@@ -109,7 +104,7 @@ def test_a_navigator_that_is_killed_is_said_and_begins_again(
 ) -> None:
     monkeypatch.setattr(beside, "START_AGAIN", 0.2)
     wait_for(lambda: navigating.give([second(0.0)], 9.5).arrival == 9.5)
-    os.kill(process_of(navigating), signal.SIGKILL)
+    os.kill(navigating.process_id, signal.SIGKILL)
     wait_for(lambda: "killed by signal 9" in navigating.give([second(1.0)], 10.5).stage)
     wait_for(lambda: navigating.give([second(2.0)], 11.5).arrival == 11.5)
 
