@@ -27,7 +27,7 @@ def catalogue() -> ModuleType:
 @pytest.mark.parametrize(
     "name",
     [
-        *("no standstill", "wrong start heading", "GPS outage of 60 s", "wrong hemisphere once", "IMU clock 2 % fast"),
+        *("no standstill", "wrong start heading", "GPS outage of 60 s", "wrong hemisphere once"),
     ],
 )
 def test_what_can_be_mended_is_right(name: str, catalogue: ModuleType) -> None:
@@ -35,10 +35,18 @@ def test_what_can_be_mended_is_right(name: str, catalogue: ModuleType) -> None:
     assert outcome.verdict == "right", outcome
 
 
+def test_a_clock_that_is_off_costs_no_honesty(catalogue: ModuleType) -> None:
+    outcome = catalogue.run_by_name("IMU clock 2 % slow", seed=1)
+    assert outcome.verdict == "right", outcome
+    assert float(outcome.worst.split()[-1]) > 0.83  # of errors within two sigma; the plain session has 0.86
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("box slips by 10 deg", "did the box move"),
+        ("box slips by 4 deg", "did the box move"),
+        ("box turns by 6 deg", "did the box move"),
+        ("box loose for 20 s", "was the box loose"),
         ("box turned over", "did the box move"),
         ("parked", "hardly drove"),
         ("30 m off for a minute", "leaves the fixes"),
