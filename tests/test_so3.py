@@ -9,7 +9,7 @@ from smoother import so3
 
 
 def random_rotations(n: int, seed: int = 0) -> np.ndarray:
-    return Rotation.random(n, rng=np.random.default_rng(seed)).as_matrix()
+    return Rotation.random(n, np.random.default_rng(seed)).as_matrix()  # a keyword only since SciPy 1.15
 
 
 def test_skew_is_the_cross_product() -> None:
