@@ -9,6 +9,7 @@ import click
 
 from smoother.cli.output import duration as as_duration
 from smoother.cli.output import progress_on_terminal, say, say_pairs
+from smoother.documents import staged
 from smoother.errors import UsageError
 
 if TYPE_CHECKING:
@@ -85,11 +86,12 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
     if present and not (directory / MARK).exists():
         raise UsageError(f"{directory}: holds a recording ({present[0]}) that would be lost; name another folder")
     try:
-        for name in present:  # of another format or with more sensors: they would be read with the new ones
-            (directory / name).unlink()
-        {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, directory)
-        if told:
-            write_settings(simulation, directory / "session.toml")
+        directory.mkdir(parents=True, exist_ok=True)
+        # what is there of another format or with more sensors would be read with the new files: it goes
+        with staged(directory, MARK, SIMULATED_FILES) as staging:
+            {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, staging)
+            if told:
+                write_settings(simulation, staging / "session.toml")
     except OSError as error:
         raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
 

@@ -1,0 +1,38 @@
+"""`smooth simulate`: the files of a session appear together, or the earlier ones stay."""
+
+from pathlib import Path
+
+import pytest
+
+from smoother.cli.simulating import write
+from smoother.errors import UsageError
+from smoother.sim import record
+from smoother.sim.simulation import Simulation, simulate_preset
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate_preset("white", 1, duration=10.0)
+
+
+def test_a_simulation_that_fails_leaves_the_one_before(
+    simulation: Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(simulation, tmp_path, "csv")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(record, "write_truth", full)
+    with pytest.raises(UsageError, match="No space left"):
+        write(simulation, tmp_path, "csv")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_files_of_another_format_go(simulation: Simulation, tmp_path: Path) -> None:
+    write(simulation, tmp_path / "new", "csv", told=True)
+    write(simulation, tmp_path / "new", "thesis")
+    names = {path.name for path in (tmp_path / "new").iterdir()}
+    assert "out.txt" in names
+    assert not names & {"imu.csv", "gps.csv", "session.toml"}
