@@ -98,7 +98,8 @@ class Navigator:
     @property
     def is_busy(self) -> bool:
         """Whether something is still being worked out of what has come."""
-        return self._identification is not None or self._next is not None or self._line is not None
+        waits = self._identification is not None or self._next is not None or self._line is not None
+        return waits or self._should_identify()
 
     def take(self, items: Sequence[Item], arrival: float) -> int:
         """Take in samples and fixes (a row each); return how many were fixes. arrival s of the newest bytes."""
@@ -179,12 +180,16 @@ class Navigator:
         if self._identification is not None and self._identification.done():
             found, self._identification = self._identification.result(), None
             self._begin_again(found)
-        is_due = self._driven >= self._identify_at and self._imu
-        if self._identification is None and self._next is None and is_due and self._origin is not None:
+        if self._should_identify() and self._origin is not None:
             window = Window(_all_imu(self._imu), _all_fixes(self._fixes), self._origin)
             later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
             self._identify_at = later[0] if later else float("inf")
             self._identification, self._identified_from = self._worker.identify(window), float(window.imu.t[0])
+
+    def _should_identify(self) -> bool:
+        """Whether enough was driven since the last time, and that is done with."""
+        is_free = self._identification is None and self._next is None
+        return is_free and self._driven >= self._identify_at and bool(self._imu) and self._origin is not None
 
     def _begin_again(self, start: LagStart | str) -> None:
         """Start a smoother at the head of the window with what was identified; the old one goes on meanwhile."""
