@@ -15,8 +15,9 @@ from xml.etree.ElementTree import Element
 
 from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
+from smoother.laps.clock import local_day
 from smoother.report.page_html import Child, element, row, table, whole_page
-from smoother.report.page_words import DASH, counted, lap_clock, local_day, number
+from smoother.report.page_words import DASH, counted, lap_clock, number
 from smoother.units import KMH
 
 STATES = {

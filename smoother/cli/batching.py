@@ -21,9 +21,9 @@ from smoother.cli.arguments import (
     require_sessions,
     solver_option,
 )
-from smoother.cli.lap_tables import lap_clock
 from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, say_pairs, say_table, warn
 from smoother.errors import UsageError
+from smoother.laps.clock import lap_clock
 
 if TYPE_CHECKING:
     from smoother.batch.entries import Entry

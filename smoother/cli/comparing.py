@@ -9,11 +9,12 @@ import click
 
 from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
-from smoother.cli.lap_tables import SPEED_UNITS, lap_clock, local_time, say_columns
+from smoother.cli.lap_tables import SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
 from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
 from smoother.cli.results import results_of
 from smoother.errors import UsageError
+from smoother.laps.clock import lap_clock, local_time
 
 if TYPE_CHECKING:
     from smoother.laps.results import LapAnalysis, ReferenceLap

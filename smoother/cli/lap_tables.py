@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 from collections.abc import Mapping
 from typing import Any
 
 from smoother.cli.output import number, say, say_pairs
+from smoother.laps.clock import lap_clock, local_time
 from smoother.units import KMH, MPH
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
@@ -17,19 +17,6 @@ SIGMA_SOURCES = {
     "model": "± assumes a usual wander of the GPS, as this session cannot show its own",
     "none": "",
 }
-
-
-def lap_clock(seconds: float | None, digits: int = 3) -> str:
-    """Return 1:02.345, or 58.648 below a minute, a dash where unknown."""
-    if seconds is None or not math.isfinite(seconds):
-        return "-"
-    minutes, rest = divmod(round(seconds, digits), 60.0)
-    return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
-
-
-def local_time(unix: float) -> str:
-    """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
-    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone().strftime("%H:%M:%S")
 
 
 def show_laps(

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.laps.clock import local_day
 from smoother.laps.results import Corner, LapAnalysis, Statistics, Traces
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
@@ -30,7 +31,7 @@ from smoother.report.page_data import (
 )
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell
-from smoother.report.page_words import DASH, counted, lap_clock, local_day, number
+from smoother.report.page_words import DASH, counted, lap_clock, number
 
 MOST_LAPS = 6  # drawn of a session
 TITLE = "Comparison on one reference line"

@@ -10,10 +10,11 @@ from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
+from smoother.laps.clock import local_day, local_time
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.report.page_charts import settings
 from smoother.report.page_html import Child, element, row, table
-from smoother.report.page_words import DASH, counted, lap_clock, local_day, local_time, number, with_sigma
+from smoother.report.page_words import DASH, counted, lap_clock, number, with_sigma
 from smoother.report.summary import distance_driven, merged
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory

@@ -1,17 +1,15 @@
 """Numbers and times as the report says them; a dash where something is unknown."""
 
-import datetime as dt
 import math
+
+from smoother.laps import clock
 
 DASH = "–"
 
 
 def lap_clock(seconds: float, digits: int = 3) -> str:
     """Return 1:02.345, or 58.648 below a minute."""
-    if not math.isfinite(seconds):
-        return DASH
-    minutes, rest = divmod(round(seconds, digits), 60.0)
-    return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
+    return clock.lap_clock(seconds, digits, DASH)
 
 
 def number(value: float, digits: int = 2, signed: bool = False) -> str:
@@ -30,13 +28,3 @@ def with_sigma(value: float, sigma: float, digits: int, signed: bool = False) ->
 def counted(count: int, word: str) -> str:
     """Return 1 lap, 2 laps."""
     return f"{count} {word}" + ("" if count == 1 else "s")
-
-
-def local_time(unix: float) -> str:
-    """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
-    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone().strftime("%H:%M:%S")
-
-
-def local_day(unix: float) -> str:
-    """Return the day and time of day as this machine would have shown them, 2024-05-01 14:03."""
-    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone().strftime("%Y-%m-%d %H:%M")

@@ -6,8 +6,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from smoother.cli.lap_tables import lap_clock
 from smoother.cli.main import run
+from smoother.laps.clock import lap_clock
 from smoother.sim.track import TRACKS
 
 Captured = pytest.CaptureFixture[str]

@@ -1,0 +1,26 @@
+"""Lap times and times of day as people read them, wherever they are shown."""
+
+import datetime as dt
+import math
+
+
+def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str:
+    """Return 1:02.345, or 58.648 below a minute; `unknown` where there is no time."""
+    if seconds is None or not math.isfinite(seconds):
+        return unknown
+    minutes, rest = divmod(round(seconds, digits), 60.0)
+    return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
+
+
+def local_time(unix: float) -> str:
+    """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
+    return _local(unix).strftime("%H:%M:%S")
+
+
+def local_day(unix: float) -> str:
+    """Return the day and time of day as this machine would have shown them, 2024-05-01 14:03."""
+    return _local(unix).strftime("%Y-%m-%d %H:%M")
+
+
+def _local(unix: float) -> dt.datetime:
+    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone()
