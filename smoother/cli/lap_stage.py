@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from smoother.errors import UsageError
+from smoother.errors import SmootherError, UsageError
 
 if TYPE_CHECKING:
     from smoother.arrays import Array
     from smoother.config import SessionConfig
     from smoother.frames import Origin
     from smoother.laps.analysis import LapOptions
+    from smoother.laps.own_lines import OwnLine
     from smoother.laps.results import FixPath, LapAnalysis
     from smoother.laps.sigma import Drift
     from smoother.laps.tracks import TrackFile
@@ -33,18 +34,47 @@ def steps(rate: float) -> int:
 class Stated:
     """What a session says about its laps: the tracks it may be on, official times. Checked before anything is done."""
 
-    def __init__(self, tracks: tuple[TrackFile, ...] = (), official: tuple[float, ...] = ()) -> None:
-        self.tracks, self.official = tracks, official
+    def __init__(
+        self,
+        tracks: tuple[TrackFile, ...] = (),
+        official: tuple[float, ...] = (),
+        own: tuple[OwnLine, ...] = (),
+    ) -> None:
+        self.tracks, self.official, self.own = tracks, official, own
 
 
-def stated(config: SessionConfig, directory: Path) -> Stated:
-    """Return what session.toml and official.csv say. Raises SmootherError when a file that is meant is unusable."""
+def stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
+    """Return what session.toml and official.csv say, and without a track the recording itself.
+
+    Raises SmootherError when a file that is meant is unusable.
+    """
     from smoother.laps.official import load_official
     from smoother.laps.tracks import named_tracks
 
     tracks = () if config.track is None else named_tracks(config.track, directory)
     official = directory / OFFICIAL
-    return Stated(tracks, load_official(official) if official.is_file() else ())
+    return Stated(
+        tracks,
+        load_official(official) if official.is_file() else (),
+        () if tracks or recording is None else _own(recording),
+    )
+
+
+def _own(recording: Path) -> tuple[OwnLine, ...]:
+    """The lines that the recording, a file or a folder, brings along: those of a VBO."""
+    from smoother.laps.own_lines import OwnLine
+    from smoother.session.files import list_files
+
+    try:
+        files = list_files(recording).foreign_files()
+    except SmootherError:  # results alone, or a folder of several recordings
+        return ()
+    if not files or files[0][0] != "vbo":
+        return ()
+    from smoother.session.vbo import own_lines
+
+    orders = own_lines(files[0][1])
+    return tuple(OwnLine(o[0].kind, tuple((line.first_deg, line.second_deg) for line in o)) for o in orders)
 
 
 def tracks_from(text: str) -> tuple[TrackFile, ...]:
@@ -99,10 +129,16 @@ def options_on(smoothed: Trajectory, origin: Origin, say: Stated, drift: Drift |
     """Return the options that follow from what was stated; of several layouts the one that was driven."""
     from smoother.laps.analysis import LapOptions
     from smoother.laps.circuit import find_circuit
+    from smoother.laps.own_lines import trusted_lines
     from smoother.laps.path import plan_path
     from smoother.laps.tracks import layout_on
     from smoother.samples import Problem
 
+    if not say.tracks and say.own:
+        lines = trusted_lines(say.own, origin, plan_path(analysed_rows(smoothed)))
+        said = (lines,) if isinstance(lines, Problem) else ()
+        given = None if isinstance(lines, Problem) else lines
+        return LapOptions(lines=given, official=say.official, drift=drift, problems=said)
     curve = None
     if len(say.tracks) > 1:
         circuit = find_circuit(plan_path(analysed_rows(smoothed)), None, None, LapOptions().shortest)

@@ -83,7 +83,7 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     pairs = []
     if line is not None:
         named = f"of {analysis['track']}" if analysis["track"] else "given"
-        where = "found where timing is surest" if line["source"] == "found" else named
+        where = {"found": "found where timing is surest", "file": "as the recording has it"}.get(line["source"], named)
         pairs.append(("line", f"{where}, lap {analysis['length_m']:.0f} m"))
     if said is not None and said["counted"]:
         pairs += [

@@ -106,10 +106,11 @@ def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> S
 
     directory = session_directory(path)
     settings = directory / "session.toml"
-    beside = stated(load_settings(settings) if settings.is_file() else SessionConfig(), directory)
+    beside = stated(load_settings(settings) if settings.is_file() else SessionConfig(), directory, path)
     return Stated(
         beside.tracks if tracks is None else tracks,
         beside.official if official is None else load_official(official),
+        beside.own if tracks is None else (),
     )
 
 

@@ -155,7 +155,7 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
         raw = read(path)
     with watch.stage("preparing"):
         session = calibrated(raw, session_directory(path))
-        said = stated(session.config, session_directory(path))
+        said = stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
     try:

@@ -38,7 +38,8 @@ class LapOptions:
 
     lines: start/finish and sectors, None: found. reference, reference_lap: of another session, for comparisons.
     official (K,) s: transponder times in driving order. shortest m: a loop below is no lap (indoor tracks have 200).
-    drift: how the position error changes with time, of results read from files.
+    drift: how the position error changes with time, of results read from files. problems: what people should know of
+    what was stated.
     """
 
     lines: GivenLines | None = None
@@ -47,6 +48,7 @@ class LapOptions:
     official: tuple[float, ...] = ()
     shortest: float = 100.0
     drift: Drift | None = None
+    problems: tuple[Problem, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,11 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
     `trajectory` at 10 Hz or more; `fixes` are the raw ones, for gaps and for times without smoothing.
     """
     options = options or LapOptions()
+    found = _analyse(trajectory, fixes, options)
+    return replace(found, problems=(*options.problems, *found.problems))
+
+
+def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:
     if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
     errors, source = _errors(trajectory, fixes, options.drift)

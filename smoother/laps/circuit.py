@@ -10,7 +10,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.laps.follow import Followed, follow, refollow
-from smoother.laps.line import BESIDE, best_place, line_across, meeting_places, oriented
+from smoother.laps.line import BESIDE, best_place, both_ways, line_across, meeting_places, oriented
 from smoother.laps.loop import find_loop
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve, first_line, mean_line, open_line, shifted
@@ -83,9 +83,9 @@ def _first_curve(path: PlanPath, lines: GivenLines | None, shortest: float, blin
 def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) -> tuple[float, float] | None:
     """The quickest passage (start, end) s from one gate to another, in whichever direction the first is passed more."""
     best: tuple[float, float] | None = None
-    for forward in _both_ways(start):
+    for forward in both_ways(start):
         t0 = gate_crossings(path, oriented("", start, forward, ""), BESIDE)
-        ways = [forward] if end is start else _both_ways(end)
+        ways = [forward] if end is start else both_ways(end)
         t1 = np.sort(np.concatenate([gate_crossings(path, oriented("", end, way, ""), BESIDE) for way in ways]))
         for t in t0:
             driven = np.interp(t1, path.t, path.driven) - np.interp(t, path.t, path.driven)
@@ -93,12 +93,6 @@ def _between_gates(path: PlanPath, start: Array, end: Array, shortest: float) ->
             if later.size and (best is None or later[0] - t < best[1] - best[0]):
                 best = (float(t), float(later[0]))
     return best
-
-
-def _both_ways(ends: Array) -> list[Array]:
-    span = ends[1] - ends[0]
-    normal = np.array([-span[1], span[0]]) / np.linalg.norm(span)
-    return [normal, -normal]
 
 
 def _mean(path: PlanPath, curve: Curve, blind: BoolArray) -> tuple[Curve, Followed]:

@@ -50,6 +50,13 @@ def oriented(name: str, ends: Array, forward: Array, source: str, distance: floa
     return Line(name, left, right, source, distance)
 
 
+def both_ways(ends: Array) -> list[Array]:
+    """Return the two unit vectors (2,) across a line with ends (2, 2), either of which may be the way of travel."""
+    span = ends[1] - ends[0]
+    normal = np.array([-span[1], span[0]]) / np.linalg.norm(span)
+    return [normal, -normal]
+
+
 def line_across(curve: Curve, distance: float, name: str, spread: float = 0.0) -> Line:
     """Return a line perpendicular to the track at `distance`, wide enough for laps that spread over `spread` m."""
     at = np.array([distance])

@@ -158,7 +158,10 @@ def lap_section(told: Told) -> list[Element]:
         best = said is not None and said.best_lap == i
         rows.append(row(*cells, class_="best" if best else "" if lap.is_valid else "out"))
     source = laps.start_line.source if laps.start_line is not None else ""
-    line = "The start/finish line was found where timing is surest. " if source == "found" else ""
+    line = {
+        "found": "The start/finish line was found where timing is surest. ",
+        "file": "The start/finish line is the one in the recording. ",
+    }.get(source, "")
     length = f"A lap is {laps.reference.length:.0f} m long. " if laps.reference is not None else ""
     note = f"{line}{length}± is one sigma. {SIGMA_SOURCES[laps.sigma_source]} Raw GPS: straight lines between fixes."
     made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]

@@ -205,6 +205,13 @@ def _imu(
     return imu_from(file, t, accel, gyro)
 
 
+def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:
+    """Return the lines of [laptiming] without reading the data: each with longitude first, and with latitude first."""
+    lines, _ = head_of(path, lambda line: line.strip().lower() == "[data]", WHAT)
+    found = [match for text in _sections(lines[:-1]).get("laptiming", []) if (match := LINE.match(text))]
+    return tuple((_line_of(match, True), _line_of(match, False)) for match in found)
+
+
 def _timing_lines(head: _Head, gnss: GnssFixes) -> tuple[TimingLine, ...]:
     """The lines of [laptiming], each in the order of coordinates that puts it nearest to the fixes."""
     lines = [match for text in head.sections.get("laptiming", []) if (match := LINE.match(text))]
@@ -214,10 +221,13 @@ def _timing_lines(head: _Head, gnss: GnssFixes) -> tuple[TimingLine, ...]:
 
 
 def _timing_line(match: re.Match[str], gnss: GnssFixes) -> TimingLine:
+    orders = (_line_of(match, True), _line_of(match, False))
+    return min(orders, key=lambda line: _distance_deg((line.first_deg, line.second_deg), gnss))
+
+
+def _line_of(match: re.Match[str], is_longitude_first: bool) -> TimingLine:
     a, b, c, d = (float(match[i]) * MINUTES for i in range(2, 6))
-    longitude_first = ((b, -a), (d, -c))
-    latitude_first = ((a, -b), (c, -d))
-    first, second = min((longitude_first, latitude_first), key=lambda ends: _distance_deg(ends, gnss))
+    first, second = ((b, -a), (d, -c)) if is_longitude_first else ((a, -b), (c, -d))
     return TimingLine(match[1].lower(), match[6].strip(" \t¬Â\ufffd"), first, second)
 
 
