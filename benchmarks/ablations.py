@@ -36,6 +36,7 @@ from smoother.arrays import Array
 from smoother.config import ImuNoise
 from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
+from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
@@ -158,8 +159,11 @@ def _hermite_shape(binned: BinnedImu, path: DensePath, _: float) -> DensePath:
     return imu.reading_path(binned, path, np.inf)
 
 
-def _unaveraged(_: DensePath, values: Array, *__: Any) -> Array:
-    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
+def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
+    def at_edges(values: Array) -> Array:
+        return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
+
+    return ExpectedMotion(at_edges(path.acceleration_n), at_edges(path.angular_rate_s))
 
 
 def _whole_rate(_: Any, rate_s: Array) -> Array:
@@ -213,7 +217,7 @@ EFFECTS = (
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("noise taken from the path's shape (all of it read)", patches=((batch, "reading_path", _inertial_shape),)),
     Effect("inertial shape between keyframes (Hermite only)", patches=((batch, "reading_path", _hermite_shape),)),
-    Effect("averaged rate at the antenna", patches=((batch, "expected", _unaveraged),)),
+    Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
     Effect("swing by the yaw rate alone", patches=((rows, "yaw_rate", _whole_rate),)),
     Effect(
         "more noise where samples miss or clip",

@@ -13,13 +13,13 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
+from smoother.estimate.graph.expected import expected_motion
 from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
     corrected,
     dense_path,
-    expected,
     interval_noise,
     reading_path,
 )
@@ -193,14 +193,19 @@ class Batch:
         noise: Noise,
         before: Array | None = None,
         held: Array | None = None,
+        *,
+        moves_constants: bool = True,
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
         before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (18, 18) is the covariance of constants that are to stay where they are.
+        held (18, 18) is the covariance of constants that are to stay where they are. Without moves_constants they stay
+        for this step only, while the keyframes are not near enough to judge them.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
+        if not moves_constants:
+            solution = _given_constants(solution)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
             state.retract(share * solution.x, share * solution.constants),
@@ -239,12 +244,12 @@ def session_rows(
     d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
+    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial)
     path = reading_path(binned, path, noise.inertial.accel)
-    rate_s = expected(path, path.angular_rate_s, noise.inertial.gyro)
     position = rw.position_rows(
-        state, path, rate_s, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
+        state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
-    velocity = rw.velocity_rows(state, path, rate_s, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
+    velocity = rw.velocity_rows(state, path, felt, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
     out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
     bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
@@ -272,6 +277,14 @@ def constants_moved(solution: ChainSolution) -> float:
     part = slice(POSITION_LATENCY.start, LEVER_ARM.stop)
     sigma2 = np.diag(solution.constants_covariance)[part]
     return math.sqrt(float(np.mean(solution.constants[part] ** 2 / sigma2)))
+
+
+def _given_constants(solution: ChainSolution) -> ChainSolution:
+    """Return the solution for constants that stay where they are; its covariance remains that of the whole."""
+    gain = np.linalg.solve(solution.constants_covariance, solution.constants)
+    return replace(
+        solution, x=solution.x - solution.constants_cross @ gain, constants=np.zeros_like(solution.constants)
+    )
 
 
 def _of_keyframes(system: ChainSystem) -> ChainSystem:

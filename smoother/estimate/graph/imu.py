@@ -396,30 +396,6 @@ def averaged(path: DensePath, values: Array, density: float, bend: float) -> Arr
     return np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
 
 
-SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
-SPECTRUM_SHARE = 0.15  # of the frequency, where that is more: a kart's laps are lines, its noise is not
-
-
-def expected(path: DensePath, values: Array, density: float) -> Array:
-    """Most probable motion behind values of the bins (M-1, 3) with white noise of `density`, at the edges, (M, 3).
-
-    The Wiener filter: each frequency keeps the share of its power that is not noise. What it takes for the motion
-    errs, but its error is not a part of it; a fit against it is not drawn towards zero, as one against noisy values is.
-    Source: Wiener 1949; Berkson 1950.
-    """
-    n, dt = len(values), float(path.t[1] - path.t[0])
-    mean = values.mean(axis=0)
-    spectrum = np.fft.rfft(values - mean, axis=0)
-    power = np.concatenate([np.zeros((1, 3)), np.cumsum(np.abs(spectrum) ** 2 / n, axis=0)])
-    k = np.arange(len(spectrum))
-    width = np.maximum(SPECTRUM_WIDTH * n * dt, SPECTRUM_SHARE * k)
-    first, last = np.maximum(k - width, 0).astype(np.int64), np.minimum(k + width + 1, len(k)).astype(np.int64)
-    around = (power[last] - power[first]) / (last - first)[:, None]
-    gain = np.clip(1.0 - density**2 / dt / np.maximum(around, 1e-300), 0.0, 1.0)
-    motion = np.fft.irfft(gain * spectrum, n, axis=0) + mean
-    return np.concatenate([motion[:1], 0.5 * (motion[1:] + motion[:-1]), motion[-1:]])
-
-
 def at_times(path: DensePath, values: Array, t: Array) -> Array:
     """Interpolate values (M, 3) given at the edges of the path at t (N,). Returns (N, 3)."""
     return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)

@@ -16,6 +16,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.chain import ChainSystem
+from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, MotionAt, at_times, motion_at
 from smoother.estimate.graph.state import (
     DOPPLER_BIAS,
@@ -96,11 +97,17 @@ def hermite_velocity(b: Bracket) -> tuple[Array, Array, Array, Array]:
 
 
 def position_rows(
-    state: ChainState, path: DensePath, rate_s: Array, t: Array, measured_n: Array, sigma: Array, offset_latency: float
+    state: ChainState,
+    path: DensePath,
+    felt: ExpectedMotion,
+    t: Array,
+    measured_n: Array,
+    sigma: Array,
+    offset_latency: float,
 ) -> Rows:
     """GPS position: antenna position plus slow offset. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m.
 
-    rate_s (M, 3) rad/s, angular rate at the edges of the path, averaged: a receiver does not follow vibration.
+    felt, at the edges of the path: only this motion swings the antenna, the noise of the gyro does not.
 
     The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
     (Reading that rough process at a moving time would make the fit of the latency overshoot.)
@@ -109,7 +116,7 @@ def position_rows(
     b, motion = bracket(state, at), motion_at(path, at)
     stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
     stamp = Bracket(b.interval, stamp_share, b.length)
-    rate = yaw_rate(motion, at_times(path, rate_s, at))
+    rate = yaw_rate(motion, at_times(path, felt.angular_rate_s, at))
     arm_n = np.einsum("nij,j->ni", motion.R_ns, state.constants.lever_arm_s)
     swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, state.constants.lever_arm_s))
     residual = motion.position_n + arm_n + _between(stamp, state.offset_n) - measured_n
@@ -138,14 +145,17 @@ def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Arra
     return b.interval, left, right, constants
 
 
-def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, measured_n: Array, sigma: Array) -> Rows:
+def velocity_rows(
+    state: ChainState, path: DensePath, felt: ExpectedMotion, t: Array, measured_n: Array, sigma: Array
+) -> Rows:
     """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s.
 
-    rate_s as in :func:`position_rows`.
+    felt as in :func:`position_rows`; its acceleration is the slope by the latency. (The noise of the path's own would
+    make the latency seem better known than it is, and draw it away.)
     """
     at = t - state.constants.velocity_latency
     b, motion = bracket(state, at), motion_at(path, at)
-    rate = yaw_rate(motion, at_times(path, rate_s, at))
+    rate = yaw_rate(motion, at_times(path, felt.angular_rate_s, at))
     arm = state.constants.lever_arm_s
     rate_n, arm_n = np.einsum("nij,nj->ni", motion.R_ns, rate), np.einsum("nij,j->ni", motion.R_ns, arm)
     swing_n = np.cross(rate_n, arm_n)
@@ -158,7 +168,8 @@ def velocity_rows(state: ChainState, path: DensePath, rate_s: Array, t: Array, m
     up_s = motion.R_ns[:, 2, :]
     left[:, :, GYRO_BIAS] = np.einsum("ni,nj->nij", np.einsum("nij,nj->ni", motion.R_ns, np.cross(arm, up_s)), up_s)
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
-    constants[:, :, VELOCITY_LATENCY] = -(motion.acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
+    acceleration_n = at_times(path, felt.acceleration_n, at)
+    constants[:, :, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
     constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
 

@@ -119,13 +119,16 @@ def finish(
     options: GraphOptions,
     say: Say,
 ) -> tuple[Solved, Noise]:
-    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
+    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts.
+
+    The first one moves the keyframes alone: from where they begin the constants would be led astray.
+    """
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
-        solved = batch.step(graph, state, noise, before)
+        solved = batch.step(graph, state, noise, before, moves_constants=turn > 0)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
         say(0.7 + 0.3 * (turn + 1) / options.final_rounds)

@@ -25,7 +25,8 @@ from smoother.estimate.graph.batch import (
     update_noise,
 )
 from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, expected, preintegrate
+from smoother.estimate.graph.expected import expected_motion
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
 from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
@@ -158,7 +159,7 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.No
     """The same session in GTSAM alone."""
     state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
     path = batch.path(state)
-    rates = expected(path, path.angular_rate_s, p.noise.inertial.gyro)[::N_BINS]
+    rates = expected_motion(path, state.constants.level_axes_s, p.noise.inertial).angular_rate_s[::N_BINS]
     for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
         k = round((t - state.t[0]) / T)
         graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))

@@ -19,7 +19,6 @@ from smoother.estimate.graph.imu import (
     bin_imu,
     clipped_samples,
     dense_path,
-    expected,
     halved,
     interval_noise,
     keyframe_times,
@@ -479,28 +478,6 @@ class TestHalvedBins:
             np.testing.assert_allclose(v_half, v, atol=1e-3)
             np.testing.assert_allclose(p_half, p, atol=1e-3)
             assert np.linalg.norm(v_naive - v) > 5.0 * np.linalg.norm(v_half - v)
-
-
-class TestExpectedMotion:
-    def noisy(self, density: float) -> tuple[DensePath, np.ndarray, np.ndarray]:
-        """Ten minutes of corners at 25 Hz: the true rate and what a noisy gyro makes of it."""
-        dt, rng = 0.04, np.random.default_rng(0)
-        t = dt * np.arange(15001)
-        zeros = np.zeros((len(t), 3))
-        true = np.sin(0.6 * t[:-1] + 2.0 * np.sin(0.1 * t[:-1]))[:, None] * [0.0, 0.1, 0.6]
-        path = DensePath(t, np.tile(np.eye(3), (len(t), 1, 1)), zeros, zeros, zeros[1:], zeros[1:])
-        return path, true, true + density / np.sqrt(dt) * rng.normal(size=true.shape)
-
-    def test_a_fit_against_it_is_not_drawn_towards_zero(self) -> None:
-        path, true, noisy = self.noisy(0.1)
-        found = expected(path, noisy, 0.1)
-        middle = 0.5 * (found[1:] + found[:-1])[:, 2]
-        assert true[:, 2] @ middle / (middle @ middle) == pytest.approx(1.0, abs=0.03)
-        assert true[:, 2] @ noisy[:, 2] / (noisy[:, 2] @ noisy[:, 2]) < 0.6  # what the noise does to such a fit
-
-    def test_without_noise_it_is_the_motion_itself_at_the_edges(self) -> None:
-        path, true, _ = self.noisy(0.0)
-        np.testing.assert_allclose(expected(path, true, 1e-9)[1:-1], 0.5 * (true[1:] + true[:-1]), atol=1e-3)
 
 
 def test_keyframes_start_in_step_with_regular_times() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path
 from smoother.estimate.graph.inertial import empty_system
 from smoother.estimate.graph.rows import (
@@ -112,20 +113,30 @@ def gyro_without_bias(state: ChainState, gyro: np.ndarray) -> np.ndarray:
     return gyro - state.gyro_bias_s[np.minimum(np.arange((K - 1) * N_BINS + 1) // N_BINS, K - 2)]
 
 
+def felt_on(path: DensePath, rate_s: np.ndarray, t: np.ndarray = TIMES) -> ExpectedMotion:
+    """The given rate (M, 3), and the path's own acceleration in the bins around t: between them it jumps."""
+    i = np.clip(((t - path.t[0]) / (path.t[1] - path.t[0])).astype(int), 0, len(path.t) - 2)
+    acceleration_n = np.zeros_like(path.velocity_n)
+    acceleration_n[i] = acceleration_n[i + 1] = path.acceleration_n[i]
+    return ExpectedMotion(acceleration_n, rate_s)
+
+
 def position_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
     def make(state: ChainState) -> Rows:
         shape = (len(t), 3)
-        rate_s = gyro_without_bias(state, gyro)
-        return position_rows(state, path_of(state, binned), rate_s, t, np.ones(shape), np.ones(shape), 0.05)
+        path = path_of(state, binned)
+        return position_rows(
+            state, path, felt_on(path, gyro_without_bias(state, gyro)), t, np.ones(shape), np.ones(shape), 0.05
+        )
 
     return make
 
 
 def velocity_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
     def make(state: ChainState) -> Rows:
-        shape = (len(t), 3)
-        rate_s = gyro_without_bias(state, gyro)
-        return velocity_rows(state, path_of(state, binned), rate_s, t, np.ones(shape), np.ones(shape))
+        path, shape = path_of(state, binned), (len(t), 3)
+        felt = felt_on(path, gyro_without_bias(state, gyro), t - state.constants.velocity_latency)
+        return velocity_rows(state, path, felt, t, np.ones(shape), np.ones(shape))
 
     return make
 
@@ -228,13 +239,14 @@ class TestResiduals:
             zeros[1:, 0],
         )
         rates, ask, ones = np.tile(rate, ((K - 1) * N_BINS + 1, 1)), t[0] + np.array([0.5, 0.83, 1.1]), np.ones((3, 3))
+        path = path_of(state, binned)
         R, p, _ = at(ask - position_latency)
         fix = p + R @ arm_s + offset_n
-        rows = position_rows(state, path_of(state, binned), rates, ask, fix, ones, position_latency)
+        rows = position_rows(state, path, felt_on(path, rates), ask, fix, ones, position_latency)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-4)
         R, _, v = at(ask - velocity_latency)
         doppler = v + np.einsum("nij,j->ni", R, np.cross(rate, arm_s)) + doppler_bias_n
-        rows = velocity_rows(state, path_of(state, binned), rates, ask, doppler, ones)
+        rows = velocity_rows(state, path, felt_on(path, rates), ask, doppler, ones)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
 
     def test_only_the_rate_about_up_swings_the_antenna(self) -> None:
@@ -252,10 +264,11 @@ class TestResiduals:
         state, binned = random_state(0, turning=1.0)
         measured, sigma = np.zeros((N, 3)), np.ones((N, 3))
         measured[:, 2], sigma[1, 0], measured[2] = np.nan, np.inf, np.nan
-        rates = np.zeros(((K - 1) * N_BINS + 1, 3))
+        path = path_of(state, binned)
+        felt = felt_on(path, np.zeros(((K - 1) * N_BINS + 1, 3)))
         for rows in (
-            position_rows(state, path_of(state, binned), rates, TIMES, measured, sigma, 0.0),
-            velocity_rows(state, path_of(state, binned), rates, TIMES, measured, sigma),
+            position_rows(state, path, felt, TIMES, measured, sigma, 0.0),
+            velocity_rows(state, path, felt, TIMES, measured, sigma),
         ):
             np.testing.assert_array_equal(rows.information[:, 2], 0.0)
             assert rows.information[1, 0] == 0.0

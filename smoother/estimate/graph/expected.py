@@ -1,0 +1,88 @@
+"""The motion that a receiver is expected to have felt: what the inertial samples tell of it, less their noise.
+
+Doppler velocities tell the lever arm by the yaw rate that swings the antenna, and their latency by the acceleration.
+Both come from noisy samples. A fit against noisy values is drawn towards zero and thinks itself too certain; a fit
+against the most probable ones is not: what they miss is not a part of them (Berkson 1950). They have to be the most
+probable given both sensors, though. On a track the yaw rate is nearly lateral acceleration over speed, so that arm and
+latency are told apart only by where it is not; filtered one by one, each would miss something that the other one knows,
+and the fit would take that for the difference.
+
+Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, IntArray
+from smoother.estimate.graph.imu import DensePath, InertialNoise
+
+SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
+SPECTRUM_SHARE = 0.15  # of the frequency, where that is more: a kart's laps are lines, its noise is not
+LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedMotion:
+    """acceleration_n (M, 3) m/s^2 and the part about up of angular_rate_s (M, 3) rad/s, at the edges of a path."""
+
+    acceleration_n: Array
+    angular_rate_s: Array
+
+
+def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> ExpectedMotion:
+    """Most probable motion behind the accelerations and rates of the bins of `path`, which have the noise `noise`.
+
+    level_axes_s (3, 3): rows are forward, left and up in s. The vertical acceleration stays as it is.
+    """
+    R_nb, up_s = path.R_ns[:-1] @ level_axes_s.T, path.R_ns[:-1, 2, :]
+    acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
+    speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
+    turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
+    sigma = np.array([noise.accel, noise.accel, noise.gyro * np.sqrt(np.mean(speed**2))])
+    dt = float(path.t[1] - path.t[0])
+    found = most_probable(np.column_stack([acceleration_b[:, :2], turning]), sigma / np.sqrt(dt), dt)
+    acceleration_b[:, :2] = found[:, :2]
+    rate_s = up_s * (found[:, 2] / speed)[:, None]
+    return ExpectedMotion(_at_edges(np.einsum("kij,kj->ki", R_nb, acceleration_b)), _at_edges(rate_s))
+
+
+def most_probable(values: Array, sigma: Array, dt: float) -> Array:
+    """Multichannel Wiener filter: most probable signals (N, c) behind `values` (N, c), dt s apart, all at once.
+
+    sigma (c,): white noise of the channels, independent of one another. What of the spectral matrix noise alone may
+    reach is taken off.
+    """
+    n, c = values.shape
+    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):
+        return values  # a path that has run away; the solver says so
+    mean = values.mean(axis=0)
+    spectrum = np.fft.rfft(values - mean, axis=0) / sigma
+    band, first, last = _bands(len(spectrum), n * dt)
+    power = spectrum[:, :, None] * spectrum[:, None, :].conj() / n
+    power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
+    count = last - first
+    eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
+    of_noise = (1.0 + np.sqrt(c / count)) ** 2
+    share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
+    gain = ((axes * share[:, None, :]) @ axes.conj().transpose(0, 2, 1)).reshape(len(band), c * c)
+    k = np.arange(len(spectrum))
+    fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(c * c)], axis=1).reshape(-1, c, c)
+    return np.asarray(np.fft.irfft((fine @ spectrum[:, :, None])[:, :, 0] * sigma, n, axis=0) + mean)
+
+
+def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:
+    """Bands that overlap by half and more: their middles (B,), first and last frequencies (B,), the last exclusive."""
+    k, middles = 0.0, []
+    while k < n_frequencies - 1:
+        middles.append(int(k))
+        k += max(1.0, 0.5 * SPECTRUM_WIDTH * duration, 0.5 * SPECTRUM_SHARE * k)
+    band = np.array([*middles, n_frequencies - 1], dtype=np.int64)
+    width = np.maximum(SPECTRUM_WIDTH * duration, SPECTRUM_SHARE * band)
+    first = np.maximum(band - width, 0).astype(np.int64)
+    return band, first, np.minimum(band + width + 1, n_frequencies).astype(np.int64)
+
+
+def _at_edges(values: Array) -> Array:
+    """Values of bins (M-1, 3) at their edges, (M, 3)."""
+    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])

@@ -1,0 +1,131 @@
+"""The expected motion against motion that is known, and what a fit of arm and latency makes of it."""
+
+import numpy as np
+import pytest
+
+from smoother.estimate.graph.expected import ExpectedMotion, expected_motion, most_probable
+from smoother.estimate.graph.imu import DensePath, InertialNoise
+from smoother.units import DEG
+
+DT = 0.04
+T = np.asarray(DT * np.arange(15001), dtype=np.float64)  # ten minutes
+MIDDLE = T[:-1] + 0.5 * DT
+NOISE = InertialNoise(0.5, 3.0 * DEG, 0.003, 1e-4)
+STILL = InertialNoise(1e-6, 1e-6, 0.003, 1e-4)
+ARM = 0.4  # m, of the antenna ahead of the sensor
+
+
+def driven(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speed and yaw rate (N,): corners, each taken slowly, in a rhythm that wanders."""
+    yaw_rate = 0.9 * np.sin(0.7 * t + 3.0 * np.sin(0.05 * t))
+    return 16.0 - 5.0 * yaw_rate**2 + np.sin(0.23 * t), yaw_rate
+
+
+def corners() -> tuple[DensePath, np.ndarray]:
+    """A path without noise along a curve in the plane, whose nose points where it goes, and the yaw rate of its bins.
+
+    A sideslip that comes and goes with the corner is added to the nose: what tells arm and latency apart.
+    """
+    speed, _ = driven(T)
+    yaw = np.concatenate([[0.0], np.cumsum(driven(MIDDLE)[1] * DT)])
+    course = yaw - 0.08 * np.sin(0.9 * T + 2.0 * np.sin(0.07 * T))
+    zero, one = np.zeros_like(T), np.ones_like(T)
+    R = np.stack([np.cos(yaw), -np.sin(yaw), zero, np.sin(yaw), np.cos(yaw), zero, zero, zero, one], axis=1)
+    velocity = speed[:, None] * np.stack([np.cos(course), np.sin(course), zero], axis=1)
+    rate = np.diff(yaw)[:, None] / DT * [0.0, 0.0, 1.0]
+    return DensePath(
+        T, R.reshape(-1, 3, 3), np.zeros_like(velocity), velocity, rate, np.diff(velocity, axis=0) / DT
+    ), rate
+
+
+def noisy(path: DensePath, noise: InertialNoise) -> DensePath:
+    rng = np.random.default_rng(0)
+    return DensePath(
+        path.t,
+        path.R_ns,
+        path.position_n,
+        path.velocity_n,
+        path.angular_rate_s + noise.gyro / np.sqrt(DT) * rng.normal(size=path.angular_rate_s.shape),
+        path.acceleration_n + noise.accel / np.sqrt(DT) * rng.normal(size=path.acceleration_n.shape),
+    )
+
+
+def middles(felt: ExpectedMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Acceleration (N, 2) and yaw rate (N,) between the edges."""
+    a, w = felt.acceleration_n, felt.angular_rate_s[:, 2]
+    return 0.5 * (a[1:] + a[:-1])[:, :2], 0.5 * (w[1:] + w[:-1])
+
+
+def fit(path: DensePath, acceleration: np.ndarray, yaw_rate: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """Arm (m) and latency (s) by least squares from what velocities (N, 2) differ by from the sensor's, `late`."""
+    left = path.R_ns[:-1, :2, 1]
+    design = np.stack([yaw_rate[:, None] * left, -acceleration], axis=2).reshape(-1, 2)
+    return np.asarray(np.linalg.lstsq(design, late.ravel(), rcond=None)[0])
+
+
+class TestExpectedMotion:
+    def test_without_noise_it_is_the_motion_itself_at_the_edges(self) -> None:
+        path, rate = corners()
+        felt = expected_motion(path, np.eye(3), STILL)
+        for found, true in ((felt.acceleration_n, path.acceleration_n), (felt.angular_rate_s, rate)):
+            np.testing.assert_allclose(found[1:-1], 0.5 * (true[1:] + true[:-1]), atol=1e-4)
+
+    def test_most_of_the_noise_is_gone(self) -> None:
+        path, rate = corners()
+        shaken = noisy(path, NOISE)
+        acceleration, yaw_rate = middles(expected_motion(shaken, np.eye(3), NOISE))
+        assert np.std(yaw_rate - rate[:, 2]) < 0.2 * np.std(shaken.angular_rate_s[:, 2] - rate[:, 2])
+        true = path.acceleration_n[:, :2]
+        assert np.std(acceleration - true) < 0.5 * np.std(shaken.acceleration_n[:, :2] - true)
+
+    def test_arm_and_latency_are_not_drawn_to_zero_by_the_noise_of_what_they_multiply(self) -> None:
+        """Nor by what filters that know only one sensor each leave of it."""
+        path, rate = corners()
+        late = rate[:, 2:] * ARM * path.R_ns[:-1, :2, 1] - 0.02 * path.acceleration_n[:, :2]
+        shaken = noisy(path, NOISE)
+        arm, latency = fit(path, *middles(expected_motion(shaken, np.eye(3), NOISE)), late)
+        assert arm == pytest.approx(ARM, abs=0.1 * ARM)
+        assert latency == pytest.approx(0.02, abs=0.002)
+        plain_arm, _ = fit(path, shaken.acceleration_n[:, :2], shaken.angular_rate_s[:, 2], late)
+        sigma = NOISE.gyro / np.sqrt(DT) * np.ones(1), NOISE.accel / np.sqrt(DT) * np.ones(2)
+        alone = most_probable(shaken.acceleration_n[:, :2], sigma[1], DT)
+        alone_arm, _ = fit(path, alone, most_probable(shaken.angular_rate_s[:, 2:], sigma[0], DT)[:, 0], late)
+        assert abs(plain_arm - ARM) > 0.3 * ARM
+        assert abs(alone_arm - ARM) > 2.0 * abs(arm - ARM)
+
+    def test_it_does_not_depend_on_how_the_box_is_mounted(self) -> None:
+        path, _ = corners()
+        shaken = noisy(path, NOISE)
+        R_bs = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        turned = DensePath(
+            path.t,
+            path.R_ns @ R_bs,
+            path.position_n,
+            path.velocity_n,
+            shaken.angular_rate_s @ R_bs,
+            shaken.acceleration_n,
+        )
+        want, have = expected_motion(shaken, np.eye(3), NOISE), expected_motion(turned, R_bs, NOISE)
+        np.testing.assert_allclose(have.acceleration_n, want.acceleration_n, atol=1e-9)
+        np.testing.assert_allclose(have.angular_rate_s @ R_bs.T, want.angular_rate_s, atol=1e-9)
+
+    def test_a_stretch_of_a_few_bins_and_a_kart_at_rest_stay_finite(self) -> None:
+        zeros = np.zeros((6, 3))
+        path = DensePath(T[:6], np.tile(np.eye(3), (6, 1, 1)), zeros, zeros, zeros[1:], zeros[1:])
+        felt = expected_motion(path, np.eye(3), NOISE)
+        np.testing.assert_array_equal(felt.acceleration_n, zeros)
+        np.testing.assert_array_equal(felt.angular_rate_s, zeros)
+
+
+class TestMostProbable:
+    def test_pure_noise_is_taken_for_noise(self) -> None:
+        values = np.random.default_rng(1).normal(size=(15000, 3))
+        assert np.std(most_probable(values, np.ones(3), DT)) < 0.15
+
+    def test_a_channel_that_sees_the_same_lends_a_hand(self) -> None:
+        rng = np.random.default_rng(2)
+        signal = np.sin(0.7 * MIDDLE + 3.0 * np.sin(0.05 * MIDDLE))
+        values = signal[:, None] + rng.normal(size=(len(signal), 2)) * [1.0, 0.1]
+        both = most_probable(values, np.array([1.0, 0.1]), DT)[:, 0] - signal
+        alone = most_probable(values[:, :1], np.array([1.0]), DT)[:, 0] - signal
+        assert np.std(both) < 0.4 * np.std(alone)
