@@ -6,7 +6,7 @@
 #define FF_USE_FIND 0
 #define FF_USE_MKFS 0
 #define FF_USE_FASTSEEK 0
-#define FF_USE_EXPAND 1 /* finds the free run of clusters for a recording */
+#define FF_USE_EXPAND 0
 #define FF_USE_CHMOD 0
 #define FF_USE_LABEL 0
 #define FF_USE_FORWARD 0

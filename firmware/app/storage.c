@@ -50,9 +50,7 @@ static int finish_spare(storage_t *storage, file_t *file)
 static int fill_spare(storage_t *storage, file_t *file)
 {
     volume_t *volume = &storage->volume;
-    int result = VOLUME_FULL;
-    for (uint32_t bytes = STORAGE_LARGEST; bytes >= STORAGE_STEP && result == VOLUME_FULL; bytes /= 2)
-        result = volume_reserve(volume, file, bytes);
+    int result = volume_reserve(volume, file, STORAGE_LARGEST, STORAGE_STEP);
     if (result == VOLUME_FULL) {
         storage->is_full = true;
         return volume_delete(volume, file);

@@ -475,26 +475,55 @@ static int set_first_cluster(volume_t *volume, file_t *file, uint32_t cluster)
 
 /* ---- room ---- */
 
-/* f_expand in its mode that only looks: the run it finds begins after last_clst. */
-static int find_run(volume_t *volume, uint32_t bytes, uint32_t *first)
+typedef struct {
+    uint32_t first, length; /* clusters */
+} room_t;
+
+/* The longest free run that ends before `to`, but no longer than wanted. */
+static int scan_room(volume_t *volume, uint32_t from, uint32_t to, uint32_t wanted, room_t *best)
 {
-    FIL probe = {.obj = {.fs = &volume->fs, .id = volume->fs.id}, .flag = FA_WRITE};
-    const FRESULT result = f_expand(&probe, bytes, 0);
-    *first = volume->fs.last_clst + 1;
-    if (result == FR_OK)
-        return VOLUME_OK;
-    return result == FR_DENIED ? VOLUME_FULL : VOLUME_CARD;
+    const uint32_t in_sector = SD_SECTOR / entry_bytes(volume);
+    uint32_t length = 0;
+    for (uint32_t cluster = from; cluster < to && best->length < wanted; cluster++) {
+        const bool is_next_sector = cluster == from || cluster % in_sector == 0;
+        if (is_next_sector && load(volume, table_sector(volume, cluster)) != VOLUME_OK)
+            return VOLUME_CARD;
+        length = get_link(volume, volume->fs.win, cluster) == 0 ? length + 1 : 0;
+        if (length > best->length)
+            *best = (room_t){cluster + 1 - length, length};
+    }
+    return VOLUME_OK;
+}
+
+/* Once over the table, from where the last run was found: a full or fragmented card of 32 GB has 8,000 sectors of it, and
+ * the watchdog gives a call into the card a minute. */
+static int find_room(volume_t *volume, uint32_t wanted, room_t *best)
+{
+    FATFS *fs = &volume->fs;
+    const uint32_t start = fs->last_clst >= 2 && fs->last_clst < fs->n_fatent - 1 ? fs->last_clst + 1 : 2;
+    const uint32_t again = start + wanted < fs->n_fatent ? start + wanted : fs->n_fatent; /* a run across the start */
+    int result = scan_room(volume, start, fs->n_fatent, wanted, best);
+    if (result == VOLUME_OK && best->length < wanted && start > 2)
+        result = scan_room(volume, 2, again, wanted, best);
+    if (best->length)
+        fs->last_clst = best->first - 1;
+    return result;
 }
 
 /* The cluster first, then the size, of which only one byte is not zero: an entry with a size has its cluster. */
-int volume_reserve(volume_t *volume, file_t *file, uint32_t bytes)
+int volume_reserve(volume_t *volume, file_t *file, uint32_t most_bytes, uint32_t step_bytes)
 {
-    uint32_t first = 0;
-    if (volume->fs.free_clst <= volume->fs.n_fatent - 2 && volume->fs.free_clst < clusters_of(volume, bytes))
+    const uint32_t each = volume_cluster_bytes(volume);
+    const bool is_count_known = volume->fs.free_clst <= volume->fs.n_fatent - 2;
+    room_t room = {0, 0};
+    if (is_count_known && volume->fs.free_clst < clusters_of(volume, step_bytes))
         return VOLUME_FULL;
-    int result = find_run(volume, bytes, &first);
+    int result = find_room(volume, clusters_of(volume, most_bytes), &room);
+    const uint32_t bytes = room.length * each / step_bytes * step_bytes;
+    if (result == VOLUME_OK && bytes == 0)
+        return VOLUME_FULL;
     if (result == VOLUME_OK)
-        result = set_first_cluster(volume, file, first);
+        result = set_first_cluster(volume, file, room.first);
     return result == VOLUME_OK ? volume_set_size(volume, file, bytes) : result;
 }
 

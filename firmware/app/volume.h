@@ -56,8 +56,9 @@ int volume_reload(volume_t *volume, const file_t *file, file_t *found);
 /* Add LOGnnnnn.KLT, empty. */
 int volume_create(volume_t *volume, uint32_t number, file_t *file);
 
-/* Find a contiguous free run for `bytes` (a multiple of 16 MB) and note it in the entry of an empty file. */
-int volume_reserve(volume_t *volume, file_t *file, uint32_t bytes);
+/* Find the longest contiguous free run, up to `most_bytes`, and note as much of it as is a multiple of `step_bytes` (16 MB)
+ * in the entry of an empty file. */
+int volume_reserve(volume_t *volume, file_t *file, uint32_t most_bytes, uint32_t step_bytes);
 
 /* Write the chain of a reserved file. VOLUME_CONFLICT: a cluster is taken by something else, nothing was changed. */
 int volume_link(volume_t *volume, const file_t *file);

@@ -452,13 +452,37 @@ static void test_full_card_ends_the_recording_and_nothing_else(void)
     end();
 }
 
+/* The table is read once, however often it is in the way: on a large card that takes seconds. */
+static void test_pieces_of_a_fragmented_card_are_used(void)
+{
+    static const struct {
+        uint32_t free_run, megabytes;
+    } cards[] = {{300, 16}, {700, 32}, {255, 0}};
+    for (size_t i = 0; i < sizeof cards / sizeof *cards; i++) {
+        sim_init(&sim, SD_MODEL_HC, CARD_SECTORS);
+        fat_format(&sim.card, &(fat_image_t){.bits = 32, .cluster_sectors = 128, .free_run = cards[i].free_run});
+        sim.imu.is_mag_absent = true;
+        boot();
+        app_step(&app);
+        CHECK(sim.card.reads < 513 + 64 + 60); /* and once more what lies before the start of the search */
+        run(3000000);
+        CHECK_EQUAL(app.logger.state, cards[i].megabytes ? LOGGER_RECORDING : LOGGER_FULL);
+        if (cards[i].megabytes) {
+            CHECK_EQUAL(app.storage.blocks, cards[i].megabytes << 11);
+            stop();
+            CHECK_EQUAL(read_log().strange, 0);
+        }
+        end();
+    }
+}
+
 static void test_recording_goes_on_in_the_next_file(void)
 {
-    begin(1300);
+    begin(8500); /* 512 MB, and some for the next */
     boot();
     run(1500000);
     const uint32_t session = app.session;
-    app.storage.blocks = 200; /* of 64 MB */
+    app.storage.blocks = 200; /* of 512 MB */
     for (int i = 0; i < 20 && app.storage.current.number < 2; i++)
         run(1000000);
     run(5000000);
@@ -805,6 +829,7 @@ int main(int argc, char **argv)
         TEST(card_pulled_out_comes_back_to_the_same_recording),
         TEST(another_card_takes_the_recording_on),
         TEST(full_card_ends_the_recording_and_nothing_else),
+        TEST(pieces_of_a_fragmented_card_are_used),
         TEST(recording_goes_on_in_the_next_file),
         TEST(without_receiver_the_imu_is_logged),
         TEST(without_imu_the_receiver_is_logged),

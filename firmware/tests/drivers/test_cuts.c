@@ -16,7 +16,7 @@
 
 enum {
     CARD_SECTORS = 2048 + 32 + 2 * 513 + 65600 * 128, /* the smallest FAT32 of 64 KB clusters */
-    FREE_CLUSTERS = 1300,                             /* room for a file of 64 MB and one of 16 */
+    FREE_CLUSTERS = 1300,                             /* room for a file of 80 MB */
     DATA_FROM = 2048 + 32 + 2 * 513 + 14 * 128,       /* behind tables and root directory */
     MOST_FILES = 16
 };
