@@ -93,7 +93,9 @@ def numbered_stimulus(duration_s: float) -> Stimulus:
     """Sensors that count, from power-on: sample n of the IMU at n + 1 ms, a fix each 200 ms."""
     imu, mag = (numbered(round(duration_s * 1e6) // period, n) for period, n in ((IMU_US, 6), (MAG_US, 3)))
     imu_t, mag_t = ((np.arange(len(rows), dtype=np.int64) + 1) * t for rows, t in ((imu, IMU_US), (mag, MAG_US)))
-    fixes = [(t, fix_at(t)) for t in range(300_000, round(duration_s * 1e6), FIX_US)]
+    due = np.arange(300_000, round(duration_s * 1e6), FIX_US)
+    late = stir(due, 1)[:, 0] % IMU_US  # by which they come, at any moment between two samples
+    fixes = [(t + more, fix_at(t)) for t, more in zip(due.tolist(), late.tolist(), strict=True)]
     return Stimulus(imu_t, imu, mag_t, mag, fixes, 0, round(duration_s * 1e6))
 
 

@@ -27,6 +27,7 @@ from expectations import Case, always
 from fault_bugs import BUGS
 from fault_cases import CASES
 from fault_lives import random_cases
+from insides import resolve
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,10 @@ def run_case(case: Case, folder: Path, image: Path, program: Path = emulation.PR
     """Run a case and compare what it left with what it must leave."""
     shutil.rmtree(folder, ignore_errors=True)
     expects = case.expects + always(case)
-    stimulus = numbered_stimulus(case.duration)
+    stimulus, script = numbered_stimulus(case.duration), case.script()
+    script.actions = [(t, resolve(line, image)) for t, line in script.actions]
     try:
-        seen = Evidence(emulation.run(folder, image, stimulus, case.script(), program))
+        seen = Evidence(emulation.run(folder, image, stimulus, script, program))
     except RuntimeError as error:
         return Verdict(case, (("the machine meets no fault", str(error)),), len(expects), 0, case.duration)
     flaws = [(expected.text, expected.find_flaw(seen)) for expected in expects]

@@ -313,6 +313,13 @@ static void do_stick(world_t *world, uint64_t value)
     world->machine.is_stuck_wanted = true;
     machine_attend(&world->machine);
 }
+/* A word of RAM: its offset in the upper half of the value. */
+static void do_poke(world_t *world, uint64_t value)
+{
+    const uint32_t word = (uint32_t)value;
+    if (value >> 32 <= RAM_BYTES - sizeof word)
+        memcpy(world->machine.ram + (value >> 32), &word, sizeof word);
+}
 static void do_restart(world_t *world, uint64_t value)
 {
     (void)value;
@@ -358,6 +365,7 @@ static const verb_t verbs[] = {
     {"card_stall", do_card_stall},   {"card_other", do_card_other},   {"gps_garble", do_gps_garble},
     {"imu_wire", do_imu_wire},       {"imu_storm", do_imu_storm},     {"stick", do_stick},
     {"restart", do_restart},         {"gps_refuse", do_gps_refuse},   {"gps_restart", do_gps_restart},
+    {"poke", do_poke},
 };
 
 static void act(world_t *world, const char *line)
