@@ -128,7 +128,8 @@ def serve(connection: Connection, tracks: tuple[TrackFile, ...]) -> None:
             if is_new:
                 navigator = Navigator(worker, tracks, flaw=flaw)
             try:
-                navigator.take(items, arrival)
+                # as many fixes as came new, so that a smoother that catches up comes nearer however busy it is here
+                navigator.work(navigator.take(items, arrival))
                 answer = navigator.look()
             except Exception as error:
                 navigator = Navigator(worker, tracks, flaw=_flaw_of(error))
