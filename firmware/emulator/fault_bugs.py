@@ -72,7 +72,6 @@ BUGS = (
         "nobody asked for, 5000",
     ),
     (
-    (
         "an edge during a burst is dropped",
         ("port/stm32f103/imu.c", "        again_us = edge_us;", "        again_us = 0;"),
         "nobody asked for, 5000",
