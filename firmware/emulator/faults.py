@@ -42,7 +42,9 @@ class Verdict:
 
 
 def run_case(case: Case, folder: Path, image: Path, program: Path = emulation.PROGRAM) -> Verdict:
-    """Run a case and compare what it left with what it must leave."""
+    """Run a case and compare what it left with what it must leave. FileNotFoundError without the image."""
+    if not image.exists():
+        raise FileNotFoundError(image)
     shutil.rmtree(folder, ignore_errors=True)
     expects = case.expects + always(case)
     stimulus, script = numbered_stimulus(case.duration), case.script()
