@@ -40,10 +40,13 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
 from smoother.session.load import load_raw
+from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
+from smoother.units import DEG
 
 CHANCE = 200  # once in so many: of the some hundred cells of all tables, two are bold by chance
 WORTH_A_WORD = 0.02  # of the logarithm of an error
@@ -52,8 +55,8 @@ TINY = 1e-3  # m, likewise of an offset, of which there is one at every keyframe
 EQUAL = 1e-5  # s, sigma of the difference of latencies that are to be one
 BLOCKS = 8  # of a recording, in place of seeds
 RECORDINGS = ("kart_adria_first_half", "kart_lignano_racebox")
-HORIZONTAL = ("velocity", "relative", "roll", "pitch", "yaw", "track", "position")
-HEADINGS = ("velocity", "1 s position", "roll", "pitch", "yaw", "track", "position")
+HORIZONTAL = ("velocity", "relative", "roll", "pitch", "yaw", "track", "position", "arm", "latency")
+HEADINGS = ("velocity", "1 s position", "roll", "pitch", "yaw", "track", "position", "arm", "latency")
 SIGMAS = {"velocity": ("vel_north", "vel_west"), "position": ("pos_north", "pos_west"), "yaw": ("yaw",)}
 Patch = tuple[Any, str, Any]
 
@@ -98,7 +101,7 @@ def _no_arm(session: Session) -> Session:
 
 
 def _data_sheet(session: Session) -> Session:
-    noise = ImuNoise(smoother.DATA_SHEET_ACCEL, smoother.DATA_SHEET_GYRO)
+    noise = ImuNoise(start.DATA_SHEET_ACCEL, start.DATA_SHEET_GYRO)
     return replace(session, config=replace(session.config, imu=noise))
 
 
@@ -234,6 +237,56 @@ BY_NAME = {effect.name: effect for effect in (FULL, *EFFECTS)}
 
 
 @dataclass(frozen=True)
+class World:
+    """What a group of simulated sessions is like: a preset, figures changed, and what befalls the fixes afterwards."""
+
+    preset: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    befalls: Callable[[Session, int], Session] | None = None
+
+
+def _poor_sky(session: Session, seed: int) -> Session:
+    """Under trees for 12 s three times: fixes ten times as noisy, and the receiver says so."""
+    rng, gnss, origin = np.random.default_rng(9000 + seed), session.gnss, session.origin
+    starts = gnss.t[0] + (gnss.t[-1] - gnss.t[0]) * (0.25 + 0.25 * np.arange(3))
+    poor = np.any([(gnss.t > start) & (gnss.t < start + 12.0) for start in starts], axis=0)
+    noise_n = poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * [2.0, 2.0, 4.0]
+    lat, lon, alt = nwu_to_geodetic(session.fix_position_n + noise_n, origin)
+    velocity_n = gnss.velocity_n + poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * 1.5
+    said = np.where(poor, 10.0, 1.0)
+    gnss = replace(
+        gnss,
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_m=alt,
+        velocity_n=velocity_n,
+        sigma_horizontal=0.3 * said,
+        sigma_up=0.6 * said,
+        sigma_velocity=0.15 * said,
+    )
+    return replace(session, gnss=gnss)
+
+
+# The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track
+WORLDS = {
+    "white": World("white"),
+    "kart": World("kart"),
+    "kart_harsh": World("kart_harsh"),
+    "kart, 2 g and 150 deg/s": World("kart", {"imu_accel_range": 2.0 * 9.81, "imu_gyro_range": 150.0 * DEG}),
+    "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
+    "kart, poor sky at times": World("kart", {}, _poor_sky),
+}
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """One simulated session of a world."""
+
+    world: str
+    case: Case
+
+
+@dataclass(frozen=True)
 class Thinned:
     """A recording with one fix in `interval` s, its first `duration` s."""
 
@@ -261,19 +314,22 @@ class Result:
     scaled: dict[str, float]
 
 
-def run(work: tuple[Case | Thinned, str]) -> Result:
+def run(work: tuple[Simulated | Thinned, str]) -> Result:
     """Estimate one case without one effect."""
     case, name = work
     try:
-        return _run_recording(case, BY_NAME[name]) if isinstance(case, Thinned) else _run_simulated(case, BY_NAME[name])
+        effect = BY_NAME[name]
+        return _run_recording(case, effect) if isinstance(case, Thinned) else _run_simulated(case, effect)
     except np.linalg.LinAlgError as error:  # what is left of the model may have no solution: that is a result as well
         print(f"{case}, {name}: {error}", file=sys.stderr)
         return Result(*_key(case, name), {}, {})
 
 
-def _run_simulated(case: Case, effect: Effect) -> Result:
+def _run_simulated(work: Simulated, effect: Effect) -> Result:
+    case, befalls = work.case, WORLDS[work.world].befalls
     simulation = case.simulate()
     session = recorded(simulation)
+    session = session if befalls is None else befalls(session, case.seed)
     estimate = effect.estimate(session)
     errors = rms_errors(simulation, compare(simulation, session, estimate, SCORED_RATE))
     normalised = normalised_errors(simulation, session, estimate, SCORED_RATE)
@@ -282,7 +338,16 @@ def _run_simulated(case: Case, effect: Effect) -> Result:
         for name, parts in SIGMAS.items()
         if all(part in normalised for part in parts)
     }
-    return Result(case.preset, case.name, effect.name, {name: errors[name] for name in HORIZONTAL}, scaled)
+    known = {name: errors[name] for name in HORIZONTAL if name in errors} | _constants_errors(simulation, estimate)
+    return Result(work.world, case.name, effect.name, known, scaled)
+
+
+def _constants_errors(simulation: Simulation, estimate: Trajectory) -> dict[str, float]:
+    """Errors of the lever arm (horizontal, m) and of the latency of velocity (s), where they are identified."""
+    found, truth = estimate.report.identified, simulation.scenario
+    arm = np.asarray(found["lever_arm_b"].value, dtype=np.float64) - truth.lever_arm_b
+    late = float(np.asarray(found["gps_velocity_latency"].value)) - truth.gnss.velocity_latency
+    return {"arm": float(np.hypot(arm[0], arm[1])), "latency": abs(late)}
 
 
 def _run_recording(case: Thinned, effect: Effect) -> Result:
@@ -469,7 +534,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=Path("ablations.jsonl"), help="file of lines, added to")
     parser.add_argument("--report", action="store_true", help="run nothing, print the tables of what is there")
-    parser.add_argument("--preset", action="append", choices=("white", "kart", "kart_harsh"))
+    parser.add_argument("--world", action="append", choices=list(WORLDS), help="default: all")
     parser.add_argument("--effect", action="append", choices=[e.name for e in EFFECTS], help="default: all")
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -491,11 +556,13 @@ def main() -> None:
     print(report(done))
 
 
-def _wanted(arguments: argparse.Namespace) -> list[tuple[Case | Thinned, str]]:
+def _wanted(arguments: argparse.Namespace) -> list[tuple[Simulated | Thinned, str]]:
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    sessions: list[Case | Thinned] = []
-    for preset in [] if arguments.no_simulations else arguments.preset or ["kart", "kart_harsh"]:
-        sessions += cases(preset, seeds, arguments.duration)
+    sessions: list[Simulated | Thinned] = []
+    for name in [] if arguments.no_simulations else arguments.world or WORLDS:
+        world = WORLDS[name]
+        drawn = cases(world.preset, seeds, arguments.duration)
+        sessions += [Simulated(name, replace(case, changes=world.changes)) for case in drawn]
     if DATA.is_dir() and not arguments.no_recordings:
         for interval in arguments.interval or (1.0, 2.0, 5.0):
             sessions += [Thinned(name, interval, arguments.duration) for name in RECORDINGS]
@@ -503,15 +570,17 @@ def _wanted(arguments: argparse.Namespace) -> list[tuple[Case | Thinned, str]]:
     return [(session, effect) for effect in effects for session in sessions]
 
 
-def _missing(wanted: list[tuple[Case | Thinned, str]], done: list[Result]) -> list[tuple[Case | Thinned, str]]:
+def _missing(
+    wanted: list[tuple[Simulated | Thinned, str]], done: list[Result]
+) -> list[tuple[Simulated | Thinned, str]]:
     known = {(r.group, r.case, r.effect) for r in done}
     return [work for work in wanted if _key(*work) not in known]
 
 
-def _key(case: Case | Thinned, effect: str) -> Key:
-    if isinstance(case, Thinned):
-        return case.group, case.recording, effect
-    return case.preset, case.name, effect
+def _key(work: Simulated | Thinned, effect: str) -> Key:
+    if isinstance(work, Thinned):
+        return work.group, work.recording, effect
+    return work.world, work.case.name, effect
 
 
 def _load(path: Path) -> list[Result]:
