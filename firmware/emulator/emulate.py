@@ -73,9 +73,9 @@ class Comparison:
         return is_complete and self.lost_by_logger == 0 and self.losses == Losses()
 
 
-def simulated(seed: int, duration: float, track: str = "larkfield") -> Simulation:
-    """A kart session at 1 kHz. Its stamps have no jitter: the logger makes its own."""
-    changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0}
+def simulated(seed: int, duration: float, track: str = "larkfield", **others: float) -> Simulation:
+    """A kart session at 1 kHz, with `others` of the scenario's figures. No jitter: the logger makes its own stamps."""
+    changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0, **others}
     return simulate_preset("kart", seed, track=track, duration=duration, **changes)
 
 

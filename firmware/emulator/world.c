@@ -338,13 +338,13 @@ static void do_measured(world_t *world, uint64_t value)
 {
     (void)value;
     world->is_measuring = false;
+    world->measured_until = world->machine.cycles;
+    world->measured_slept = world->machine.slept - world->measured_slept;
 }
 static void do_cut(world_t *world, uint64_t value)
 {
-    if (world->is_child)
-        return;
     world->is_cut_wanted = world->machine.is_reset_wanted = true;
-    world->after_cut_us = value;
+    world->again_us = value;
 }
 static void do_end(world_t *world, uint64_t value)
 {
@@ -385,6 +385,8 @@ static void act(world_t *world, const char *line)
 
 static uint64_t step_actions(world_t *world)
 {
+    if (world->is_child)
+        return NEVER;
     while (world->action_at < world->action_count && world->actions[world->action_at].time_us <= world->now_us) {
         act(world, world->actions[world->action_at++].line);
     }
@@ -464,6 +466,26 @@ static uint64_t earlier(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
+/* In a copy whose power was cut: it may go once more, then the button is pressed, then the copy ends. */
+static uint64_t step_afterwards(world_t *world)
+{
+    const uint64_t since_us = world->now_us - world->on_us, times[] = {AGAIN_PRESS_US, AGAIN_PRESS_US + PRESSED_US, AFTERWARDS_US};
+    if (!world->is_child)
+        return NEVER;
+    if (world->again_us) {
+        if (since_us < world->again_us)
+            return world->on_us + world->again_us;
+        world->is_cut_wanted = world->machine.is_reset_wanted = true;
+        return world->now_us + 1;
+    }
+    world->is_pressed = since_us >= times[0] && since_us < times[1];
+    world->machine.is_over |= since_us >= times[2];
+    for (size_t i = 0; i < sizeof times / sizeof *times; i++)
+        if (since_us < times[i])
+            return world->on_us + times[i];
+    return NEVER;
+}
+
 static uint64_t advance(void *context)
 {
     world_t *world = of(context);
@@ -472,11 +494,7 @@ static uint64_t advance(void *context)
     uint64_t next = earlier(step_imu(world), step_receiver(world));
     next = earlier(next, earlier(step_pulse(world), step_storm(world)));
     const uint64_t spurious_next = step_spurious(world);
-    next = earlier(next, step_actions(world));
-    if (world->is_child)
-        next = earlier(next, world->cut_us + world->after_cut_us);
-    if (world->is_child && world->now_us >= world->cut_us + world->after_cut_us)
-        world->machine.is_over = true;
+    next = earlier(next, earlier(step_actions(world), step_afterwards(world)));
     /* what came in by the steps may have brought something of the chip's nearer */
     const uint64_t chip_soon = earlier(earlier(chip_next, world->chip.idle_at), spurious_next);
     return earlier(chip_soon, next == NEVER ? NEVER : next * CYCLES_PER_US);
@@ -515,11 +533,26 @@ static void report_cut(const world_t *world, uint64_t cut_us)
     fclose(file);
 }
 
+/* The power goes, and comes back at once. */
+static void lose_power(world_t *world)
+{
+    tear(world);
+    world->journal_writes = 0; /* what has survived is on the medium */
+    world->is_pressed = false;
+    world->on_us = world->now_us;
+    power_on(world);
+}
+
 /* The power goes in a copy of the world, which then starts anew; this one goes on. */
 static void cut(world_t *world)
 {
     char path[LONGEST_PATH];
     world->is_cut_wanted = false;
+    if (world->is_child) {
+        world->again_us = 0;
+        lose_power(world);
+        return;
+    }
     world->cuts++;
     fflush(NULL);
     const pid_t child = fork();
@@ -529,14 +562,11 @@ static void cut(world_t *world)
         return;
     }
     world->is_child = true;
-    world->cut_us = world->now_us;
     report_cut(world, world->now_us);
     snprintf(path, sizeof path, "%s/cut%05u/serial.txt", world->out, world->cuts);
     world->serial = fopen(path, "w");
     world->random += world->cuts;
-    tear(world);
-    world->is_pressed = false;
-    power_on(world);
+    lose_power(world);
 }
 
 static void note_reset(world_t *world, const char *kind)
@@ -799,7 +829,7 @@ int world_save(const world_t *world, const char *out)
 void world_report(const world_t *world)
 {
     const machine_t *machine = &world->machine;
-    const double us = CYCLES_PER_US, measured = (double)(machine->cycles - world->measured_from);
+    const double us = CYCLES_PER_US, measured = (double)((world->is_measuring ? machine->cycles : world->measured_until) - world->measured_from);
     uint32_t word, free_words = 0, top;
     memcpy(&top, machine->flash, 4);
     for (; RAM_AT + 4 * free_words < top; free_words++) {
@@ -807,12 +837,13 @@ void world_report(const world_t *world)
         if (word != 0xC0FFEE11u)
             break;
     }
+    const uint64_t slept = world->is_measuring ? machine->slept - world->measured_slept : world->measured_slept;
     unsigned executed, interrupted;
     machine_count_places(machine, &executed, &interrupted);
     printf("simulated_s=%.3f\n", (double)machine->cycles / us / 1e6);
     printf("places=%u\nplaces_interrupted=%u\nasked=%" PRIu64 "\n", executed, interrupted, machine->asked);
     printf("instructions=%" PRIu64 "\n", machine->instructions);
-    printf("load=%.4f\n", measured > 0 ? 1.0 - (double)(machine->slept - world->measured_slept) / measured : 0.0);
+    printf("load=%.4f\n", measured > 0 ? 1.0 - (double)slept / measured : 0.0);
     printf("stack_used=%u\nstack_size=%u\n", top - RAM_AT - 4 * free_words, top - RAM_AT);
     printf("nested=%u\n", machine->deepest);
     for (int irq = 0; irq < IRQS; irq++)

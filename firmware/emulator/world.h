@@ -12,6 +12,10 @@
 
 enum { CARD_CLUSTER_SECTORS = 64, JOURNAL = 32, LONGEST_LINE = 120 };
 
+/* In a copy of the world whose power was cut, since it came back: by then all is in order and the button is pressed, to
+ * record once more; and the copy's end. */
+enum { AGAIN_PRESS_US = 1800000, PRESSED_US = 120000, AFTERWARDS_US = 3000000 };
+
 typedef struct {
     uint64_t time_us;
     int16_t values[6];
@@ -65,7 +69,7 @@ typedef struct {
     action_t *actions;
     size_t action_count, action_at;
     bool is_pressed, is_supply_low, is_cut_wanted, is_restart_wanted, is_child;
-    uint64_t cut_us, after_cut_us;
+    uint64_t on_us, again_us; /* in a copy: when its power came back, and after what time it goes again (0: it does not) */
     uint32_t cache; /* sectors that a power cut may undo */
     unsigned cuts, cut_parallel;
     uint64_t pulse_every_us, next_pulse_us;
@@ -89,7 +93,7 @@ typedef struct {
     /* seen */
     uint32_t stalls, longest_stall_us, seen_samples, edges, led_changes, resets, spurious;
     uint64_t stall_from_us, stall_until_us;
-    uint64_t measured_from, measured_slept;
+    uint64_t measured_from, measured_until, measured_slept;
     bool is_measuring;
     uint32_t metadata_writes; /* to tables and root directory, while measuring */
     FILE *writes;             /* if asked for: time and sector of each */

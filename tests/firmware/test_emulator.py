@@ -2,8 +2,10 @@
 
 import fcntl
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
@@ -75,8 +77,8 @@ def test_every_sentence_is_recorded_as_it_was_sent(driven):
 def test_power_cuts_leave_a_clean_volume_and_what_was_recorded(image, tmp_path):
     if build.find_tool("fsck.fat") is None:
         pytest.skip("needs system package dosfstools")
-    cuts = campaign.run_cuts(tmp_path, image, count=8, seed=3)
-    assert {cut.phase for cut in cuts} == set(campaign.PHASES)
+    cuts = campaign.run_cuts(tmp_path, campaign.world_of(image, seed=3), count=6, seed=3)
+    assert {cut.plan.phase for cut in cuts} == set(campaign.PHASES)
     assert [cut for cut in cuts if cut.complaints] == []
 
 
@@ -88,3 +90,50 @@ def test_recording_that_lacks_a_sample_is_noticed(driven, tmp_path):
     comparison = emulate.compare(simulation, direct, tmp_path, has_laps=False)
     assert not comparison.is_whole
     assert comparison.losses.blocks == 1
+
+
+def test_direct_log_keeps_what_the_recording_spans(driven):
+    _, direct, outcome = driven
+    wanted, (got, _) = emulate.recorded(direct)[0], emulate.recorded(outcome.folder)
+    whole = emulate.part_recorded(wanted, got)
+    assert len(whole.imu) == len(wanted.imu), "the recording begins before the session and ends after it"
+    inner = slice(2000, -2000)
+    first = next(i for i in range(len(got.imu)) if (got.imu[i] == wanted.imu[0]).all())
+    middle = slice(first + 2000, first + len(wanted.imu) - 2000)
+    sentences = tuple(s for s in got.sentences if got.imu_t[middle][0] < s[0] < got.imu_t[middle][-1])
+    shorter = replace(got, imu_t=got.imu_t[middle], imu=got.imu[middle], sentences=sentences)
+    part = emulate.part_recorded(wanted, shorter)
+    assert np.array_equal(part.imu_t, wanted.imu_t[inner])
+    simulated = {text for _, text in wanted.sentences}  # the others say that there is no fix
+    assert [text for _, text in part.sentences] == [text for _, text in sentences if text in simulated]
+
+
+def test_every_write_of_a_life_belongs_to_a_phase():
+    entry, block, table = 100, 200, 10
+    sectors = [entry, table, entry, entry, block, block, table, entry, entry, table, entry, entry, block]
+    assert campaign.label_writes(np.array(sectors), entry, block) == [
+        *[campaign.SPARE] * 3,
+        *[campaign.RENAME, campaign.LOGGING, campaign.LOGGING, campaign.STOP, campaign.STOP],
+        *[campaign.SPARE] * 3,
+        *[campaign.RENAME, campaign.LOGGING],
+    ]
+
+
+def test_what_a_power_cut_may_not_do_is_noticed(driven):
+    *_, outcome = driven
+    whole = max(outcome.recordings, key=lambda path: path.stat().st_size).read_bytes()
+    records, _ = emulate.recorded(outcome.folder)
+    begun, ended = int(records.imu_t[0]) - 540_000, int(records.imu_t[-1])
+
+    def judged(data: bytes, cut_us: int) -> str:
+        return campaign.judge_recording(data, whole, (begun, ended), cut_us, campaign.TAIL_MS)[0]
+
+    cut_us = int(records.imu_t[len(records.imu_t) // 2])
+    blocks = campaign.find_blocks(whole)[0]
+    written = int(np.searchsorted(blocks.base_us, cut_us)) - 2  # one is being filled, one on its way
+    assert judged(whole[: 512 * written], cut_us) == ""
+    assert "are lost" in judged(whole[: 512 * (written - 2)], cut_us)
+    assert "not what was recorded" in judged(whole[: 512 * written - 1] + b"?", cut_us)
+    assert judged(whole, ended + 3_000_000) == ""
+    assert "has changed" in judged(whole[:-512], ended + 3_000_000)
+    assert campaign.judge_next([whole]) != "", "its clock did not begin anew"
