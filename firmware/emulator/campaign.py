@@ -159,13 +159,13 @@ def judge_next(recordings: list[bytes]) -> str:
     return "nothing was recorded after the next start"
 
 
-def judge_cut(folder: Path, plan: Plan, final: dict[str, bytes], cache: int) -> Cut:
+def judge_cut(folder: Path, plan: Plan, final: dict[str, bytes], settings: dict[str, int]) -> Cut:
     """Judge what the start after a power cut has left and recorded."""
     about = {name: int(value) for name, value in (x.split("=") for x in (folder / "about.txt").read_text().split())}
     found = {path.name: read_head(path) for path in sorted(folder.glob("LOG*.KLG"))}
     cut_us, stall_us = about["cut_us"], (about["stall_from_us"], about["stall_until_us"])
     in_stall = stall_us[0] < cut_us < stall_us[1] + TAIL_MS * 1e3
-    allowed_ms = TAIL_MS + cache * BLOCK_MS + in_stall * (cut_us - stall_us[0]) / 1e3
+    allowed_ms = TAIL_MS + settings["cache"] * BLOCK_MS + in_stall * (cut_us - stall_us[0]) / 1e3
     complaints, tails = judge_volume(folder / "card.img"), [0.0]
     for i, (name, whole) in enumerate(sorted(final.items())):
         start_us, stop_us = (round(1e6 * press) for press in PRESSES_S[2 * i : 2 * i + 2])
@@ -173,7 +173,8 @@ def judge_cut(folder: Path, plan: Plan, final: dict[str, bytes], cache: int) -> 
             complaint, tail_ms = judge_recording(found.get(name, b""), whole, (start_us, stop_us), cut_us, allowed_ms)
             complaints += [f"{name}: {complaint}"] * bool(complaint)
             tails.append(tail_ms)
-    if complaint := judge_next(list(found.values())):
+    is_prompt = not settings["stall_us"]  # else the card may hold up the start, and the blocks, until the copy ends
+    if is_prompt and (complaint := judge_next(list(found.values()))):
         complaints.append(complaint)
     return Cut(plan, tuple(complaints), max(tails))
 
@@ -221,7 +222,7 @@ def run_turn(folder: Path, world: World, plans: list[Plan]) -> list[Cut]:
     found = sorted(folder.glob("cut*"))
     if len(found) != len(plans):
         raise RuntimeError(f"{len(plans)} cuts were expected, there are {len(found)}")
-    cuts = [judge_cut(path, plan, final, world.settings["cache"]) for path, plan in zip(found, plans, strict=True)]
+    cuts = [judge_cut(path, plan, final, world.settings) for path, plan in zip(found, plans, strict=True)]
     shutil.rmtree(folder)
     return cuts
 
