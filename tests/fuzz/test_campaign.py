@@ -33,6 +33,18 @@ def test_the_command_ends_with_a_code_that_says_what_happened(form: str, tmp_pat
         assert outcome.kind != "finding", f"{form} {seed} ({done}): {outcome.text}"
 
 
+COMMAND_FINDINGS = (
+    ("columns", 39),
+)  # covariance of samples that is none: the fixes alone are smoothed, and it is said
+
+
+@pytest.mark.parametrize(("form", "seed"), COMMAND_FINDINGS)
+def test_what_once_ended_the_command_with_a_traceback_no_longer_does(form: str, seed: int, tmp_path: Path) -> None:
+    files, done = damaged(form, seed)
+    outcome = check_command(write_files(tmp_path / "session", files))
+    assert outcome.kind != "finding", f"{form} {seed} ({done}): {outcome.text}"
+
+
 @pytest.mark.parametrize("mutator", MUTATORS, ids=lambda mutator: mutator.__name__)
 def test_mutators_damage_and_repeat(mutator) -> None:
     data = CORPUS["columns"]()["gps.csv"]

@@ -65,7 +65,7 @@ class GraphSmoother:
         watch = Stopwatch(self.progress)
         try:
             return self._from_graph(session, watch)
-        except NotPositiveDefiniteError as error:
+        except (NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
             problem = Problem("graph_failed", f"the inertial solution failed ({error}); smoothed from the fixes alone")
             return self._from_fixes(session, (problem,))
 
