@@ -22,7 +22,6 @@ from smoother.cli.lap_stage import (
     steps,
 )
 from smoother.cli.output import Progress, duration, no_progress, plain, warn
-from smoother.disc import release
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
@@ -122,6 +121,7 @@ def calibrated(raw: RawSession, directory: Path) -> Session:
 
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Run smoother and baseline, and judge the result."""
+    from smoother.disc import release
     from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
     from smoother.estimate.quality import assess
 
@@ -168,6 +168,8 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Add the laps."""
+    from smoother.disc import release
+
     progress("laps", 0.0)
     with watch.stage("laps"):
         laps = analyse_session(estimates.session, estimates.smoothed, said)
