@@ -38,19 +38,10 @@ def thinned(start: Start, every: int) -> Start:
     n = (len(start.state.t) - 1) // every
     if n < FEWEST:
         return start
-    keys, s = slice(0, n * every + 1, every), start.state
-    state = ChainState(
-        s.t[keys],
-        s.R_ns[keys],
-        s.position_n[keys],
-        s.velocity_n[keys],
-        s.accel_bias_s[keys],
-        s.gyro_bias_s[keys],
-        s.offset_n[keys],
-        s.constants,
-    )
+    state = start.state.between(0, n * every + 1, every)
     data = replace(start.data, still=_wholly_still(start.data.still, n, every), extra=())
-    return replace(start, state=state, data=data, binned=_joined(start.binned, n, every, s.gyro_bias_s.mean(axis=0)))
+    binned = _joined(start.binned, n, every, state.gyro_bias_s.mean(axis=0))
+    return replace(start, state=state, data=data, binned=binned)
 
 
 def _wholly_still(still: IntArray, n: int, every: int) -> IntArray:

@@ -269,28 +269,10 @@ def fixes_between(start: Start, first: int, last: int) -> BoolArray:
 
 def stretch(start: Start, first: int, last: int) -> Start:
     """Return the start of the keyframes first .. last alone."""
-    s, data, binned = start.state, start.data, start.binned
-    keys, intervals = slice(first, last + 1), slice(first, last)
-    state = ChainState(
-        s.t[keys],
-        s.R_ns[keys],
-        s.position_n[keys],
-        s.velocity_n[keys],
-        s.accel_bias_s[keys],
-        s.gyro_bias_s[keys],
-        s.offset_n[keys],
-        s.constants,
-    )
+    data = start.data
     inside = fixes_between(start, first, last)
     still = data.still[(data.still >= first) & (data.still < last)] - first
     names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
     part = replace(data, still=still, extra=(), **{name: getattr(data, name)[inside] for name in names})
-    bins = BinnedImu(
-        binned.t[keys],
-        binned.dt,
-        binned.specific_force_s[intervals],
-        binned.angular_rate_s[intervals],
-        binned.missing[intervals],
-        binned.clipped[intervals],
-    )
-    return replace(start, state=state, data=part, binned=bins)
+    state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
+    return replace(start, state=state, data=part, binned=binned)

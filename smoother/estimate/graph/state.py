@@ -111,9 +111,9 @@ class ChainState:
         """Time between keyframes, s."""
         return float(self.t[1] - self.t[0])
 
-    def between(self, first: int, last: int) -> "ChainState":
-        """Return keyframes first to last, exclusive."""
-        keys = slice(first, last)
+    def between(self, first: int, last: int, every: int = 1) -> "ChainState":
+        """Return keyframes first to last, exclusive, one in `every`."""
+        keys = slice(first, last, every)
         return replace(
             self,
             t=self.t[keys],
