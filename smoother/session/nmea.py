@@ -7,12 +7,14 @@ sea level.
 import datetime
 import math
 import re
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pynmea2
 
 from smoother.arrays import Array, BoolArray, IntArray
@@ -34,15 +36,28 @@ _TALKERS = ("GN", "GP")  # preferred in this order where several constellations 
 _TIME_QUANTUM = 1e-3  # s; UTC equal to a millisecond is one epoch
 
 
-@dataclass(frozen=True)
-class _Sentence:
-    """One good sentence: receive time and UTC of day in s (NaN if unknown), and values by column of FixColumns."""
+@dataclass(frozen=True, eq=False)
+class _Sentences:
+    """N good sentences in the order of the file, as columns, because a day of them has more than a million.
 
-    kind: str
-    talker: str
-    received: float
-    time_of_day: float
-    values: dict[str, float]
+    kind (N,) is an index into _PRECEDENCE, talker (N,) two letters as a number; received, time_of_day (N,) s are
+    receive time and UTC, NaN where unknown. values holds by kind the values _COLUMNS_OF[kind] of its sentences (M, ..).
+    """
+
+    kind: npt.NDArray[np.int8]
+    talker: npt.NDArray[np.int16]
+    received: Array
+    time_of_day: Array
+    values: dict[str, Array]
+
+    def take(self, keep: BoolArray) -> "_Sentences":
+        """Return the sentences of a mask (N,)."""
+        values = {kind: of_kind[keep[self.is_of(kind)]] for kind, of_kind in self.values.items()}
+        return _Sentences(self.kind[keep], self.talker[keep], self.received[keep], self.time_of_day[keep], values)
+
+    def is_of(self, kind: str) -> BoolArray:
+        """Mask (N,) of the sentences of one kind."""
+        return np.asarray(self.kind == _PRECEDENCE.index(kind))
 
 
 @dataclass
@@ -96,47 +111,65 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     """
     tally = _Tally()
     sentences = _parse_all(received, tally)
-    timed = [sentence for sentence in sentences if math.isfinite(sentence.time_of_day)]
-    if not timed:
+    timed = np.isfinite(sentences.time_of_day)
+    if not np.any(timed):
         flaws = "; ".join(problem.text for problem in tally.problems(file))
         raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
-    utc = over_midnight(np.array([sentence.time_of_day for sentence in timed]))
-    columns, has_receive_times = _merge(sentences, utc, tally)
+    utc = over_midnight(sentences.time_of_day[timed])
+    columns, has_receive_times = _merge(sentences, timed, utc, tally)
     gnss, problems = screen_fixes(columns, file)
     return NmeaReading(gnss, [*tally.problems(file), *problems], has_receive_times)
 
 
-def _parse_all(received: Iterable[tuple[float, bytes]], tally: _Tally) -> list[_Sentence]:
-    matches = [(time, match) for time, data in received for match in _SENTENCE.finditer(data)]
-    checked = any(match.group(6) for _, match in matches)
-    sentences = []
-    for time, match in matches:
-        if checked and not match.group(6):
-            tally.unreadable += 1  # cut short: in this file a whole sentence has a checksum
-            continue
-        sentence = _parse(time, match, tally)
-        if sentence is not None:
-            sentences.append(sentence)
-    return sentences
+def _parse_all(received: Iterable[tuple[float, bytes]], tally: _Tally) -> _Sentences:
+    kinds, talkers, checked = array("b"), array("h"), array("b")
+    received_at, times_of_day = array("d"), array("d")
+    values = {kind: array("d") for kind in _PRECEDENCE}
+    any_checked = False
+    for time, data in received:
+        for match in _SENTENCE.finditer(data):
+            any_checked = any_checked or match[6] is not None
+            parsed = _parse(match, tally)
+            if parsed is None:
+                continue
+            kind = match[4].decode()
+            kinds.append(_PRECEDENCE.index(kind))
+            talkers.append(int.from_bytes(match[3], "big"))
+            checked.append(match[6] is not None)
+            received_at.append(time if match[1] is None else _number(match[1].decode()))
+            times_of_day.append(parsed[0])
+            values[kind].extend(parsed[1])
+    sentences = _Sentences(
+        np.frombuffer(kinds, dtype=np.int8),
+        np.frombuffer(talkers, dtype=np.int16),
+        np.frombuffer(received_at),
+        np.frombuffer(times_of_day),
+        {kind: np.frombuffer(values[kind]).reshape(-1, len(_COLUMNS_OF[kind])) for kind in _PRECEDENCE},
+    )
+    whole = np.frombuffer(checked, dtype=np.bool_)
+    if not any_checked or np.all(whole):
+        return sentences
+    tally.unreadable += int(np.count_nonzero(~whole))  # cut short: in this file a whole sentence has a checksum
+    return sentences.take(whole)
 
 
-def _parse(time: float, match: re.Match[bytes], tally: _Tally) -> _Sentence | None:
-    prefix, body, talker, kind = match.group(1), match.group(2), match.group(3), match.group(4).decode()
+def _parse(match: re.Match[bytes], tally: _Tally) -> tuple[float, tuple[float, ...]] | None:
+    """UTC of day and values of a sentence, None if it is no good."""
     try:
-        message = pynmea2.parse((body + (match.group(6) or b"")).decode("ascii"))
+        message = pynmea2.parse((match[2] + (match[6] or b"")).decode("ascii"))
     except pynmea2.ChecksumError:
         tally.checksum += 1
         return None
     except (pynmea2.ParseError, ValueError):
         tally.unreadable += 1
         return None
+    kind = match[4].decode()
     text = message.data[0] if kind != "VTG" else ""
     time_of_day = _time_of_day(text)
     if text and not math.isfinite(time_of_day):
         tally.unreadable += 1
         return None
-    received = time if prefix is None else _number(prefix.decode())
-    return _Sentence(kind, talker.decode(), received, time_of_day, _VALUES[kind](message))
+    return time_of_day, _VALUES[kind](message)
 
 
 def _number(text: object) -> float:
@@ -163,76 +196,80 @@ def _day(year: int, month: int, day: int) -> float:
         return math.nan
 
 
-def _position(message: Any) -> dict[str, float]:
-    """Latitude and longitude in degrees; nothing where a part is missing, for which pynmea2 would say 0."""
+def _position(message: Any) -> tuple[float, float]:
+    """Latitude and longitude in degrees; NaN where a part is missing, for which pynmea2 would say 0."""
     whole = _COORDINATE.match(message.lat) and _COORDINATE.match(message.lon)
     if not whole or message.lat_dir not in ("N", "S") or message.lon_dir not in ("E", "W"):
-        return {}
+        return math.nan, math.nan
     try:
-        return {"lat_deg": message.latitude, "lon_deg": message.longitude}
+        return message.latitude, message.longitude
     except ValueError:
-        return {}
+        return math.nan, math.nan
 
 
-def _rmc(message: Any) -> dict[str, float]:
+def _rmc(message: Any) -> tuple[float, ...]:
     date = str(message.data[8]) if len(message.data) > 8 else ""
     known = len(date) == 6 and date.isdigit()
     mode = message.data[11] if len(message.data) > 11 else ""
-    return {
-        **_position(message),
-        "fix": 1.0 if message.status == "A" and mode != "N" else 0.0,
-        "speed": _number(message.spd_over_grnd) * KNOT,
-        "course_deg": _number(message.true_course),
-        "day": _day(2000 + int(date[4:]), int(date[2:4]), int(date[:2])) if known else math.nan,
-    }
+    return (
+        *_position(message),
+        1.0 if message.status == "A" and mode != "N" else 0.0,
+        _number(message.spd_over_grnd) * KNOT,
+        _number(message.true_course),
+        _day(2000 + int(date[4:]), int(date[2:4]), int(date[:2])) if known else math.nan,
+    )
 
 
-def _gga(message: Any) -> dict[str, float]:
-    return {
-        **_position(message),
-        "fix": _number(message.gps_qual),
-        "num_sv": _number(message.num_sats),
-        "hdop": _number(message.horizontal_dil),
-        "alt_m": _number(message.altitude),
-    }
+def _gga(message: Any) -> tuple[float, ...]:
+    return (
+        *_position(message),
+        _number(message.gps_qual),
+        _number(message.num_sats),
+        _number(message.horizontal_dil),
+        _number(message.altitude),
+    )
 
 
-def _gns(message: Any) -> dict[str, float]:
+def _gns(message: Any) -> tuple[float, ...]:
     mode = message.mode_indicator
-    return {
-        **_position(message),
-        "fix": 0.0 if mode and set(mode) <= {"N"} else 1.0,
-        "num_sv": _number(message.num_sats),
-        "hdop": _number(message.hdop),
-        "alt_m": _number(message.altitude),
-    }
+    return (
+        *_position(message),
+        0.0 if mode and set(mode) <= {"N"} else 1.0,
+        _number(message.num_sats),
+        _number(message.hdop),
+        _number(message.altitude),
+    )
 
 
-def _gst(message: Any) -> dict[str, float]:
+def _gst(message: Any) -> tuple[float, ...]:
     north, east = _number(message.std_dev_latitude), _number(message.std_dev_longitude)
-    return {
-        "sigma_horizontal": math.sqrt(0.5 * (north**2 + east**2)),
-        "sigma_up": _number(message.std_dev_altitude),
-    }
+    return math.sqrt(0.5 * (north**2 + east**2)), _number(message.std_dev_altitude)
 
 
-def _vtg(message: Any) -> dict[str, float]:
+def _vtg(message: Any) -> tuple[float, ...]:
     knots, kmh = _number(message.spd_over_grnd_kts), _number(message.spd_over_grnd_kmph)
-    return {"speed": kmh * KMH if math.isnan(knots) else knots * KNOT, "course_deg": _number(message.true_track)}
+    return kmh * KMH if math.isnan(knots) else knots * KNOT, _number(message.true_track)
 
 
-def _zda(message: Any) -> dict[str, float]:
+def _zda(message: Any) -> tuple[float, ...]:
     year, month, day = (_number(text) for text in (message.year, message.month, message.day))
     known = all(math.isfinite(value) for value in (year, month, day)) and 1.0 <= year <= 9999.0
-    return {"day": _day(int(year), int(month), int(day)) if known else math.nan}
+    return (_day(int(year), int(month), int(day)) if known else math.nan,)
 
 
 _VALUES = {"RMC": _rmc, "GGA": _gga, "GNS": _gns, "GST": _gst, "VTG": _vtg, "ZDA": _zda}
+_COLUMNS_OF = {
+    "RMC": ("lat_deg", "lon_deg", "fix", "speed", "course_deg", "day"),
+    "GGA": ("lat_deg", "lon_deg", "fix", "num_sv", "hdop", "alt_m"),
+    "GNS": ("lat_deg", "lon_deg", "fix", "num_sv", "hdop", "alt_m"),
+    "GST": ("sigma_horizontal", "sigma_up"),
+    "VTG": ("speed", "course_deg"),
+    "ZDA": ("day",),
+}
 
 
-def _merge(sentences: list[_Sentence], utc: Array, tally: _Tally) -> tuple[FixColumns, bool]:
+def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, tally: _Tally) -> tuple[FixColumns, bool]:
     """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it."""
-    timed = np.array([math.isfinite(sentence.time_of_day) for sentence in sentences])
     owner = _owners(sentences, timed)
     ticks = np.round(utc / _TIME_QUANTUM).astype(np.int64)
     epochs, row_of_timed = np.unique(ticks, return_inverse=True)
@@ -241,7 +278,7 @@ def _merge(sentences: list[_Sentence], utc: Array, tally: _Tally) -> tuple[FixCo
     tally.misplaced += int(np.count_nonzero((row_of_timed < newest) & (np.diff(row_of_timed, prepend=-1) != 0)))
     values = _fill(sentences, row, epochs.size, tally)
     received = np.full(epochs.size, np.inf)
-    np.fmin.at(received, row_of_timed, [s.received for s in sentences if math.isfinite(s.time_of_day)])
+    np.fmin.at(received, row_of_timed, sentences.received[timed])
     seconds = np.asarray(epochs * _TIME_QUANTUM, dtype=np.float64)
     since_first = np.asarray((epochs - ticks[0]) * _TIME_QUANTUM, dtype=np.float64)
     t, has_receive_times = _row_times(received, since_first)
@@ -270,41 +307,39 @@ _COLUMNS = (
 )
 
 
-def _fill(sentences: list[_Sentence], row: IntArray, rows: int, tally: _Tally) -> dict[str, Array]:
+def _fill(sentences: _Sentences, row: IntArray, rows: int, tally: _Tally) -> dict[str, Array]:
     """Columns (rows,): of each kind the first sentence of an epoch counts, kinds overrule in _PRECEDENCE."""
-    values = {name: np.full(rows, np.nan) for name in _COLUMNS}
-    talker_rank = {talker: rank for rank, talker in enumerate(_TALKERS)}
-    order = sorted(
-        range(len(sentences)),
-        key=lambda i: (_PRECEDENCE.index(sentences[i].kind), talker_rank.get(sentences[i].talker, len(_TALKERS)), i),
-    )
-    taken: set[tuple[str, int]] = set()
-    seen: set[tuple[str, str, int]] = set()
-    for i in order:
-        sentence, place = sentences[i], int(row[i])
-        tally.duplicate += (sentence.kind, sentence.talker, place) in seen
-        seen.add((sentence.kind, sentence.talker, place))
-        if (sentence.kind, place) in taken:
-            continue
-        taken.add((sentence.kind, place))
-        for name, value in sentence.values.items():
-            if math.isfinite(value) and not _is_weaker(name, value, values[name][place]):
-                values[name][place] = value
-    return values
+    columns = {name: np.full(rows, np.nan) for name in _COLUMNS}
+    for kind in _PRECEDENCE:
+        of_kind = sentences.is_of(kind)
+        place, talker = row[of_kind], sentences.talker[of_kind]
+        tally.duplicate += place.size - np.unique(place + rows * talker.astype(np.int64)).size
+        order = np.argsort(_rank(talker), kind="stable")
+        at, first = np.unique(place[order], return_index=True)
+        counts = sentences.values[kind][order[first]]
+        for name, column in zip(_COLUMNS_OF[kind], counts.T, strict=True):
+            use = np.isfinite(column)
+            if name == "fix":
+                use &= ~((columns[name][at] == 0.0) & (column > 0.0))  # where one denies a fix, the denial stays
+            columns[name][at[use]] = column[use]
+    return columns
 
 
-def _is_weaker(name: str, value: float, present: float) -> bool:
-    """Whether a sentence that claims a fix meets another that denies it: the denial stays."""
-    return name == "fix" and present == 0.0 and value > 0.0
+def _rank(talker: npt.NDArray[np.int16]) -> IntArray:
+    """Preference (N,), least first, of the talkers (N,)."""
+    rank = np.full(talker.size, len(_TALKERS), dtype=np.int64)
+    for i, name in enumerate(_TALKERS):
+        rank[talker == int.from_bytes(name.encode(), "big")] = i
+    return rank
 
 
-def _owners(sentences: list[_Sentence], timed: BoolArray) -> IntArray:
+def _owners(sentences: _Sentences, timed: BoolArray) -> IntArray:
     """For each sentence the number of the timed one it belongs to: itself, else the one before it.
 
     Without RMC, u-blox receivers start the burst with VTG: a file that starts so attaches VTG to the one after it.
     """
     before = np.cumsum(timed) - 1
-    leads = sentences[0].kind == "VTG" and all(sentence.kind != "RMC" for sentence in sentences)
+    leads = bool(sentences.is_of("VTG")[0]) and not np.any(sentences.is_of("RMC"))
     return np.clip(np.where(timed, before, before + leads), 0, np.count_nonzero(timed) - 1)
 
 
