@@ -40,6 +40,39 @@ def kept(values: npt.NDArray[Any], large: int = LARGE) -> npt.NDArray[Any]:
     return out
 
 
+class Growing:
+    """Rows that come part by part, however many: they are in memory, and from `large` bytes on in a file.
+
+    width : shape of a row.
+    """
+
+    def __init__(self, width: tuple[int, ...] = (), dtype: npt.DTypeLike = np.float64, large: int = LARGE) -> None:
+        self._room, self._length, self._large = np.empty((0, *width), dtype), 0, large
+
+    def add(self, rows: npt.NDArray[Any]) -> None:
+        """Append rows (n, *width)."""
+        length = self._length + len(rows)
+        if length > len(self._room):
+            room = roomy((max(length, 2 * len(self._room)), *self._room.shape[1:]), self._room.dtype, self._large)
+            for part in pieces(self._length):
+                room[part] = self._room[part]
+                release(room, self._room)
+            self._room = room
+        self._room[self._length : length] = rows
+        self._length = length
+        release(self._room)
+
+    def __len__(self) -> int:
+        return self._length
+
+    @property
+    def rows(self) -> npt.NDArray[Any]:
+        """All rows so far, (N, *width), read-only."""
+        rows = self._room[: self._length]
+        rows.flags.writeable = False
+        return rows
+
+
 def release(*values: object) -> None:
     """Give back the memory of arrays in files, also of those in dataclasses and sequences; their values stay."""
     for value in values:
@@ -72,9 +105,9 @@ def contents(path: Path, large: int = LARGE) -> bytes | mmap.mmap:
 
 
 def _copied(source: BinaryIO, copy: mmap.mmap) -> mmap.mmap:
-    while part := source.read(min(PIECE, len(copy) - copy.tell())):
+    while part := source.read(min(LARGE, len(copy) - copy.tell())):
         copy.write(part)
-    release(copy)
+        release(copy)
     if copy.tell() < len(copy):
         raise OSError("the file became shorter")
     copy.seek(0)

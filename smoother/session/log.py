@@ -97,7 +97,8 @@ def _head(path: Path) -> Blocks:
 
 def _own(blocks: Blocks) -> Blocks:
     """The blocks of the recording that a file belongs to: that of its first block. What follows its end is older."""
-    return blocks if len(blocks) == 0 else blocks.select(blocks.head["session"] == blocks.head["session"][0])
+    own = blocks.head["session"] == blocks.head["session"][:1]
+    return blocks if np.all(own) else blocks.select(own)
 
 
 def _first_bytes(path: Path) -> bytes:

@@ -5,6 +5,7 @@ Nothing here raises on any bytes: a block that fails its CRC is lost, the others
 
 import struct
 import zlib
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from mmap import mmap
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from smoother.arrays import IntArray
-from smoother.disc import pieces, release, roomy
+from smoother.disc import Growing, pieces, release, roomy
 from smoother.session.log_format import (
     BLOCK_BYTES,
     CAPACITY,
@@ -49,6 +50,7 @@ from smoother.session.log_format import (
     Setup,
     Stop,
 )
+from smoother.session.log_sentences import Sentences
 
 Bytes = npt.NDArray[np.uint8]
 TOGETHER = 1 << 15  # blocks that are worked on together, 16 MB of them
@@ -72,7 +74,8 @@ class Blocks:
 
     def select(self, keep: npt.NDArray[np.generic] | slice) -> "Blocks":
         """Return the blocks chosen by a mask (K,), by indices, or by a slice, which copies nothing."""
-        return Blocks(self.content[keep], self.head[keep], self.base_us[keep])
+        content = self.content[keep] if isinstance(keep, slice) else _rows(self.content, np.arange(len(self))[keep])
+        return Blocks(content, self.head[keep], self.base_us[keep])
 
     def __len__(self) -> int:
         return len(self.content)
@@ -91,7 +94,7 @@ class Losses:
 
 def find_blocks(data: bytes | mmap) -> tuple[Blocks, int]:
     """Return the blocks in `data` that are whole, wherever they begin, and how many damaged ones show their magic."""
-    positions, damaged, view = [], 0, memoryview(data)
+    positions, damaged, view = array("q"), 0, memoryview(data)
     at = data.find(MAGIC, 0)
     while at >= 0:
         if _is_whole(view, at):
@@ -103,7 +106,7 @@ def find_blocks(data: bytes | mmap) -> tuple[Blocks, int]:
         if len(positions) % TOGETHER == 0:
             release(data)
         at = data.find(MAGIC, at)
-    return Blocks.of(_blocks_at(np.frombuffer(data, dtype=np.uint8), np.array(positions, dtype=np.int64))), damaged
+    return Blocks.of(_blocks_at(np.frombuffer(data, dtype=np.uint8), np.frombuffer(positions, dtype=np.int64))), damaged
 
 
 def _is_whole(view: memoryview, at: int) -> bool:
@@ -120,7 +123,16 @@ def _blocks_at(octets: Bytes, positions: IntArray) -> Bytes:
     start, end = positions[0], positions[-1] + BLOCK_BYTES
     if end - start == positions.size * BLOCK_BYTES:
         return octets[start:end].reshape(-1, BLOCK_BYTES)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(octets, BLOCK_BYTES)[positions])
+    return _rows(np.lib.stride_tricks.sliding_window_view(octets, BLOCK_BYTES), positions)
+
+
+def _rows(content: Bytes, index: IntArray) -> Bytes:
+    """Rows `index` (K,) of blocks (N, 512), on the disc where they are many."""
+    out = roomy((len(index), BLOCK_BYTES), np.uint8)
+    for part in pieces(len(index), TOGETHER):
+        out[part] = content[index[part]]
+        release(out, content)
+    return out
 
 
 def in_sequence(blocks: Blocks) -> tuple[Blocks, int]:
@@ -134,15 +146,35 @@ def in_sequence(blocks: Blocks) -> tuple[Blocks, int]:
 def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
     """Return the records of one recording, and what it lacks. The blocks may come in any order."""
     blocks, duplicates = in_sequence(blocks)
-    parts = [_decode_some(blocks.select(some)) for some in [*pieces(len(blocks), TOGETHER)] or [slice(0)]]
+    short = {name: Growing(width, dtype) for name, (width, dtype) in _SHORT_COLUMNS.items()}
+    long: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(PPS, STOP + 1)}
+    sentences, in_block, unreadable = Sentences(), [], 0
+    for some in [*pieces(len(blocks), TOGETHER)] or [slice(0)]:
+        part = _decode_some(blocks.select(some))
+        for name, rows in part.short.items():
+            short[name].add(rows)
+        for kind, records in long.items():
+            records += part.long[kind]
+        sentences.extend(part.long[GPS])
+        in_block.append(part.imu_in_block)
+        unreadable += part.unreadable
     release(blocks)
-    short: dict[str, Any] = {}
-    for name in list(parts[0].short):
-        short[name] = _joined([part.short.pop(name) for part in parts])
-    records = LogRecords(**short, **_long_records([part.long for part in parts]))  # type: ignore[arg-type]
-    in_block = np.concatenate([np.zeros(0, dtype=np.int64), *(part.imu_in_block for part in parts)])
-    missing_blocks, missing_samples = _missing(blocks, in_block)
-    return records, Losses(missing_blocks, missing_samples, sum(part.unreadable for part in parts), duplicates)
+    found = {name: column.rows for name, column in short.items()}
+    missing_blocks, missing_samples = _missing(blocks, np.concatenate(in_block))
+    all_records = LogRecords(**found, sentences=sentences, **_long_records(long))  # type: ignore[arg-type]
+    return all_records, Losses(missing_blocks, missing_samples, unreadable, duplicates)
+
+
+_TIMES = ((), np.int64)
+_SHORT_COLUMNS: dict[str, tuple[tuple[int, ...], type]] = {
+    "imu_t": _TIMES,
+    "imu": ((6,), np.int16),
+    "mag_t": _TIMES,
+    "mag": ((3,), np.int16),
+    "mag_flags": ((), np.uint8),
+    "temperature_t": _TIMES,
+    "temperature": ((), np.int16),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +206,6 @@ def _decode_some(blocks: Blocks) -> _Part:
     part = _Part(short, _long_by_type(octets, blocks.base_us, long), imu_in_block, unreadable)
     release(blocks.content)
     return part
-
-
-def _joined(parts: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """The parts one behind the other; each is given up as soon as it is copied."""
-    out = roomy((sum(map(len, parts)), *parts[0].shape[1:]), parts[0].dtype)
-    first = 0
-    while parts:
-        part = parts.pop(0)
-        out[first : first + len(part)] = part
-        first += len(part)
-    release(out)
-    return out
 
 
 _SHORT_LENGTH = np.array([SHORT_LAYOUTS[kind].itemsize if kind in SHORT_LAYOUTS else 0 for kind in range(256)])
@@ -246,12 +266,10 @@ def _long_by_type(octets: Bytes, base_us: IntArray, position: IntArray) -> dict[
     return of_kind
 
 
-def _long_records(parts: Sequence[dict[int, list[tuple[int, bytes]]]]) -> dict[str, object]:
-    """The long records as fields of LogRecords."""
-    of_kind = {kind: [record for part in parts for record in part[kind]] for kind in parts[0]}
+def _long_records(of_kind: dict[int, list[tuple[int, bytes]]]) -> dict[str, object]:
+    """The long records but sentences as fields of LogRecords."""
     setups, stops = _whole(of_kind[SETUP], _setup), _whole(of_kind[STOP], _stop)
     return {
-        "sentences": tuple(of_kind[GPS]),
         "pps": tuple(_whole(of_kind[PPS], _pps)),
         "gaps": tuple(_whole(of_kind[GAP], _gap)),
         "setup": setups[-1] if setups else None,

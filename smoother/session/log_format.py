@@ -5,6 +5,7 @@ is for `log.py`; how records lie in blocks and frames for `log_decode.py` and `l
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -177,7 +178,7 @@ class LogRecords:
     mag_flags: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
     temperature_t: IntArray = field(default_factory=_no_times)
     temperature: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, dtype=np.int16))
-    sentences: tuple[tuple[int, bytes], ...] = ()
+    sentences: Sequence[tuple[int, bytes]] = ()
     pps: tuple[tuple[int, int], ...] = ()
     gaps: tuple[Gap, ...] = ()
     events: tuple[Event, ...] = ()
