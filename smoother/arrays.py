@@ -9,6 +9,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+_TOGETHER = 1 << 19
 
 
 def frozen(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> Array:
@@ -34,10 +35,15 @@ def frozen_int(value: npt.ArrayLike, shape: Sequence[int | None], name: str) -> 
 
 def require_increasing(t: Array, name: str) -> None:
     """Raise ValueError unless `t` (N,) is finite and strictly increasing."""
-    if not np.all(np.isfinite(t)):
+    if not all(np.all(np.isfinite(t[i : i + _TOGETHER])) for i in range(0, t.size, _TOGETHER)):
         raise ValueError(f"{name} holds a time that is not finite")
-    if t.size > 1 and not np.all(np.diff(t) > 0.0):
+    if not is_increasing(t):
         raise ValueError(f"{name} is not strictly increasing in time")
+
+
+def is_increasing(t: Array) -> bool:
+    """Return whether `t` (N,) is strictly increasing; looked at bit by bit, to spare a long recording the memory."""
+    return all(np.all(np.diff(t[i : i + _TOGETHER + 1]) > 0.0) for i in range(0, t.size, _TOGETHER))
 
 
 def _check_shape(array: npt.NDArray[Any], shape: Sequence[int | None], name: str) -> None:

@@ -90,6 +90,17 @@ def pieces(n: int, size: int = PIECE) -> Iterator[slice]:
         yield slice(first, min(first + size, n))
 
 
+def thinned(values: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
+    """Return each `step`-th row; of a large array the memory is given back while it is gone through."""
+    if step == 1:
+        return values
+    parts = []
+    for part in pieces(len(values)):
+        parts.append(values[part.start + -part.start % step : part.stop : step].copy())
+        release(values)
+    return np.concatenate(parts) if parts else values
+
+
 def contents(path: Path, large: int = LARGE) -> bytes | mmap.mmap:
     """Return the bytes of a file, a large one copied so that it need not be in memory. Raises OSError.
 

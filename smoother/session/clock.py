@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, is_increasing
+from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.session.rows import counted
 from smoother.units import MICROSECOND
@@ -33,6 +34,9 @@ LONGEST_BLOCK = 10.0  # s; ... but the drift of a clock that warms up is followe
 LATE_BLOCKS = 9  # blocks of which up to half may be late without the smooth line following them
 IRREGULAR_GROWTH = 5.0  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
 TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the jitter; the others are gaps
+
+PART = 1 << 21  # samples that are evened together, three hours at 200 Hz
+MARGIN = 1 << 18  # samples on either side that are looked at as well: even at 2 kHz more than LATE_BLOCKS blocks
 
 FEWEST_FIXES = 20
 ENVELOPE_PERCENTILE = 10.0  # of the delays in a bin: the least delay is the steady one, single values may be odd
@@ -61,8 +65,28 @@ def regularize(t: Array) -> TimeBase:
     """Even out the stamps t (N,) s, strictly increasing, of samples taken at a steady rate.
 
     Lost samples stay gaps, a rate that changes slowly is followed. Stamps that are even already, too few, or of a
-    sampling that is itself irregular come back unchanged (jitter 0).
+    sampling that is itself irregular come back unchanged (jitter 0). Many hours are done part by part.
     """
+    return _regularize_part(t) if t.size <= PART else _regularize_parts(t)
+
+
+def _regularize_parts(t: Array) -> TimeBase:
+    """The same for many hours. At a seam the line may step by its own uncertainty, a twentieth of a period."""
+    even, bases = roomy(t.shape), []
+    for part in pieces(t.size, PART):
+        begin = max(0, part.start - MARGIN)
+        bases.append(_regularize_part(t[begin : part.stop + MARGIN]))
+        even[part] = bases[-1].t[part.start - begin : part.stop - begin]
+        release(t, even)
+    period = float(np.median([base.period for base in bases]))
+    if not (all(base.is_steady for base in bases) and is_increasing(even)):
+        return TimeBase(t, period, is_steady=False)
+    jitter = float(np.sqrt(np.mean([base.jitter**2 for base in bases])))
+    even.flags.writeable = False
+    return TimeBase(even if jitter > 0.0 else t, period, jitter)
+
+
+def _regularize_part(t: Array) -> TimeBase:
     period = float(np.median(np.diff(t))) if t.size > 1 else np.nan
     if t.size < FEWEST_SAMPLES:
         return TimeBase(t, period)
@@ -98,14 +122,19 @@ def _even(t: Array, lag: Array, steps: IntArray, block: int, period: float) -> A
 
 def find_gaps(base: TimeBase) -> BoolArray:
     """Mask (N-1,) of the intervals that hold lost samples: at least one where sampling is steady, else several."""
-    return np.asarray(np.diff(base.t) > (1.0 + SMALLEST_STEP if base.is_steady else UNSTEADY_GAP) * base.period)
+    longest = (1.0 + SMALLEST_STEP if base.is_steady else UNSTEADY_GAP) * base.period
+    mask = np.empty(max(0, base.t.size - 1), dtype=np.bool_)
+    for part in pieces(mask.size):
+        mask[part] = np.diff(base.t[part.start : part.stop + 1]) > longest
+        release(base.t)
+    return mask
 
 
 def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
     """What a person should know of the stamps of a file: gaps and jitter. The codes start with `prefix`."""
     problems = []
-    steps = np.diff(base.t)
-    gaps = steps[find_gaps(base)]
+    last_before = np.flatnonzero(find_gaps(base))
+    gaps = base.t[last_before + 1] - base.t[last_before]
     if gaps.size:
         gap_count = counted(gaps.size, "gap")
         text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.3g} s, {gaps.sum():.3g} s in all"

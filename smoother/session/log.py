@@ -24,7 +24,7 @@ from smoother.session.log_format import (
 )
 from smoother.session.log_problems import describe
 from smoother.session.nmea import fixes_from_sentences
-from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.rows import RowFilter, is_all, put_in_time_order
 from smoother.units import DEG, STANDARD_GRAVITY
 
 HEAD_BYTES = 262_144  # of a file, to know whose it is: more than the 5 s between SETUP records
@@ -139,9 +139,13 @@ def read_log(files: LogFiles) -> LogRecording:
     return LogRecording(imu, mag, reading.gnss, problems)
 
 
-def seconds(t_us: IntArray) -> Array:
-    """Return times (N,) s, each the float64 nearest to its decimal."""
-    return np.asarray(t_us.astype(np.float64) / TICKS_PER_SECOND)
+def seconds(t_us: IntArray, earlier_us: int = 0) -> Array:
+    """Return times (N,) s, `earlier_us` before t_us (N,) us, each the float64 nearest to its decimal."""
+    out = roomy(t_us.shape)
+    for part in pieces(len(t_us)):
+        out[part] = (t_us[part] - earlier_us) / TICKS_PER_SECOND
+        release(out, t_us)
+    return out
 
 
 def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Problem]]:
@@ -155,8 +159,8 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
     setup = records.setup or Setup()
     rows = RowFilter(file, "imu", np.ones(records.imu_t.size, dtype=np.bool_))
     shift_us = setup.gyro_delay_us - setup.imu_period_us // 2
-    t, index = put_in_time_order(rows, seconds(records.imu_t - shift_us))
-    counts = records.imu if index.size == len(records.imu) else records.imu[index]
+    t, index = put_in_time_order(rows, seconds(records.imu_t, shift_us))
+    counts = records.imu if is_all(index, len(records.imu)) else records.imu[index]
     accel_full_scale, gyro_full_scale = setup.accel_range_g * STANDARD_GRAVITY, setup.gyro_range_dps * DEG
     imu = RawImu(
         kept(t),
@@ -185,9 +189,14 @@ def _temperature(records: LogRecords, t: Array) -> Array | None:
     """Temperature (N,) deg C at t (N,) s; None if it was never recorded."""
     if records.temperature_t.size == 0:
         return None
-    celsius = TEMPERATURE_OFFSET + records.temperature / TEMPERATURE_SCALE
     order = np.argsort(records.temperature_t, kind="stable")
-    return kept(np.interp(t, seconds(records.temperature_t[order]), celsius[order]))
+    at = seconds(records.temperature_t[order])
+    celsius, out = TEMPERATURE_OFFSET + records.temperature[order] / TEMPERATURE_SCALE, roomy(t.shape)
+    for part in pieces(len(t)):
+        out[part] = np.interp(t[part], at, celsius)
+        release(out, t)
+    out.flags.writeable = False
+    return out
 
 
 def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Problem]]:

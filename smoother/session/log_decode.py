@@ -67,9 +67,11 @@ class Blocks:
     @staticmethod
     def of(content: Bytes) -> "Blocks":
         """Wrap blocks (K, 512) whose CRC is right."""
-        head = np.ascontiguousarray(content[:, :RECORDS_AT]).view(HEAD_LAYOUT)[:, 0]
+        head = np.empty(len(content), dtype=HEAD_LAYOUT)
+        for part in pieces(len(content), TOGETHER):
+            head[part] = np.ascontiguousarray(content[part, :RECORDS_AT]).view(HEAD_LAYOUT)[:, 0]
+            release(content)
         base = head["base_low"].astype(np.int64) + (head["base_high"].astype(np.int64) << 32)
-        release(content)
         return Blocks(content, head, base)
 
     def select(self, keep: npt.NDArray[np.generic] | slice) -> "Blocks":

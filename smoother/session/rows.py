@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.units import DAY
 
@@ -59,6 +60,8 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
     cost a large part of it. After a restart of the clock only the longest piece is kept.
     """
+    if _is_flawless(rows, t):
+        return t, _all_of(t.size)
     with np.errstate(invalid="ignore"):
         rows.drop(np.abs(t) > LATEST, "absurd_time", "with a time beyond any clock")
     index = np.flatnonzero(rows.keep)
@@ -74,6 +77,31 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     stray = _stray_ends(time)
     rows.drop(_mask(rows, index[stray]), "stray_time", "far outside the time of the recording")
     return time[~stray], index[~stray]
+
+
+def _is_flawless(rows: RowFilter, t: Array) -> bool:
+    """Whether all rows are in use and stand in time order without a long gap; a day is looked at bit by bit."""
+    if t.size == 0 or not np.all(rows.keep) or not (abs(t[0]) <= LATEST and abs(t[-1]) <= LATEST):
+        return False
+    for part in pieces(t.size - 1):
+        step = np.diff(t[part.start : part.stop + 1])
+        release(t)
+        if not np.all((step > 0.0) & (step <= STRAY_GAP)):
+            return False
+    return True
+
+
+def _all_of(n: int) -> IntArray:
+    index = roomy(n, np.int64)
+    for part in pieces(n):
+        index[part] = np.arange(part.start, part.stop)
+        release(index)
+    return index
+
+
+def is_all(index: IntArray, n: int) -> bool:
+    """Whether index (K,) is that of all n rows, in their order."""
+    return index.size == n and all(np.array_equal(index[part], np.arange(part.start, part.stop)) for part in pieces(n))
 
 
 def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
@@ -254,7 +282,7 @@ def taken(values: Array, index: IntArray) -> Array:
     """Rows `index` of values (N, ...), read-only: `values` itself if they are all of them, to spare a long recording
     the copy. The caller gives `values` away.
     """
-    rows = values if np.array_equal(index, np.arange(len(values))) else values[index]
+    rows = values if is_all(index, len(values)) else values[index]
     rows.flags.writeable = False
     return rows
 
