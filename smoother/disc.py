@@ -32,11 +32,14 @@ def roomy(shape: int | tuple[int, ...], dtype: npt.DTypeLike = np.float64, large
 
 
 def kept(values: npt.NDArray[Any], large: int = LARGE) -> npt.NDArray[Any]:
-    """Return a read-only copy made by :func:`roomy`."""
+    """Return a read-only copy made by :func:`roomy`; `values` themselves if they are such."""
+    if _map_of(values) is not None and not values.flags.writeable:
+        return values
     out = roomy(values.shape, values.dtype, large)
-    out[...] = values
+    for part in pieces(len(values)):
+        out[part] = values[part]
+        release(out, values)
     out.flags.writeable = False
-    release(out)
     return out
 
 
@@ -139,8 +142,14 @@ def _file(size: int) -> mmap.mmap:
 
 def _forget(values: npt.NDArray[Any] | mmap.mmap) -> None:
     """Drop the pages of the file that values lie in."""
+    file = _map_of(values)
+    if file is not None and hasattr(mmap, "MADV_DONTNEED"):
+        file.madvise(mmap.MADV_DONTNEED)
+
+
+def _map_of(values: npt.NDArray[Any] | mmap.mmap) -> mmap.mmap | None:
+    """The file that values lie in, None if they are in memory."""
     base: object = values
     while isinstance(base, (np.ndarray, memoryview)):
         base = base.base if isinstance(base, np.ndarray) else base.obj
-    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-        base.madvise(mmap.MADV_DONTNEED)
+    return base if isinstance(base, mmap.mmap) else None

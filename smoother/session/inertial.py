@@ -3,6 +3,7 @@
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.disc import pieces, release
 from smoother.samples import Problem, RawImu
 from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times, taken
 
@@ -16,9 +17,13 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     t (N,) s; accel (N, 3) m/s^2 and gyro (N, 3) rad/s, axes s, which the caller gives away.
     """
     rows = RowFilter(file, "imu", np.ones(t.size, dtype=np.bool_))
-    with np.errstate(invalid="ignore"):
-        too_large = _any_of_row(np.abs(accel) > ABSURD_SPECIFIC_FORCE) | _any_of_row(np.abs(gyro) > ABSURD_RATE)
-    unreadable = _any_of_row(~np.isfinite(accel)) | _any_of_row(~np.isfinite(gyro)) | ~np.isfinite(t)
+    too_large, unreadable = np.empty(t.size, dtype=np.bool_), np.empty(t.size, dtype=np.bool_)
+    for part in pieces(t.size):
+        a, w = accel[part], gyro[part]
+        with np.errstate(invalid="ignore"):
+            too_large[part] = _any_of_row(np.abs(a) > ABSURD_SPECIFIC_FORCE) | _any_of_row(np.abs(w) > ABSURD_RATE)
+        unreadable[part] = _any_of_row(~np.isfinite(a)) | _any_of_row(~np.isfinite(w)) | ~np.isfinite(t[part])
+        release(t, accel, gyro)
     rows.drop(unreadable, "invalid", "with an empty or unreadable value")
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, accel, gyro)

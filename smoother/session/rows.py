@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.units import DAY
@@ -61,7 +61,9 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     cost a large part of it. After a restart of the clock only the longest piece is kept.
     """
     if _is_flawless(rows, t):
-        return t, _all_of(t.size)
+        time = t.view()
+        time.flags.writeable = False
+        return time, _all_of(t.size)
     with np.errstate(invalid="ignore"):
         rows.drop(np.abs(t) > LATEST, "absurd_time", "with a time beyond any clock")
     index = np.flatnonzero(rows.keep)
@@ -110,6 +112,8 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
     as repeated would thin the recording. A few equal stamps are left to be dropped.
     """
+    if np.all(rows.keep) and is_increasing(t):
+        return t
     index = np.flatnonzero(rows.keep)
     time = t[index]
     shares = np.diff(time) == 0.0

@@ -7,7 +7,7 @@ missing column) is a SessionError that names the file and what it has.
 
 import contextlib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +15,14 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array, BoolArray
+from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
 
 HEAD_BYTES = 65536
 LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
 ROW_BYTES = 4096  # a row is mostly shorter
+LONG_FILE = 64 << 20  # bytes; an hour of samples. Longer ones are read in parts, which takes less memory
+PART_BYTES = 32 << 20
 LARGEST_UNPACKED = 2 << 30  # bytes of a file that cannot be read as it lies on the disk
 PACKED_STEP = 4096  # bytes; unpacked at most four megabytes
 GZIP = zlib.MAX_WBITS | 16
@@ -47,7 +50,11 @@ class Table:
 
     def stack(self, *names: str) -> Array:
         """Return columns side by side, (N, len(names))."""
-        return np.stack([self.column(name) for name in names], axis=-1)
+        columns, out = [self.column(name) for name in names], roomy((self.length, len(names)))
+        for part in pieces(self.length):
+            np.stack([column[part] for column in columns], axis=-1, out=out[part])
+            release(out, columns)
+        return out
 
 
 def read_header(path: Path) -> tuple[str, ...]:
@@ -74,26 +81,56 @@ def read_table(
             raise SessionError(f"{path.name}: no column {name}; has {_shortened(header)}")
     numbers = [name for name in (*required, *optional) if name in header]
     times = [name for name in iso_times if name in header]
-    frame = _read_cells(path, numbers, required, times)
-    if frame.height == 0:
+    columns, empty = _gathered(path, numbers, required, times)
+    length = len(columns[required[0]])
+    if length == 0:
         raise SessionError(f"{path.name}: a header line, but no rows; was the recording started?")
-    columns = {name: _column(frame, name) for name in (*numbers, *times)}
-    empty = {name: frame[f"empty {name}"].to_numpy() for name in required}
-    return Table(path.name, columns, empty, frame.height)
+    return Table(path.name, columns, empty, length)
 
 
-def _read_cells(path: Path, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]) -> pl.DataFrame:
+def _gathered(
+    path: Path, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]
+) -> tuple[dict[str, Array], dict[str, BoolArray]]:
+    """The columns by name, and where the required ones hold nothing; of a long file from all its parts."""
     try:
         source = _source(path)
-        clean = _scan(source, numbers).select(*numbers, *_times(times), *_nothing_empty(required))
-        frame = clean.collect(engine="streaming")
-        if frame.select(numbers).null_count().sum_horizontal().sum() == 0:
-            return frame
-        return _lenient(source, numbers, required, times).collect(engine="streaming")
+        if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
+            frame = _read_cells(source, numbers, required, times)
+            columns = {name: _column(frame, name) for name in (*numbers, *times)}
+            return columns, {name: frame[f"empty {name}"].to_numpy() for name in required}
+        growing = {name: Growing() for name in (*numbers, *times)}
+        nothing = {name: Growing(dtype=np.bool_) for name in required}
+        for part in _parts(path):
+            frame = _read_cells(part, numbers, required, times)
+            for name, column in growing.items():
+                column.add(_column(frame, name))
+            for name, column in nothing.items():
+                column.add(frame[f"empty {name}"].to_numpy())
+        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in nothing.items()}
     except pl.exceptions.PolarsError as error:
         raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
+
+
+def _parts(path: Path) -> Iterator[bytes]:
+    """A file as tables of whole lines, each with the header."""
+    with path.open("rb") as file:
+        header = file.readline(LONGEST_LINE)
+        while not header.strip() and (more := file.readline(LONGEST_LINE)):
+            header = more
+        while lines := file.read(PART_BYTES):
+            yield header + lines + file.readline(LONGEST_LINE)
+
+
+def _read_cells(
+    source: Path | bytes, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]
+) -> pl.DataFrame:
+    clean = _scan(source, numbers).select(*numbers, *_times(times), *_nothing_empty(required))
+    frame = clean.collect(engine="streaming")
+    if frame.select(numbers).null_count().sum_horizontal().sum() == 0:
+        return frame
+    return _lenient(source, numbers, required, times).collect(engine="streaming")
 
 
 def _scan(source: Path | bytes, numbers: Sequence[str] = ()) -> pl.LazyFrame:
