@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.disc import pieces, release
 from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
 from smoother.units import DEG, STANDARD_GRAVITY
 
 SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
+ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
 _JUDGED_HERE = ("gps_gap", "imu_gap")  # problems of the reader that the checks below judge by themselves
@@ -134,21 +136,21 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
 def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
-    span, limit = float(imu.t[-1] - imu.t[0]), max(limits.imu_gap, 5.0 * float(np.median(np.diff(imu.t))))
+    span, limit = float(imu.t[-1] - imu.t[0]), max(limits.imu_gap, 5.0 * _median_step(imu.t))
     interval, gaps = _interval_and_gaps(imu.t, limit)
-    force, turn = imu.accel * imu.accel_scale, imu.gyro * imu.gyro_scale
-    slow_force, slow_turn = _slow(force, interval), _slow(turn, interval)
+    force = _motion(imu.accel, imu.accel_scale, interval, imu.accel_full_scale, SMALLEST_ACCEL_RANGE)
+    turn = _motion(imu.gyro, imu.gyro_scale, interval, imu.gyro_full_scale, SMALLEST_GYRO_RANGE)
     measures = {
         "imu_rate_hz": 1.0 / interval,
         "imu_gaps": float(gaps.size),
         "imu_gap_longest_s": float(np.max(gaps, initial=0.0)),
         "imu_gap_share": float(np.sum(gaps)) / span,
-        "accel_clipped_share": _clipped_share(force, imu.accel_full_scale, SMALLEST_ACCEL_RANGE),
-        "gyro_clipped_share": _clipped_share(turn, imu.gyro_full_scale, SMALLEST_GYRO_RANGE),
-        "accel_vibration_mps2": _rms(force - slow_force),
-        "gyro_vibration_dps": _rms(turn - slow_turn) / DEG,
-        "slow_force_mps2": float(np.percentile(np.linalg.norm(slow_force, axis=1), 20)),
-        "slow_turn_rate_dps": _rms(slow_turn - np.median(slow_turn, axis=0)) / DEG,
+        "accel_clipped_share": force.clipped,
+        "gyro_clipped_share": turn.clipped,
+        "accel_vibration_mps2": force.vibration,
+        "gyro_vibration_dps": turn.vibration / DEG,
+        "slow_force_mps2": float(np.percentile(np.linalg.norm(force.slow, axis=1), 20)),
+        "slow_turn_rate_dps": _rms(turn.slow - np.median(turn.slow, axis=0)) / DEG,
     }
     findings = [*_judge_imu_timing(measures, limits), *_judge_imu_values(measures, limits)]
     return _Part([*findings, *_dead_axes(imu)], measures)
@@ -186,7 +188,8 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
 
 def _dead_axes(imu: RawImu) -> Iterator[Finding]:
     for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
-        for axis in np.flatnonzero(np.ptp(values, axis=0) == 0.0):
+        lowest, highest = _extremes(values)
+        for axis in np.flatnonzero(lowest == highest):
             yield Finding("stop", "IMU", f"the {'xyz'[axis]} axis of the {sensor} never changes; check the wiring")
 
 
@@ -211,26 +214,77 @@ def _counted(count: float, word: str) -> str:
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
     """Mean step (s), and the steps longer than `limit` seconds, which are not in the mean."""
-    steps = np.diff(t)
-    return float(np.mean(steps[steps <= limit])), np.asarray(steps[steps > limit])
+    gaps, total, count = [], 0.0, 0
+    for part in pieces(len(t) - 1):
+        steps = np.diff(t[part.start : part.stop + 1])
+        good = steps <= limit
+        gaps.append(steps[~good])
+        total, count = total + float(np.sum(steps[good])), count + int(np.count_nonzero(good))
+        release(t)
+    return total / count, np.concatenate(gaps)
 
 
-def _slow(values: Array, interval: float) -> Array:
-    """Running mean over SMOOTHING seconds of (N, 3) samples."""
-    window = max(1, round(SMOOTHING / interval))
+def _median_step(t: Array) -> float:
+    """Median step (s) of t (N,); of a long recording the middle one of its parts'."""
+    return float(np.median([np.median(np.diff(t[part.start : part.stop + 1])) for part in pieces(len(t) - 1)]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Samples (N, 3) of a sensor, SI: share clipped, rms of what is quicker than SMOOTHING, and the rest, thinned."""
+
+    clipped: float
+    vibration: float
+    slow: Array
+
+
+def _motion(values: Array, scale: float, interval: float, full_scale: float | None, smallest_range: float) -> _Motion:
+    """Look through samples (N, 3), `scale` each, a part at a time: a day of them would not fit into memory."""
+    window, step = max(1, round(SMOOTHING / interval)), max(1, len(values) // ENOUGH)
+    lowest, highest = (scale * extreme for extreme in _extremes(values))
+    clipped, squares, slow = 0, 0.0, []
+    for part in pieces(len(values)):
+        begin = max(0, part.start - window)
+        around = values[begin : part.stop + window] * scale
+        core = slice(part.start - begin, part.stop - begin)
+        mean = _slow(around, window)[core]
+        squares += float(np.sum((around[core] - mean) ** 2))
+        slow.append(mean[-part.start % step :: step].copy())
+        if full_scale is not None:
+            clipped += int(np.count_nonzero(np.any(np.abs(around[core]) >= 0.995 * full_scale, axis=1)))
+        else:
+            since = around[max(core.start - 1, 0) : core.stop]
+            clipped += _repeated_ends(since, lowest, highest, 0.95 * smallest_range)
+        release(values)
+    n = len(values) - (full_scale is None)
+    return _Motion(clipped / n, float(np.sqrt(squares / len(values))), np.concatenate(slow))
+
+
+def _extremes(values: Array) -> tuple[Array, Array]:
+    """Least and greatest value of each axis of (N, 3) samples."""
+    lowest, highest = values[0], values[0]
+    for part in pieces(len(values)):
+        lowest = np.minimum(lowest, values[part].min(axis=0))
+        highest = np.maximum(highest, values[part].max(axis=0))
+        release(values)
+    return lowest, highest
+
+
+def _slow(values: Array, window: int) -> Array:
+    """Running mean over `window` of the (N, 3) samples."""
     padded = np.pad(values, ((window // 2 + 1, (window - 1) // 2), (0, 0)), mode="edge")
     total = np.cumsum(padded, axis=0)
     return np.asarray((total[window:] - total[:-window]) / window)
 
 
-def _clipped_share(values: Array, full_scale: float | None, smallest_range: float) -> float:
-    """Share of samples at the end of the range; without a known range, of runs that repeat an axis' own extreme."""
-    if full_scale is not None:
-        return float(np.mean(np.any(np.abs(values) >= 0.995 * full_scale, axis=1)))
-    # at the end of its range a sensor repeats one and the same number, which noise far from zero all but never does
-    at_end = (values == values.max(axis=0)) | (values == values.min(axis=0))
-    repeated = at_end[1:] & (values[1:] == values[:-1]) & (np.abs(values[1:]) > 0.95 * smallest_range)
-    return float(np.mean(np.any(repeated, axis=1))) if len(values) > 1 else 0.0
+def _repeated_ends(values: Array, lowest: Array, highest: Array, least: float) -> int:
+    """How many of (N, 3) samples, whose range nobody knows, repeat an extreme of their axis beyond `least`.
+
+    At the end of its range a sensor repeats one and the same number, which noise far from zero all but never does.
+    """
+    at_end = (values[1:] == lowest) | (values[1:] == highest)
+    repeated = at_end & (values[1:] == values[:-1]) & (np.abs(values[1:]) > least)
+    return int(np.count_nonzero(np.any(repeated, axis=1)))
 
 
 def _known_satellites(fixes: GnssFixes) -> Array:
