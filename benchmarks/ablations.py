@@ -37,7 +37,7 @@ from smoother.config import ImuNoise
 from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise
+from smoother.estimate.graph.imu import BinnedImu, DensePath
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import nwu_to_geodetic
@@ -154,28 +154,18 @@ def _never_still(session: Session) -> Array:
     return np.zeros(len(session.imu.t), dtype=bool)
 
 
-def _inertial_shape(_: BinnedImu, path: DensePath, __: float) -> DensePath:
-    return path
-
-
-def _hermite_shape(binned: BinnedImu, path: DensePath, _: float) -> DensePath:
-    return imu.reading_path(binned, path, np.inf)
-
-
 def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
     def at_edges(values: Array) -> Array:
         return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
 
-    return ExpectedMotion(at_edges(path.acceleration_n), at_edges(path.angular_rate_s))
+    turning = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
+    return ExpectedMotion(at_edges(path.acceleration_n), at_edges(turning))
 
 
-def _whole_rate(_: Any, rate_s: Array) -> Array:
-    return rate_s
-
-
-def _one_density(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
-    n = len(binned.t) - 1
-    return np.full(n, noise.accel), np.full(n, noise.gyro)
+def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
+    """Bins with what was interpolated passed off as measured."""
+    binned = imu.bin_imu(samples, t, n_bins, *biases)
+    return replace(binned, missing=np.zeros_like(binned.missing))
 
 
 def _plain_bins(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
@@ -214,18 +204,11 @@ EFFECTS = (
         patches=((batch, "SENSOR_ERROR", (OFF, OFF)),),
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
-    Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
-    Effect("noise taken from the path's shape (all of it read)", patches=((batch, "reading_path", _inertial_shape),)),
-    Effect("inertial shape between keyframes (Hermite only)", patches=((batch, "reading_path", _hermite_shape),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
-    Effect("swing by the yaw rate alone", patches=((rows, "yaw_rate", _whole_rate),)),
-    Effect(
-        "more noise where samples miss or clip",
-        patches=((imu, "interval_noise", _one_density), (batch, "interval_noise", _one_density)),
-    ),
+    Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("reported accuracies", session=_no_reports),
     Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
 )
@@ -267,7 +250,18 @@ def _poor_sky(session: Session, seed: int) -> Session:
     return replace(session, gnss=gnss)
 
 
-# The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track
+def _loose_plug(session: Session, seed: int) -> Session:
+    """Three times no inertial samples for 3 s."""
+    assert session.imu is not None
+    t, rng = session.imu.t, np.random.default_rng(9500 + seed)
+    starts = t[0] + (t[-1] - t[0]) * (np.array([0.25, 0.5, 0.75]) + rng.uniform(-0.1, 0.1, 3))
+    kept = ~np.any([(t > start) & (t < start + 3.0) for start in starts], axis=0)
+    force, rate = session.imu.specific_force_s[kept], session.imu.angular_rate_s[kept]
+    return replace(session, imu=replace(session.imu, t=t[kept], specific_force_s=force, angular_rate_s=rate))
+
+
+# The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
+# plug that works loose
 WORLDS = {
     "white": World("white"),
     "kart": World("kart"),
@@ -275,6 +269,7 @@ WORLDS = {
     "kart, 2 g and 150 deg/s": World("kart", {"imu_accel_range": 2.0 * 9.81, "imu_gyro_range": 150.0 * DEG}),
     "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
     "kart, poor sky at times": World("kart", {}, _poor_sky),
+    "kart, no samples at times": World("kart", {}, _loose_plug),
 }
 
 

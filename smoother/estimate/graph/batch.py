@@ -21,7 +21,6 @@ from smoother.estimate.graph.imu import (
     corrected,
     dense_path,
     interval_noise,
-    reading_path,
 )
 from smoother.estimate.graph.inertial import (
     InertialGraph,
@@ -100,7 +99,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (15,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known.
@@ -198,8 +197,8 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
-        before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (18, 18) is the covariance of constants that are to stay where they are. Without moves_constants they stay
+        before (15,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (15, 15) is the covariance of constants that are to stay where they are. Without moves_constants they stay
         for this step only, while the keyframes are not near enough to judge them.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
@@ -245,7 +244,6 @@ def session_rows(
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
     felt = expected_motion(path, state.constants.level_axes_s, noise.inertial)
-    path = reading_path(binned, path, noise.inertial.accel)
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
@@ -306,7 +304,7 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (18,) of all constants."""
+    """Prior sigma (15,) of all constants."""
     sigma = priors.constants_sigma.copy()
     sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
     return sigma
@@ -347,7 +345,7 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatt
     """
     state, solution = solved.state, solved.solution
     accel, gyro = interval_noise(binned, noise.inertial)
-    good = (binned.missing == 0.0) & (binned.clipped == 0.0)
+    good = binned.missing == 0.0
     if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
         good[solved.rows["standstill"].interval] = False
     some = np.zeros_like(good)

@@ -24,10 +24,10 @@ LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spo
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMotion:
-    """acceleration_n (M, 3) m/s^2 and the part about up of angular_rate_s (M, 3) rad/s, at the edges of a path."""
+    """acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path."""
 
     acceleration_n: Array
-    angular_rate_s: Array
+    turn_rate: Array
 
 
 def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> ExpectedMotion:
@@ -43,8 +43,8 @@ def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) 
     dt = float(path.t[1] - path.t[0])
     found = most_probable(np.column_stack([acceleration_b[:, :2], turning]), sigma / np.sqrt(dt), dt)
     acceleration_b[:, :2] = found[:, :2]
-    rate_s = up_s * (found[:, 2] / speed)[:, None]
-    return ExpectedMotion(_at_edges(np.einsum("kij,kj->ki", R_nb, acceleration_b)), _at_edges(rate_s))
+    acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
+    return ExpectedMotion(_at_edges(acceleration_n), _at_edges(found[:, 2] / speed))
 
 
 def most_probable(values: Array, sigma: Array, dt: float) -> Array:
@@ -84,5 +84,5 @@ def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, Int
 
 
 def _at_edges(values: Array) -> Array:
-    """Values of bins (M-1, 3) at their edges, (M, 3)."""
+    """Values of bins (M-1, ...) at their edges, (M, ...)."""
     return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
@@ -22,7 +22,6 @@ from smoother.units import STANDARD_GRAVITY
 
 GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
 TOGETHER = 1 << 13  # intervals whose samples are worked on together; half an hour
-CLIP_FRACTION = 0.985  # of full scale; the MPU9250's codes saturate at the last count
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class BinnedImu:
     """Inertial measurements averaged into equal bins, n_bins to each of K-1 intervals between keyframes.
 
     t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
-    its bin's start; missing, clipped (K-1,) fractions of the interval without samples and with clipped ones.
+    its bin's start; missing (K-1,), fraction of the interval without samples.
     """
 
     t: Array
@@ -38,7 +37,6 @@ class BinnedImu:
     specific_force_s: Array
     angular_rate_s: Array
     missing: Array
-    clipped: Array
 
     @property
     def n_bins(self) -> int:
@@ -59,7 +57,6 @@ class BinnedImu:
             self.specific_force_s[intervals],
             self.angular_rate_s[intervals],
             self.missing[intervals],
-            self.clipped[intervals],
         )
 
 
@@ -114,24 +111,6 @@ def keyframe_times(start: float, end: float, interval: float) -> Array:
     return np.asarray(start + interval * np.arange(n + 1))
 
 
-def start_in_step(start: float, interval: float, t: Array) -> float:
-    """Return the time at `start` or up to one interval before it from which keyframes fall on the times t (N,).
-
-    Regular times only; others have no common step, and any start serves them.
-    """
-    turn = np.mean(np.exp(2j * np.pi * (t - start) / interval))
-    return start + interval * (float(np.angle(turn)) / (2.0 * np.pi) % 1.0 - 1.0)
-
-
-def clipped_samples(imu: ImuSamples) -> BoolArray:
-    """Mask (N,) of samples at the end of their range; without a stated range nothing counts as clipped."""
-    clipped = np.zeros(len(imu.t), dtype=bool)
-    for values, full_scale in ((imu.specific_force_s, imu.accel_full_scale), (imu.angular_rate_s, imu.gyro_full_scale)):
-        if full_scale is not None:
-            clipped |= np.any(np.abs(values) >= CLIP_FRACTION * full_scale, axis=1)
-    return clipped
-
-
 def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:
     """Average `imu` into n_bins equal bins per interval of the equally spaced keyframe times t (K,).
 
@@ -147,16 +126,14 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
         roomy((n_intervals, n_bins, 3)),
         roomy((n_intervals, n_bins, 3)),
         np.empty(n_intervals),
-        np.empty(n_intervals),
     )
     for part in pieces(n_intervals, TOGETHER):
         edges = t[0] + dt * np.arange(part.start * n_bins, part.stop * n_bins + 1)
         some = _samples_around(imu, edges[0], edges[-1])
-        force, rate, missing, clipped = _bin_some(some, edges, dt, nominal, accel_bias, gyro_bias)
+        force, rate, missing = _bin_some(some, edges, dt, nominal, accel_bias, gyro_bias)
         shape = (part.stop - part.start, n_bins)
         out.specific_force_s[part], out.angular_rate_s[part] = force.reshape(*shape, 3), rate.reshape(*shape, 3)
         out.missing[part] = missing.reshape(shape).sum(axis=1) / (n_bins * dt)
-        out.clipped[part] = clipped.reshape(shape).sum(axis=1) / (n_bins * dt)
         release(imu, out)
     return out
 
@@ -176,8 +153,8 @@ def _samples_around(imu: ImuSamples, start: float, end: float) -> ImuSamples:
 
 def _bin_some(
     imu: ImuSamples, edges: Array, dt: float, nominal: float, accel_bias: Array, gyro_bias: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Mean force and rate (B, 3) of the bins between edges (B + 1,), and the time (B,) s missing and clipped in them.
+) -> tuple[Array, Array, Array]:
+    """Mean force and rate (B, 3) of the bins between edges (B + 1,), and the time (B,) s without samples in them.
 
     nominal s: the usual step of the samples.
     """
@@ -186,7 +163,7 @@ def _bin_some(
     knots = np.union1d(inside, edges)
     duration = np.diff(knots)
     middle = knots[:-1] + 0.5 * duration
-    force, rate, missing, sample = _piecewise_constant(imu, middle, nominal)
+    force, rate, missing = _piecewise_constant(imu, middle, nominal)
     bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_bins - 1)
 
     rate = rate - gyro_bias
@@ -201,13 +178,11 @@ def _bin_some(
 
     mean_force = np.add.reduceat(resolved * duration[:, None], first, axis=0) / dt
     mean_rate = np.add.reduceat(coned, first, axis=0) / dt + gyro_bias
-    clipped = clipped_samples(imu)[sample]
-    lost = np.add.reduceat(missing * duration, first)
-    return mean_force, mean_rate, lost, np.add.reduceat(clipped * duration, first)
+    return mean_force, mean_rate, np.add.reduceat(missing * duration, first)
 
 
-def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Array, Array, BoolArray, np.ndarray]:
-    """Force and rate (M, 3) at t, which of them (M,) were not measured, and the index of the sample used."""
+def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Array, Array, BoolArray]:
+    """Force and rate (M, 3) at t, and which of them (M,) were not measured."""
     after = np.clip(np.searchsorted(imu.t, t), 0, len(imu.t) - 1)
     before = np.maximum(after - 1, 0)
     span = imu.t[after] - imu.t[before]
@@ -219,25 +194,20 @@ def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Arra
         a, b = before[missing], after[missing]
         force[missing] = (1.0 - share) * imu.specific_force_s[a] + share * imu.specific_force_s[b]
         rate[missing] = (1.0 - share) * imu.angular_rate_s[a] + share * imu.angular_rate_s[b]
-    return force, rate, missing, after
+    return force, rate, missing
 
 
 MISSING_ACCEL = 10.0  # m/s^2 rms of what a kart may do unseen
 MISSING_GYRO = 1.0  # rad/s likewise
-CLIPPED_ACCEL = 5.0  # m/s^2 rms of what is beyond the range while clipping
-CLIPPED_GYRO = 1.0  # rad/s likewise
 
 
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
-    """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost or clipped.
+    """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost.
 
     An unseen acceleration of rms a over a fraction u of an interval T is worth a density a * u * sqrt(T).
     """
-    T = np.diff(binned.t)
-    lost, clipped = binned.missing * np.sqrt(T), binned.clipped * np.sqrt(T)
-    accel = np.sqrt(noise.accel**2 + (MISSING_ACCEL * lost) ** 2 + (CLIPPED_ACCEL * clipped) ** 2)
-    gyro = np.sqrt(noise.gyro**2 + (MISSING_GYRO * lost) ** 2 + (CLIPPED_GYRO * clipped) ** 2)
-    return accel, gyro
+    lost = binned.missing * np.sqrt(np.diff(binned.t))
+    return np.hypot(noise.accel, MISSING_ACCEL * lost), np.hypot(noise.gyro, MISSING_GYRO * lost)
 
 
 def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
@@ -347,35 +317,6 @@ def dense_path(
     )
 
 
-def reading_path(binned: BinnedImu, path: DensePath, accel_density: float) -> DensePath:
-    """Return `path` as measurements between keyframes read it: the inertial shape only as far as it is not noise.
-
-    The path leaves the cubic Hermite curve through its keyframes by what the kart did and by the noise of the inertial
-    samples, whose share is known: q T / 16 in the middle of the velocity. The rest of what is observed is motion; its
-    share of the whole is the gain (Wiener). A kart with much vibration is read off the smooth curve.
-    """
-    n, T = binned.n_bins, binned.n_bins * binned.dt
-    share = np.arange(n + 1) / n
-    h01, d01 = share**2 * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / T
-    ends = [a[::n] for a in (path.position_n, path.velocity_n)]
-    p0, v0, p1, v1 = (e[:, None] for e in (ends[0][:-1], ends[1][:-1], ends[0][1:], ends[1][1:]))
-    s = share[:, None]
-    p = p0 + h01[:, None] * (p1 - p0) + T * (s * (1.0 - s) ** 2 * v0 - s**2 * (1.0 - s) * v1)
-    v = d01[:, None] * (p1 - p0) + (1.0 - 4.0 * s + 3.0 * s**2) * v0 + s * (3.0 * s - 2.0) * v1
-    shape_p, shape_v = path.position_n - _flatten(p, ends[0][-1]), path.velocity_n - _flatten(v, ends[1][-1])
-    observed = np.median(np.sum(shape_v.reshape(-1, 3)[n // 2 :: n] ** 2, axis=1)) / 2.37  # of chi-square(3)
-    gain = 0.0 if n == 1 else float(np.clip(1.0 - accel_density**2 * T / 16.0 / max(observed, 1e-12), 0.0, 1.0))
-    velocity_n = path.velocity_n - (1.0 - gain) * shape_v
-    return DensePath(
-        path.t,
-        path.R_ns,
-        path.position_n - (1.0 - gain) * shape_p,
-        velocity_n,
-        path.angular_rate_s,
-        np.diff(velocity_n, axis=0) / binned.dt,
-    )
-
-
 def _flatten(stack: Array, last: Array) -> Array:
     """(K-1, n+1, ...) with shared ends -> ((K-1) n + 1, ...)."""
     return np.concatenate([stack[:, :-1].reshape(-1, *stack.shape[2:]), last[None]])
@@ -397,8 +338,21 @@ def averaged(path: DensePath, values: Array, density: float, bend: float) -> Arr
 
 
 def at_times(path: DensePath, values: Array, t: Array) -> Array:
-    """Interpolate values (M, 3) given at the edges of the path at t (N,). Returns (N, 3)."""
+    """Interpolate values (M, c) given at the edges of the path at t (N,). Returns (N, c)."""
     return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+
+def attitude_at(path: DensePath, t: Array) -> Array:
+    """Attitude R_ns (N, 3, 3) at t (N,), held beyond the ends of the path."""
+    i, tau, dt = _bin_of(path, t)
+    return np.asarray(path.R_ns[i] @ so3.exp(np.clip(tau, 0.0, dt) * path.angular_rate_s[i]))
+
+
+def _bin_of(path: DensePath, t: Array) -> tuple[IntArray, Array, float]:
+    """Bin (N,) that holds times t (N,), at the ends also those beyond; s since its edge (N, 1); length of a bin."""
+    dt = float(path.t[1] - path.t[0])
+    i = np.clip(((t - path.t[0]) / dt).astype(np.int64), 0, len(path.t) - 2)
+    return i, (t - path.t[i])[:, None], dt
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,9 +368,7 @@ class MotionAt:
 
 def motion_at(path: DensePath, t: Array) -> MotionAt:
     """Interpolate the path at t (N,), held at the ends by constant velocity."""
-    dt = path.t[1] - path.t[0]
-    i = np.clip(((t - path.t[0]) / dt).astype(np.int64), 0, len(path.t) - 2)
-    tau = (t - path.t[i])[:, None]
+    i, tau, dt = _bin_of(path, t)
     beyond = (tau < 0.0) | (tau > dt)
     acceleration = np.where(beyond, 0.0, path.acceleration_n[i])
     share = tau / dt
@@ -434,9 +386,8 @@ def motion_at(path: DensePath, t: Array) -> MotionAt:
         np.where(tau < 0.0, path.velocity_n[i], path.velocity_n[i + 1]),
         path.velocity_n[i] + path.acceleration_n[i] * tau,
     )
-    turn = np.clip(tau, 0.0, dt) * path.angular_rate_s[i]
     return MotionAt(
-        path.R_ns[i] @ so3.exp(turn),
+        attitude_at(path, t),
         np.where(beyond, edge + end, cubic),
         velocity,
         acceleration,

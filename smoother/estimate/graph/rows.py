@@ -1,9 +1,7 @@
 """Residuals and Jacobians of everything that is not inertial, on the whole session at once.
 
-A measurement may fall anywhere between two keyframes. Given both ends, the path between them is a cubic Hermite curve
-plus a small shape of its own, which the inertial samples supply as far as it stands out of their noise
-(`imu.reading_path`). So a measurement touches the two keyframes around it and the session's constants, and a latency is
-only a shift of the time at which the path is read.
+A measurement may fall anywhere between two keyframes, whose cubic Hermite curve it reads. So it touches the two
+keyframes around it and the session's constants, and a latency is only a shift of the time at which the curve is read.
 
 Residuals are prediction minus measurement, in the unit of the measurement; `sigma` whitens them.
 """
@@ -17,9 +15,8 @@ from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.imu import DensePath, MotionAt, at_times, motion_at
+from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.state import (
-    DOPPLER_BIAS,
     GYRO_BIAS,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
@@ -37,6 +34,7 @@ from smoother.frames import wrap_angle
 
 DENSE = 0.25  # share of intervals from which on rows are added to all of them
 PIECE = 128  # intervals whose products stay in the processor's cache
+UP_N = np.array([0.0, 0.0, 1.0])
 _LEFT, _RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
 _RESIDUAL = 2 * KEYFRAME_SIZE + ROW_CONSTANTS_SIZE
 _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
@@ -46,7 +44,7 @@ _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 9). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 6). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -107,33 +105,35 @@ def position_rows(
 ) -> Rows:
     """GPS position: antenna position plus slow offset. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m.
 
-    felt, at the edges of the path: only this motion swings the antenna, the noise of the gyro does not.
+    felt, at the edges of the path: only this motion swings the antenna, the noise of the gyro does not. Nor do roll and
+    pitch: a kart's rates of these are smaller than that noise, and multiplying the unknown height of the antenna by it
+    would seem to observe it.
 
     The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
     (Reading that rough process at a moving time would make the fit of the latency overshoot.)
     """
     at = t - state.constants.position_latency
-    b, motion = bracket(state, at), motion_at(path, at)
+    b, R_ns = bracket(state, at), attitude_at(path, at)
     stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
     stamp = Bracket(b.interval, stamp_share, b.length)
-    rate = yaw_rate(motion, at_times(path, felt.angular_rate_s, at))
-    arm_n = np.einsum("nij,j->ni", motion.R_ns, state.constants.lever_arm_s)
-    swing_n = np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate, state.constants.lever_arm_s))
-    residual = motion.position_n + arm_n + _between(stamp, state.offset_n) - measured_n
+    arm_n = np.einsum("nij,j->ni", R_ns, state.constants.lever_arm_s)
+    swing_n = np.cross(_about_up(path, felt, at), arm_n)
+    weights = hermite_position(b)
+    residual = _on_curve(state, b, weights) + arm_n + _between(stamp, state.offset_n) - measured_n
     left, right, constants = _empty(len(t), 3)
-    _put_curve(left, right, state, b, hermite_position(b))
+    _put_curve(left, right, state, b, weights)
     _put_turn(left, right, state, b, -so3.skew(arm_n))
     left[:, :, OFFSET] = (1.0 - stamp_share)[:, None, None] * np.eye(3)
     right[:, :, OFFSET] = stamp_share[:, None, None] * np.eye(3)
-    constants[:, :, POSITION_LATENCY] = -(motion.velocity_n + swing_n)[:, :, None]
-    constants[:, :, LEVER_ARM] = motion.R_ns
+    constants[:, :, POSITION_LATENCY] = -(_on_curve(state, b, hermite_velocity(b)) + swing_n)[:, :, None]
+    constants[:, :, LEVER_ARM] = R_ns
     return _rows("gps_position", b, residual, sigma, left, right, constants)
 
 
 def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
     """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
 
-    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 9) by the row constants.
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 6) by the row constants.
     """
     b = bracket(state, t)
     R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
@@ -154,34 +154,22 @@ def velocity_rows(
     make the latency seem better known than it is, and draw it away.)
     """
     at = t - state.constants.velocity_latency
-    b, motion = bracket(state, at), motion_at(path, at)
-    rate = yaw_rate(motion, at_times(path, felt.angular_rate_s, at))
-    arm = state.constants.lever_arm_s
-    rate_n, arm_n = np.einsum("nij,nj->ni", motion.R_ns, rate), np.einsum("nij,j->ni", motion.R_ns, arm)
+    b, R_ns = bracket(state, at), attitude_at(path, at)
+    rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, state.constants.lever_arm_s)
     swing_n = np.cross(rate_n, arm_n)
-    residual = motion.velocity_n + swing_n + state.constants.doppler_bias_n - measured_n
+    weights = hermite_velocity(b)
+    residual = _on_curve(state, b, weights) + swing_n - measured_n
     left, right, constants = _empty(len(t), 3)
-    _put_curve(left, right, state, b, hermite_velocity(b))
+    _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
-    _put_turn(left, right, state, b, -so3.skew(rate_n) @ so3.skew(arm_n))
+    turning = so3.skew(rate_n)
+    _put_turn(left, right, state, b, -turning @ so3.skew(arm_n))
     # the rate is measured minus bias, and the swing is minus [l]x times it
-    up_s = motion.R_ns[:, 2, :]
-    left[:, :, GYRO_BIAS] = np.einsum("ni,nj->nij", np.einsum("nij,nj->ni", motion.R_ns, np.cross(arm, up_s)), up_s)
-    constants[:, :, DOPPLER_BIAS] = np.eye(3)
+    left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     acceleration_n = at_times(path, felt.acceleration_n, at)
     constants[:, :, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
-    constants[:, :, LEVER_ARM] = motion.R_ns @ so3.skew(rate)
+    constants[:, :, LEVER_ARM] = turning @ R_ns
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
-
-
-def yaw_rate(motion: MotionAt, rate_s: Array) -> Array:
-    """Part about up of angular rates (N, 3) rad/s, in s.
-
-    Only this part swings the antenna: a kart's rates of roll and pitch are smaller than the noise of its gyro, and
-    multiplying the unknown height of the antenna by that noise would seem to observe it.
-    """
-    up_s = motion.R_ns[:, 2, :]
-    return np.asarray(up_s * np.sum(up_s * rate_s, axis=1, keepdims=True))
 
 
 def heading_rows(state: ChainState, interval: np.ndarray, field_s: Array, field_yaw: float, sigma: float) -> Rows:
@@ -242,7 +230,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (18,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (15,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -309,7 +297,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (18,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (15,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])
@@ -336,6 +324,19 @@ def _empty(n: int, r: int) -> tuple[Array, Array, Array]:
 def _between(b: Bracket, values: Array) -> Array:
     share = b.share[:, None]
     return np.asarray((1.0 - share) * values[b.interval] + share * values[b.interval + 1])
+
+
+def _about_up(path: DensePath, felt: ExpectedMotion, t: Array) -> Array:
+    """Angular rate (N, 3) rad/s in n at times t (N,): about up alone."""
+    return np.asarray(np.interp(t, path.t, felt.turn_rate)[:, None] * UP_N)
+
+
+def _on_curve(state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> Array:
+    """Position or velocity (N, 3) on the cubic through the keyframes, by the weights of :func:`hermite_position`."""
+    left_p, left_v, right_p, right_v = (w[:, None] for w in weights)
+    k = b.interval
+    by_left = left_p * state.position_n[k] + left_v * state.velocity_n[k]
+    return np.asarray(by_left + right_p * state.position_n[k + 1] + right_v * state.velocity_n[k + 1])
 
 
 def _put_curve(left: Array, right: Array, state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> None:

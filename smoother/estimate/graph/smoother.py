@@ -18,7 +18,7 @@ from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
-from smoother.estimate.graph.start import GraphOptions, Start, make_start, on_grid
+from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
@@ -83,7 +83,7 @@ class GraphSmoother:
             return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
             constants, biases, noise = identify(start, options, watch.say)
-            start = on_grid(session, start, constants, biases, options)
+            start = informed(start, constants, biases)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
             mounting = _mounting(session, found.state, start.alignment)

@@ -11,8 +11,8 @@ from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, ini
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times, start_in_step
-from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, ChainState, Constants
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
+from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
@@ -33,7 +33,7 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
-    doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
+    sensor_error: scale and misalignment; the data sheet's 3 % is the
     limit, not the spread.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. rounds: of solving and identifying.
@@ -48,7 +48,6 @@ class GraphOptions:
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
     lever_arm_sigma: float = 0.5
-    doppler_bias_sigma: float = 0.03
     sensor_error_sigma: float = 0.01
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
@@ -86,62 +85,44 @@ def make_start(session: Session, options: GraphOptions) -> Start:
     alignment = align(session.imu, driven)
     priors = _priors(session, alignment, path, options)
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
-    grid = _grid(session, path, driven, alignment, constants, (np.zeros(3), alignment.gyro_bias_s), options)
+    t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
+    R_ns = initial_attitude(t, session.imu, driven, alignment)
+    fine, binned = _bins(session, t, alignment, options)
     return Start(
         path,
         driven,
         alignment,
-        *grid,
-        _first_noise(session, path, alignment, grid[2], options),
-        _data(session, path, grid[0].t),
+        _first_guess(path, t, R_ns, constants, (np.zeros(3), alignment.gyro_bias_s)),
+        fine,
+        binned,
+        _first_noise(session, path, alignment, binned, options),
+        _data(session, path, t),
         priors,
         _receiver(session, options),
         session.config.imu,
     )
 
 
-def on_grid(
-    session: Session, start: Start, constants: Constants, biases: tuple[Array, Array], options: GraphOptions
-) -> Start:
-    """Return the start with keyframes in step with fixes of better known latency, and with better known biases."""
-    state, fine, binned = _grid(session, start.path, start.driven, start.alignment, constants, biases, options)
-    return replace(start, state=state, fine=fine, binned=binned, data=_data(session, start.path, state.t))
+def informed(start: Start, constants: Constants, biases: tuple[Array, Array]) -> Start:
+    """Return the start with better known constants, and biases (3,) of force and rate."""
+    state = _first_guess(start.path, start.state.t, start.state.R_ns, constants, biases)
+    return replace(start, state=state)
 
 
-def _grid(
-    session: Session,
-    path: GnssPath,
-    driven: PathMotion,
-    alignment: Alignment,
-    constants: Constants,
-    biases: tuple[Array, Array],
-    options: GraphOptions,
-) -> tuple[ChainState, BinnedImu, BinnedImu]:
-    """First guess of the keyframes, and the inertial samples between them in fine bins and in those to solve with.
-
-    Keyframes stand where Doppler velocities are read. A reading between two keyframes is an average of both and
-    disturbs the path less than one at a keyframe does, so that a moving latency would be drawn to where its readings
-    fit for no other reason; at the keyframe the pull is the same to both sides.
-    """
-    assert session.imu is not None
-    fixes, interval = session.gnss.t, options.keyframe_interval
-    first = start_in_step(fixes[0] - MAX_LATENCY, interval, fixes - constants.velocity_latency)
-    t = keyframe_times(first, fixes[-1] + interval, interval)
+def _first_guess(
+    path: GnssPath, t: Array, R_ns: Array, constants: Constants, biases: tuple[Array, Array]
+) -> ChainState:
     at = path.at(t + constants.position_latency)
     accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
-    state = ChainState(
-        t,
-        initial_attitude(t, session.imu, driven, alignment),
-        at.position_n,
-        at.velocity_n,
-        accel_bias,
-        gyro_bias,
-        at.offset_n,
-        constants,
-    )
-    n_bins = max(1, round(interval / options.bin_interval))
+    return ChainState(t, R_ns, at.position_n, at.velocity_n, accel_bias, gyro_bias, at.offset_n, constants)
+
+
+def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOptions) -> tuple[BinnedImu, BinnedImu]:
+    """Inertial samples between the keyframes t (K,), in fine bins and in those to solve with."""
+    assert session.imu is not None
+    n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
     fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
-    return state, fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
+    return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
 def _data(session: Session, path: GnssPath, t: Array) -> Data:
@@ -185,7 +166,6 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
-    sigma[DOPPLER_BIAS] = options.doppler_bias_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6

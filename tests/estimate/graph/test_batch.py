@@ -132,17 +132,16 @@ def sigmas(values: object) -> gtsam.noiseModel.Diagonal:
     return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(values, dtype=float))
 
 
-def doppler_factor(k: int, measured: np.ndarray, rate_s: np.ndarray, gyro_bias: np.ndarray, model: object) -> object:
+def doppler_factor(k: int, measured: np.ndarray, rate: float, gyro_bias: np.ndarray, model: object) -> object:
     """Velocity of the antenna: v + r up x R l, with r the gyro's turn about up. Keys X V B L.
 
-    rate_s (3,) is the rate with `gyro_bias` removed.
+    rate rad/s is that turn with `gyro_bias` removed.
     """
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[np.ndarray] | None) -> np.ndarray:
         R, arm = values.atPose3(X(k)).rotation().matrix(), values.atPoint3(L(0))
-        rate = rate_s - (values.atConstantBias(B(k)).gyroscope() - gyro_bias)
         up_s, up, arm_n = R[2], np.array([0.0, 0.0, 1.0]), R @ arm
-        turn = up_s @ rate
+        turn = rate - up_s @ (values.atConstantBias(B(k)).gyroscope() - gyro_bias)
         if H is not None:
             H[0] = np.zeros((3, 6), order="F")
             H[0][:, :3] = -turn * so3.skew(up) @ so3.skew(arm_n) @ R
@@ -159,7 +158,7 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.No
     """The same session in GTSAM alone."""
     state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
     path = batch.path(state)
-    rates = expected_motion(path, state.constants.level_axes_s, p.noise.inertial).angular_rate_s[::N_BINS]
+    rates = expected_motion(path, state.constants.level_axes_s, p.noise.inertial).turn_rate[::N_BINS]
     for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
         k = round((t - state.t[0]) / T)
         graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))

@@ -52,7 +52,7 @@ def noisy(path: DensePath, noise: InertialNoise) -> DensePath:
 
 def middles(felt: ExpectedMotion) -> tuple[np.ndarray, np.ndarray]:
     """Acceleration (N, 2) and yaw rate (N,) between the edges."""
-    a, w = felt.acceleration_n, felt.angular_rate_s[:, 2]
+    a, w = felt.acceleration_n, felt.turn_rate
     return 0.5 * (a[1:] + a[:-1])[:, :2], 0.5 * (w[1:] + w[:-1])
 
 
@@ -67,7 +67,7 @@ class TestExpectedMotion:
     def test_without_noise_it_is_the_motion_itself_at_the_edges(self) -> None:
         path, rate = corners()
         felt = expected_motion(path, np.eye(3), STILL)
-        for found, true in ((felt.acceleration_n, path.acceleration_n), (felt.angular_rate_s, rate)):
+        for found, true in ((felt.acceleration_n, path.acceleration_n), (felt.turn_rate, rate[:, 2])):
             np.testing.assert_allclose(found[1:-1], 0.5 * (true[1:] + true[:-1]), atol=1e-4)
 
     def test_most_of_the_noise_is_gone(self) -> None:
@@ -107,14 +107,14 @@ class TestExpectedMotion:
         )
         want, have = expected_motion(shaken, np.eye(3), NOISE), expected_motion(turned, R_bs, NOISE)
         np.testing.assert_allclose(have.acceleration_n, want.acceleration_n, atol=1e-9)
-        np.testing.assert_allclose(have.angular_rate_s @ R_bs.T, want.angular_rate_s, atol=1e-9)
+        np.testing.assert_allclose(have.turn_rate, want.turn_rate, atol=1e-9)
 
     def test_a_stretch_of_a_few_bins_and_a_kart_at_rest_stay_finite(self) -> None:
         zeros = np.zeros((6, 3))
         path = DensePath(T[:6], np.tile(np.eye(3), (6, 1, 1)), zeros, zeros, zeros[1:], zeros[1:])
         felt = expected_motion(path, np.eye(3), NOISE)
         np.testing.assert_array_equal(felt.acceleration_n, zeros)
-        np.testing.assert_array_equal(felt.angular_rate_s, zeros)
+        np.testing.assert_array_equal(felt.turn_rate, zeros[:, 0])
 
 
 class TestMostProbable:

@@ -9,23 +9,18 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.imu import (
-    CLIPPED_ACCEL,
-    CLIPPED_GYRO,
     MISSING_ACCEL,
     MISSING_GYRO,
     BinnedImu,
     DensePath,
     InertialNoise,
     bin_imu,
-    clipped_samples,
     dense_path,
     halved,
     interval_noise,
     keyframe_times,
     motion_at,
     preintegrate,
-    reading_path,
-    start_in_step,
 )
 from smoother.frames import GRAVITY_N, rotation_from_euler
 from smoother.samples import ImuSamples
@@ -129,7 +124,7 @@ def naive(imu: ImuSamples, t: np.ndarray, n_bins: int) -> BinnedImu:
     shape = (len(t) - 1, n_bins, per_bin, 3)
     inside = (imu.t > t[0] + 1e-9) & (imu.t < t[-1] + 1e-9)
     force, rate = (x[inside].reshape(shape).mean(axis=2) for x in (imu.specific_force_s, imu.angular_rate_s))
-    return BinnedImu(t, true.dt, force, rate, true.missing, true.clipped)
+    return BinnedImu(t, true.dt, force, rate, true.missing)
 
 
 class TestBins:
@@ -215,23 +210,6 @@ class TestBins:
         np.testing.assert_allclose(binned.missing[10:], 1.0)
         assert np.all(np.isfinite(binned.specific_force_s))
 
-    def test_clipped_samples_are_those_at_the_end_of_either_range(self) -> None:
-        force, rate = np.zeros((6, 3)), np.zeros((6, 3))
-        force[1, 2], force[2, 0], rate[3, 1], rate[4, 1] = 39.2, -39.3, 8.7, 8.0
-        imu = ImuSamples(np.arange(6) * 0.01, force, rate, 39.24, 8.73)
-        np.testing.assert_array_equal(clipped_samples(imu), [False, True, True, True, False, False])
-        without = ImuSamples(imu.t, force, rate)
-        assert not clipped_samples(without).any()
-
-    def test_clipping_is_counted_in_the_interval_it_happens(self) -> None:
-        imu = Shaken(0.7, 0.0, 0.0).samples(200.0, 0.0, 2.0)
-        force = imu.specific_force_s.copy()
-        force[(imu.t > 0.4 + 1e-9) & (imu.t <= 0.45 + 1e-9), 0] = 78.0
-        binned = bin_imu(
-            ImuSamples(imu.t, force, imu.angular_rate_s, 78.45, 17.0), 0.2 * np.arange(8), 10, NO_BIAS, NO_BIAS
-        )
-        np.testing.assert_allclose(binned.clipped, [0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
-
     def test_edges_of_the_bins_start_and_end_with_the_keyframes(self) -> None:
         binned = bin_imu(Shaken(1.0, 0.0, 0.0).samples(100.0, 0.0, 2.0), np.array([0.3, 0.7, 1.1]), 8, NO_BIAS, NO_BIAS)
         assert binned.n_bins == 8
@@ -253,17 +231,16 @@ class TestKeyframeTimes:
 
 
 class TestNoise:
-    def test_lost_and_clipped_samples_raise_the_density_of_their_interval_only(self) -> None:
+    def test_lost_samples_raise_the_density_of_their_interval_only(self) -> None:
         base = bin_imu(
             Shaken(1.0, 0.0, 0.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2, 1.6]), 4, NO_BIAS, NO_BIAS
         )
-        missing, clipped = np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.0, 0.25])
-        binned = BinnedImu(base.t, base.dt, base.specific_force_s, base.angular_rate_s, missing, clipped)
+        binned = replace(base, missing=np.array([0.0, 0.5, 0.0]))
         accel, gyro = interval_noise(binned, NOISE)
         root = np.sqrt(0.4)
         # an unseen motion of rms a over a share u of T leaves a u T in the velocity: density a u sqrt(T)
-        want_accel = np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * 0.5 * root, CLIPPED_ACCEL * 0.25 * root])
-        want_gyro = np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * 0.5 * root, CLIPPED_GYRO * 0.25 * root])
+        want_accel = np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * 0.5 * root, 0.0])
+        want_gyro = np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * 0.5 * root, 0.0])
         np.testing.assert_allclose(accel, want_accel)
         np.testing.assert_allclose(gyro, want_gyro)
 
@@ -373,46 +350,6 @@ class TestDensePath:
         np.testing.assert_allclose(np.diff(path.position_n, axis=0), mean_velocity * binned.dt, atol=1e-6)
 
 
-class TestReadingPath:
-    def test_without_inertial_noise_the_whole_shape_counts(self) -> None:
-        binned, path, _ = shaken_path()
-        read = reading_path(binned, path, 0.0)
-        np.testing.assert_allclose(read.position_n, path.position_n, atol=1e-12)
-        np.testing.assert_allclose(read.velocity_n, path.velocity_n, atol=1e-12)
-
-    def test_with_nothing_but_noise_the_path_is_the_hermite_curve(self) -> None:
-        binned, path, (_, p, v, _, _) = shaken_path()
-        read = reading_path(binned, path, 1e3)
-        middle = 10 * np.arange(5) + 5
-        np.testing.assert_allclose(
-            read.position_n[middle], 0.5 * (p[:-1] + p[1:]) + 0.2 / 8.0 * (v[:-1] - v[1:]), atol=1e-12
-        )
-        np.testing.assert_allclose(
-            read.velocity_n[middle], 1.5 * (p[1:] - p[:-1]) / 0.2 - 0.25 * (v[:-1] + v[1:]), atol=1e-9
-        )
-
-    @pytest.mark.parametrize("density", [0.0, 0.5, 1e3])
-    def test_keyframes_and_attitude_stay_whatever_the_gain(self, density: float) -> None:
-        binned, path, (_, p, v, _, _) = shaken_path()
-        read = reading_path(binned, path, density)
-        np.testing.assert_allclose(read.position_n[::10], p, atol=1e-12)
-        np.testing.assert_allclose(read.velocity_n[::10], v, atol=1e-12)
-        np.testing.assert_array_equal(read.R_ns, path.R_ns)
-
-    def test_a_kart_at_rest_with_a_noisy_sensor_is_read_off_the_smooth_curve(self) -> None:
-        """The gain is found, not set: pure noise of the stated density leaves next to nothing of the shape."""
-        density, K, rng = 0.5, 400, np.random.default_rng(0)
-        t = np.arange(1, 200 * 81 + 1) / 200.0
-        force = [0.0, 0.0, 9.80665] + density * np.sqrt(200.0) * rng.normal(size=(len(t), 3))
-        binned = bin_imu(ImuSamples(t, force, np.zeros((len(t), 3))), 0.2 * np.arange(1, K), 10, NO_BIAS, NO_BIAS)
-        zeros = np.zeros((K - 1, 3))
-        path = dense_path(binned, np.tile(np.eye(3), (K - 1, 1, 1)), zeros, zeros, zeros, zeros)
-        read = reading_path(binned, path, density)
-        assert np.std(read.velocity_n) < 0.3 * np.std(path.velocity_n)
-        moved = reading_path(binned, path, 0.1 * density)
-        assert np.std(moved.velocity_n) > 0.9 * np.std(path.velocity_n)
-
-
 class TestMotionAt:
     def test_at_its_own_edges_it_returns_the_path(self) -> None:
         _, path, _ = shaken_path(crooked=0.01)
@@ -478,12 +415,3 @@ class TestHalvedBins:
             np.testing.assert_allclose(v_half, v, atol=1e-3)
             np.testing.assert_allclose(p_half, p, atol=1e-3)
             assert np.linalg.norm(v_naive - v) > 5.0 * np.linalg.norm(v_half - v)
-
-
-def test_keyframes_start_in_step_with_regular_times() -> None:
-    t = 7.33 + 0.2 * np.arange(50)
-    start = start_in_step(5.0, 0.2, t)
-    assert 4.8 < start <= 5.0
-    np.testing.assert_allclose(((t - start) / 0.2 + 0.5) % 1.0, 0.5, atol=1e-9)
-    late = t + np.random.default_rng(0).exponential(0.01, 50)
-    assert abs((np.mean(late) - 7.33 - 4.9) - (start_in_step(5.0, 0.2, late) - start)) < 0.002

@@ -50,7 +50,7 @@ def drive(seed: int, crooked: float = 0.01) -> tuple[ChainState, BinnedImu]:
     t = T * np.arange(K)
     force = rng.normal(size=(K - 1, N_BINS, 3)) * 2.0 + [1.0, 3.0, 9.8]
     rate = rng.normal(size=(K - 1, N_BINS, 3)) * 0.2 + [0.1, -0.2, 0.8]
-    binned = BinnedImu(t, T / N_BINS, force, rate, np.zeros(K - 1), np.zeros(K - 1))
+    binned = BinnedImu(t, T / N_BINS, force, rate, np.zeros(K - 1))
     accel_bias = 0.2 * rng.normal(size=3) + 0.01 * rng.normal(size=(K, 3))
     gyro_bias = 0.05 * rng.normal(size=3) + 0.002 * rng.normal(size=(K, 3))
     state = gtsam.NavState(gtsam.Rot3(so3.exp(rng.normal(size=3))), 10.0 * rng.normal(size=3), 5.0 * rng.normal(size=3))
@@ -111,7 +111,7 @@ def test_values_moved_from_rest_are_the_state_whatever_its_attitude() -> None:
 def test_another_noise_is_a_scaled_covariance(ratio: float) -> None:
     """Up to the ratio that counts as near, scaling is as good as preintegrating again."""
     state, binned = drive(0)
-    binned = replace(binned, missing=np.array([0.0, 0.3, 0.0, 0.0]), clipped=np.array([0.0, 0.0, 0.2, 0.0]))
+    binned = replace(binned, missing=np.array([0.0, 0.3, 0.2, 0.0]))
     noise = replace(NOISE, accel=NOISE.accel * ratio, gyro=NOISE.gyro / ratio)
     graph = inertial_graph(state, binned)
     assert graph.serves(noise)

@@ -308,7 +308,7 @@ class TestFlaws:
         assert sigma is not None
         assert sigma.speed[at[1]] > 1.5 * sigma.speed[at[0]]
 
-    def test_clipped_samples_count_for_less(self, clean: Smoothed) -> None:
+    def test_clipped_samples_do_little_harm(self, clean: Smoothed) -> None:
         s = flawed(imu_accel_range=0.7 * 9.80665 + 9.80665, imu_gyro_range=1.2)
         assert horizontal_rms(s.error_n) < 2.0 * horizontal_rms(clean.error_n) + 0.3
 
