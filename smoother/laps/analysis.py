@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
@@ -165,7 +165,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
         reference_name="" if options.reference_lap is None else options.reference_lap.name,
         official=official_times(options.official, laps),
         sigma_source="none",
-        lap_of_row=_lap_of_row(path.t, passages),
+        lap_of_row=_lap_of_row(path, passages),
         lap_distance=_lap_distance(circuit),
         track="" if options.lines is None else options.lines.name,
         problems=circuit.problems,
@@ -182,7 +182,7 @@ def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passa
         start_line=circuit.start_line,
         finish_line=circuit.finish_line,
         reference=circuit.curve.line,
-        lap_of_row=_lap_of_row(given.path.t, passages),
+        lap_of_row=_lap_of_row(given.path, passages),
         lap_distance=_lap_distance(circuit),
     )
 
@@ -253,7 +253,7 @@ def _lap(
     raw_time: float,
 ) -> Lap:
     path = given.path
-    rows = np.flatnonzero((path.t >= passage.start) & (path.t <= passage.end))
+    rows = path.rows_between(passage.start, passage.end)
     speed = path.speed[rows] if rows.size else np.full(1, np.nan)
     driven = np.interp([passage.start, passage.end], path.t, path.driven)
     return Lap(
@@ -280,10 +280,10 @@ def _raw_times(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) -
     return np.asarray(raw_crossings(given.fixes, last, end) - raw_crossings(given.fixes, circuit.start_line, start))
 
 
-def _lap_of_row(t: Array, passages: tuple[Passage, ...]) -> np.ndarray:
-    out = np.full(len(t), -1, dtype=np.int64)
+def _lap_of_row(path: PlanPath, passages: tuple[Passage, ...]) -> IntArray:
+    out = np.full(len(path.t), -1, dtype=np.int64)
     for passage in passages:
-        out[(t >= passage.start) & (t <= passage.end)] = passage.number
+        out[path.rows_between(passage.start, passage.end)] = passage.number
     return out
 
 

@@ -114,8 +114,11 @@ def laps_on_line(path: PlanPath, curve: Curve, followed: Followed, blind: BoolAr
     """
     numbers, pace, rows = [], [], []
     lap = np.floor(followed.distance / curve.length)
-    for number in np.unique(lap[followed.is_on]):
-        r = np.flatnonzero(lap == number)
+    seen = np.unique(lap[followed.is_on])
+    order = np.argsort(lap, kind="stable")
+    starts, ends = (np.searchsorted(lap[order], seen, side=side) for side in ("left", "right"))
+    for number, start, end in zip(seen, starts, ends, strict=True):
+        r = order[start:end]
         covered = np.ptp(followed.distance[r])
         if len(r) < 8 or covered < 0.5 * curve.length or np.mean(followed.is_on[r]) < 0.8:
             continue

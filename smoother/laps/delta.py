@@ -190,7 +190,9 @@ def _lateral_sigma(
             out[laps, place] = np.sqrt(2.0 * np.diag(covariance))
             continue
         shaping = counting[laps] / max(1, int(np.count_nonzero(counting[laps])))
-        out[laps, place] = sigma_of(covariance, np.eye(len(laps)) - shaping)
+        of_mean = covariance @ shaping
+        variance = np.diag(covariance) - 2.0 * of_mean + shaping @ of_mean
+        out[laps, place] = np.sqrt(np.maximum(variance, 0.0))
     return _between(distance, places, out, np.isfinite(t))
 
 

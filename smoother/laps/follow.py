@@ -5,6 +5,7 @@ it is looked for again, and found only where it also stays on the line in the ri
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,11 @@ class Followed:
     distance: Array
     lateral: Array
     is_on: BoolArray
+
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation (m) of where the kart was beside the line."""
+        return float(np.sqrt(np.nanvar(self.lateral)))
 
 
 def follow(path: PlanPath, curve: Curve) -> Followed:

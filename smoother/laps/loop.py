@@ -10,12 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces
 from smoother.laps.path import PlanPath
 
 SAME_PLACE = 10.0  # m: how wide a track is driven, plus what the GPS wanders between two laps
 SAME_DIRECTION = 0.7  # least cosine between the two directions of travel
 SPACING = 4.0  # m between the places that are compared
 MOST_PLACES = 1500  # that are looked for again; more say nothing new
+PAIRS = 1 << 24  # of places that are compared at once at most: some 100 MB
 LONGEST_LAP = 30_000.0  # m
 BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
 SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
@@ -62,11 +64,16 @@ def _repeats(path: PlanPath, row: IntArray, shortest: float) -> tuple[IntArray, 
     position, driven = path.position_n[row], path.driven[row]
     direction = path.velocity_n[row] / np.maximum(path.speed[row], 1e-6)[:, None]
     chosen = np.unique(np.linspace(0, len(row) - 1, min(MOST_PLACES, len(row))).astype(np.int64))
-    i, j = _within(position, chosen, SAME_PLACE)
-    apart = driven[j] - driven[i]
-    good = (apart > shortest) & (apart < LONGEST_LAP)
-    good &= np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
-    return i[good], j[good]
+    some = max(1, PAIRS // len(row))  # of the places at once: a day comes by each of them two thousand times
+    found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+    for part in pieces(len(chosen), some):
+        i, j = _within(position, chosen[part], SAME_PLACE)
+        apart = driven[j] - driven[i]
+        good = (apart > shortest) & (apart < LONGEST_LAP)
+        i, j = i[good], j[good]
+        good = np.sum(direction[i] * direction[j], axis=1) > SAME_DIRECTION
+        found.append((i[good], j[good]))
+    return np.concatenate([i for i, _ in found]), np.concatenate([j for _, j in found])
 
 
 def _within(points: Array, around: IntArray, distance: float) -> tuple[IntArray, IntArray]:

@@ -84,7 +84,7 @@ def reasons(
         found.append("in-lap")
     if not passage.starts_at_line:
         found.append("out-lap")
-    rows = np.flatnonzero((path.t >= passage.start) & (path.t <= passage.end))
+    rows = path.rows_between(passage.start, passage.end)
     if len(rows) < 2:
         return tuple(found)
     in_gap = in_gaps(path.t[rows], fixes)
@@ -124,7 +124,7 @@ def _where_to(
     for first, last in _runs_of(standing, t, STOPPED_FOR):
         found.append("stopped" if on[first : last + 1].mean() > 0.5 else "pit")
     lateral = np.abs(circuit.followed.lateral[rows])
-    wide = on & (lateral > RUN_OFF + 2.0 * np.sqrt(np.nanvar(circuit.followed.lateral)))
+    wide = on & (lateral > RUN_OFF + 2.0 * circuit.followed.spread)
     if _runs_of(wide, t, OFF_FOR):
         found.append("off-track")
     return found

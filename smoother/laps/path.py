@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, frozen
+from smoother.disc import pieces, release
 from smoother.fit.running import local_polynomial
 from smoother.laps.results import FixPath
 from smoother.trajectory import Trajectory
@@ -52,6 +53,10 @@ class PlanPath:
         velocity = slope + (1.0 - 4.0 * u + 3.0 * u**2) * v0 + (3.0 * u**2 - 2.0 * u) * v1
         return np.asarray(position), np.asarray(velocity)
 
+    def rows_between(self, start: float, end: float) -> IntArray:
+        """Indices (K,) of the rows with start <= t <= end, s."""
+        return np.arange(np.searchsorted(self.t, start), np.searchsorted(self.t, end, side="right"))
+
     def row_before(self, t: Array) -> IntArray:
         """Index (K,) of the last row at or before t (K,), so that there is one after it."""
         return np.asarray(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2), dtype=np.int64)
@@ -69,8 +74,11 @@ def level_acceleration(trajectory: Trajectory) -> Array:
 
     By the inertial sensor where the attitude is known, else from the smoothed speed over :data:`SMOOTHED_OVER`.
     """
-    path = plan_path(trajectory)
-    acceleration_n = np.einsum("nij,nj->ni", trajectory.R_nb, trajectory.acceleration_b)[:, :2]
+    path, acceleration_n = plan_path(trajectory), np.empty((len(trajectory), 2))
+    for part in pieces(len(trajectory)):
+        R, a = trajectory.R_nb[part], trajectory.acceleration_b[part]
+        acceleration_n[part] = np.einsum("nij,nj->ni", R[:, :2], a)
+        release(trajectory.R_nb, trajectory.acceleration_b)
     unknown = ~np.isfinite(acceleration_n).all(axis=1)
     if unknown.any():
         acceleration_n[unknown] = _from_velocity(path)[unknown]
@@ -90,8 +98,8 @@ def _from_velocity(path: PlanPath) -> Array:
 
 def in_gaps(t: Array, fixes: FixPath) -> BoolArray:
     """Mask (N,) of times t (N,) s in a hole of the fixes."""
-    before = np.flatnonzero(np.diff(fixes.t) > GAP)
-    inside = np.zeros(len(t), dtype=np.bool_)
-    for i in before:
-        inside |= (t > fixes.t[i]) & (t < fixes.t[i + 1])
-    return inside
+    if len(fixes.t) < 2:
+        return np.zeros(len(t), dtype=np.bool_)
+    before = np.clip(np.searchsorted(fixes.t, t) - 1, 0, len(fixes.t) - 2)
+    start, end = fixes.t[before], fixes.t[before + 1]
+    return np.asarray((end - start > GAP) & (t > start) & (t < end))
