@@ -121,7 +121,7 @@ def calibrated(raw: RawSession, directory: Path) -> Session:
 
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Run smoother and baseline, and judge the result."""
-    from smoother.disc import release
+    from smoother.disc import settle
     from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
     from smoother.estimate.quality import assess
 
@@ -129,14 +129,14 @@ def estimate(session: Session, options: Options, watch: Stopwatch, progress: Pro
         every = steps(options.rate)
         smoother = GraphSmoother(GraphOptions(rate=options.rate * every, solver=options.solver), progress=progress)
         smoothed = smoother.estimate(session)
-    release(session.imu, smoothed)
+    settle(session.imu, smoothed)
     baseline = None
     if options.baseline:
         progress("baseline", 0.0)
         with watch.stage("baseline"):
             baseline = estimate_baseline(session, options.rate)
     quality = assess(session, smoothed)
-    release(session.imu, smoothed, baseline)
+    settle(session.imu, smoothed, baseline)
     return Estimates(session, smoothed, baseline, quality, every=every)
 
 
@@ -168,12 +168,12 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Add the laps."""
-    from smoother.disc import release
+    from smoother.disc import settle
 
     progress("laps", 0.0)
     with watch.stage("laps"):
         laps = analyse_session(estimates.session, estimates.smoothed, said)
-        release(estimates.smoothed)
+        settle(estimates.smoothed)
         return replace(estimates, laps=laps)
 
 

@@ -110,16 +110,16 @@ class _Averages:
 
     def __init__(self, imu: ImuSamples) -> None:
         self._t, self._sum, before = imu.t, roomy((len(imu.t), 6)), np.zeros(6)
-        step = np.diff(imu.t, prepend=imu.t[0])
         for part in pieces(len(imu.t)):
             both = np.concatenate([imu.specific_force_s[part], imu.angular_rate_s[part]], axis=1)
-            self._sum[part] = before + np.cumsum(both * step[part, None], axis=0)
+            self._sum[part] = before + np.cumsum(both * _steps(imu.t, part)[:, None], axis=0)
             before = self._sum[part.stop - 1].copy()
             release(imu, self._sum)
 
     def around(self, t: Array, width: float) -> tuple[Array, Array]:
         """Mean force and rate, each (..., 3), over `width` seconds around t (...)."""
         mean = (self._until(t + 0.5 * width) - self._until(t - 0.5 * width)) / width
+        release(self._t, self._sum)
         return mean[..., :3], mean[..., 3:]
 
     def _until(self, t: Array) -> Array:
@@ -225,13 +225,17 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
 def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
     """Turn about up since the first sample, (N,) rad; nothing is known of what a gap holds but half a second."""
     yaw, before = roomy(len(imu.t)), 0.0
-    step = np.clip(np.diff(imu.t, prepend=imu.t[0]), 0.0, 0.5)
     for part in pieces(len(imu.t)):
         rate_up = (imu.angular_rate_s[part] - alignment.gyro_bias_s) @ alignment.R_bs[2]
-        yaw[part] = before + np.cumsum(rate_up * step[part])
+        yaw[part] = before + np.cumsum(rate_up * np.clip(_steps(imu.t, part), 0.0, 0.5))
         before = float(yaw[part.stop - 1])
-        release(imu)
+        release(imu, yaw)
     return yaw
+
+
+def _steps(t: Array, part: slice) -> Array:
+    """Time (K,) s since the sample before of each sample of a part of t (N,); 0 for the very first."""
+    return np.diff(t[part], prepend=t[max(part.start - 1, 0)])
 
 
 def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:

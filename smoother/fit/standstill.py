@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.disc import pieces, release
+from smoother.disc import pieces, release, thinned
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Session
 from smoother.units import DEG
@@ -197,11 +197,13 @@ class _Blocks:
         has = (count > 0.0).astype(np.float64)
         k = _windowed(has, options)
         between, within = np.zeros(size), np.zeros(size)
+        some = thinned(values, max(1, len(values) // ENOUGH))
         for axis in range(3):  # one axis at a time, and parts of it: a day of samples is a gigabyte
-            usual = np.median(values[:: max(1, len(values) // ENOUGH), axis])  # keeps the sums of squares precise
+            usual = np.median(some[:, axis])  # keeps the sums of squares precise
             mean, inside = np.zeros(size), np.zeros(size)
             for part in pieces(len(values)):
                 mean += np.bincount(block[part], values[part, axis] - usual, size)
+                release(values)
             mean /= filled
             for part in pieces(len(values)):
                 rest = values[part, axis] - usual - mean[block[part]]

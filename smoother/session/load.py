@@ -15,7 +15,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.disc import kept, release, thinned
+from smoother.disc import kept, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
@@ -87,6 +87,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     gnss = _with_true_times(recording, problems)
     if imu is not None:
         _compare_times(recording, imu, gnss, problems)
+        settle(imu)
     return RawSession(
         name=files.session_name(),
         gnss=gnss,
