@@ -54,28 +54,45 @@ def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, per
 
     A sample holds the mean over the interval before its time, so it counts as of the middle of that interval.
     """
-    usual = np.median(np.diff(imu.t)) if len(imu.t) > 1 else period
-    interval = np.minimum(np.diff(imu.t, prepend=imu.t[0] - usual), 2.0 * usual)  # a gap is not part of a sample
-    number = np.rint((imu.t - 0.5 * interval - start) / period).astype(np.int64)
-    first = int(number[0])
-    count = np.bincount(number - first).astype(np.float64)
+    number = _step_numbers(imu.t, start, period)
+    first, size = int(number[0]), int(number[-1] - number[0]) + 1
+
+    def total(values: Array | BoolArray) -> Array:
+        """Sum (size,) of values (N,) over each step."""
+        out = np.zeros(size)
+        for part in pieces(len(values)):
+            at = number[part] - first
+            low = int(at.min())
+            some = np.bincount(at - low, values[part])
+            out[low : low + len(some)] += some
+            release(number, values)
+        return out
+
+    count = total(np.broadcast_to(1.0, len(imu.t)))
     held = np.flatnonzero(count)
 
     def mean(values: Array) -> Array:
         out = roomy((len(held), values.shape[1]))
         for i, column in enumerate(values.T):
-            total = np.zeros(len(count))
-            for part in pieces(len(column)):
-                at = number[part] - first
-                low = int(at.min())
-                some = np.bincount(at - low, column[part])
-                total[low : low + len(some)] += some
-                release(values)
-            out[:, i] = total[held] / count[held]
+            out[:, i] = total(column)[held] / count[held]
+        release(out)
         return out
 
-    resting = np.bincount(number - first, is_at_rest.astype(np.float64))[held] == count[held]
+    resting = total(is_at_rest)[held] == count[held]
     return Steps(start, period, first + held, mean(imu.specific_force_s), mean(imu.angular_rate_s), resting)
+
+
+def _step_numbers(t: Array, start: float, period: float) -> IntArray:
+    """Number (N,) of the step that each sample at t (N,) belongs to, ascending."""
+    number, usual = roomy(len(t), np.int64), period
+    if len(t) > 1:
+        usual = float(np.median([np.median(np.diff(t[part.start : part.stop + 1])) for part in pieces(len(t) - 1)]))
+    for part in pieces(len(t)):
+        before = t[part.start - 1] if part.start else t[0] - usual
+        interval = np.minimum(np.diff(t[part], prepend=before), 2.0 * usual)  # a gap is not part of a sample
+        number[part] = np.rint((t[part] - 0.5 * interval - start) / period)
+        release(number, t)
+    return number
 
 
 def collect(rows: Iterable[tuple[float, ...]], count: int, width: int) -> Array:
