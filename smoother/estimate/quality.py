@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.disc import release
 from smoother.estimate.resample import resample
 from smoother.fit.running import gaussian_mean
 from smoother.samples import Session
@@ -76,10 +77,12 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     """Judge a trajectory by its own fixes, sigmas and residuals."""
     limits = QualityLimits() if limits is None else limits
     finite = bool(np.isfinite(estimate.position_n).all() and np.isfinite(estimate.velocity_n).all())
+    release(estimate)
     measures = {"top_speed_mps": float(np.nanmax(estimate.speed, initial=0.0)), **_distances(session, estimate, limits)}
     if estimate.sigmas is not None:
         sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
         measures["median_sigma_horizontal_m"] = float(np.median(sigma))
+    release(estimate)
     reasons = [] if finite else ["some rows have no position or velocity"]
     measures |= _attitude_measures(estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)

@@ -15,7 +15,7 @@ from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
 from smoother.report.files import replacing
 from smoother.report.page_charts import figure, grip, linked, picker, styled
-from smoother.report.page_data import Document, Numbers, drawn_laps, lap_name, page_data, stretches
+from smoother.report.page_data import MOST_DRAWN, Document, Numbers, drawn_laps, lap_name, page_data, stretches
 from smoother.report.page_html import element
 from smoother.samples import RawImu, RawMag, RawSession, Session
 from smoother.trajectory import Trajectory
@@ -76,6 +76,7 @@ def _charts(told: words.Told, numbers: Document) -> list[Element]:
     title = "Map and traces" if told.laps is not None and told.laps.traces is not None else "The session"
     return [
         element("h2", title, id="driving"),
+        *_left_out(told),
         _picker(told),
         linked(numbers),
         *words.corner_section(told),
@@ -98,6 +99,17 @@ def _picker(told: words.Told) -> Element:
     if laps is None or laps.traces is None:
         return picker(["whole session"], [])
     return picker([lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps))
+
+
+def _left_out(told: words.Told) -> list[Element]:
+    """What to know where not all laps can be drawn."""
+    laps = told.laps
+    if laps is None or laps.traces is None or len(laps.laps) <= MOST_DRAWN:
+        return []
+    text = (
+        f"Of {len(laps.laps)} laps the {len(drawn_laps(laps))} quickest can be shown here and below; laps.csv has all."
+    )
+    return [element("p", text, class_="soft")]
 
 
 def _circle_words(told: words.Told) -> str:

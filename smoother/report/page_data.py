@@ -23,6 +23,9 @@ SLOW_RATE = 2.0  # Hz of what changes slowly: sigmas
 FIX_RATE = 4.0  # Hz of what is told of fixes, the worst of each bin
 WITHOUT_LAPS = 60.0  # s around the top speed, compared with the baseline where there is no lap
 CLOUD = 4000  # points of the g-g diagram
+MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a browser minutes to open
+MOST_ROWS = 150_000  # of the whole session where it has no laps, four hours at their usual rate
+MOST_SLOW = 60_000  # of what is drawn of quality over time, likewise
 SHADES = 16
 Document = dict[str, object]
 
@@ -71,10 +74,18 @@ def palette() -> list[str]:
 
 
 def drawn_laps(laps: LapAnalysis) -> list[int]:
-    """Return the indices of the laps that have any trace."""
+    """Return the indices of the laps that have any trace; of more than MOST_DRAWN the quickest that count."""
     if laps.traces is None:
         return []
-    return [i for i in range(len(laps.laps)) if np.isfinite(laps.traces.speed[i]).sum() > 1]
+    drawn = [i for i in range(len(laps.laps)) if np.isfinite(laps.traces.speed[i]).sum() > 1]
+    if len(drawn) <= MOST_DRAWN:
+        return drawn
+
+    def slowness(i: int) -> tuple[bool, float]:
+        lap = laps.laps[i]
+        return not lap.is_valid, lap.time if lap.is_timed else np.inf
+
+    return sorted(sorted(drawn, key=slowness)[:MOST_DRAWN])
 
 
 def lap_name(lap: Lap) -> str:
@@ -211,15 +222,15 @@ def _gate(line: Line, middle: Array, is_start: bool) -> Document:
     return {"x": np.round(x, 2).tolist(), "y": np.round(y, 2).tolist(), "is_start": is_start}
 
 
-def _thin_rows(t: Array, rate: float) -> np.ndarray:
-    """Indices of rows that are at most `rate` a second."""
+def _thin_rows(t: Array, rate: float, most: int) -> np.ndarray:
+    """Indices of rows that are at most `rate` a second, and not more than `most` in all."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
-    return np.arange(0, len(t), max(1, int(np.ceil(1.0 / (rate * step) - 1e-6))))
+    return np.arange(0, len(t), max(1, int(np.ceil(1.0 / (rate * step) - 1e-6)), -(-len(t) // most)))
 
 
 def _whole_session(numbers: Numbers) -> Document:
     smoothed = numbers.smoothed
-    rows = _thin_rows(smoothed.t, 0.5 * MOST_RATE)
+    rows = _thin_rows(smoothed.t, 0.5 * MOST_RATE, MOST_ROWS)
     acceleration = level_acceleration(smoothed)[rows]
     x, y = places(smoothed, numbers.middle, smoothed.t[rows])
     named = {
@@ -296,7 +307,7 @@ def _filled(values: Array) -> Array:
 def _quality(numbers: Numbers) -> Document:
     smoothed, gnss = numbers.smoothed, numbers.session.gnss
     start, sigmas, fixes = smoothed.t[0], smoothed.sigmas, smoothed.report.fixes
-    rows = _thin_rows(smoothed.t, SLOW_RATE)
+    rows = _thin_rows(smoothed.t, SLOW_RATE, MOST_SLOW)
     out: Document = {"t": packed(smoothed.t[rows] - start)}
     if sigmas is not None:
         out["sigma"] = packed(np.hypot(sigmas.position_n[rows, 0], sigmas.position_n[rows, 1]))
@@ -319,8 +330,9 @@ def _quality(numbers: Numbers) -> Document:
 
 
 def _worst_rows(t: Array, badness: Array) -> np.ndarray:
-    """Indices of the worst row of each 1/FIX_RATE seconds."""
-    cell = np.floor((t - t[0]) * FIX_RATE).astype(np.int64)
+    """Indices of the worst row of each 1/FIX_RATE seconds, of more where that would be more than MOST_SLOW."""
+    rate = min(FIX_RATE, MOST_SLOW / max(float(t[-1] - t[0]), 1e-9))
+    cell = np.floor((t - t[0]) * rate).astype(np.int64)
     order = np.lexsort((-badness, cell))
     first = np.concatenate([[True], np.diff(cell[order]) > 0])
     return np.asarray(order[first])

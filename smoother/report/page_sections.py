@@ -13,6 +13,7 @@ from smoother.frames import euler_from_rotation
 from smoother.laps.clock import local_day, local_time
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.report.page_charts import settings
+from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, counted, lap_clock, number, with_sigma
 from smoother.report.summary import distance_driven, merged
@@ -87,7 +88,9 @@ def summary(told: Told) -> Element:
     cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
-    cards.append(_card("Driven", driven, f"in {int(length // 60)} min {int(length % 60)} s"))
+    minutes = f"{int(length // 60)} min {int(length % 60)} s"
+    hours = f"{int(length // 3600)} h {int(length % 3600 // 60)} min"
+    cards.append(_card("Driven", driven, f"in {hours if length >= 3600.0 else minutes}"))
     passed = told.quality.passed
     verdict = "Yes" if passed else "No"
     trust = element("span", verdict, class_="good" if passed else "bad")
@@ -205,7 +208,8 @@ def corner_name(corner: Corner) -> str:
 
 def _lost_rows(laps: LapAnalysis) -> list[Element]:
     rows = []
-    for i, lap in enumerate(laps.laps):
+    for i in drawn_laps(laps):
+        lap = laps.laps[i]
         if not lap.is_timed:
             continue
         name = str(lap.number) + ("" if lap.is_valid else f" ({', '.join(lap.reasons)})")
