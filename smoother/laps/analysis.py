@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import release
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
 from smoother.laps.passages import Passage, find_passages, reasons
-from smoother.laps.path import PlanPath, in_gaps, plan_path
+from smoother.laps.path import PlanPath, in_gaps, interpolated, plan_path
 from smoother.laps.reference import Curve
 from smoother.laps.results import (
     Corner,
@@ -144,8 +145,9 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
     index = None if options.reference_lap is not None else quickest
     shaping = valid if options.reference is None else None
     traces = make_traces(
-        given.trajectory, circuit, passages, row_values(given.trajectory), elapsed, shaping, given.errors
+        given.trajectory, path, circuit, passages, row_values(given.trajectory, path), elapsed, shaping, given.errors
     )
+    release(given.trajectory)
     if given.errors is not None and elapsed is not None:
         sigma = delta_sigma(circuit.curve, traces.t, path, traces.distance, index, given.errors)
         traces = replace(traces, delta_sigma=np.hypot(sigma, _sigma_elsewhere(traces.distance, options)))
@@ -255,7 +257,7 @@ def _lap(
     path = given.path
     rows = path.rows_between(passage.start, passage.end)
     speed = path.speed[rows] if rows.size else np.full(1, np.nan)
-    driven = np.interp([passage.start, passage.end], path.t, path.driven)
+    driven = interpolated(np.array([passage.start, passage.end]), path.t, path.driven)
     return Lap(
         number=passage.number,
         start=passage.start,

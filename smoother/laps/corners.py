@@ -12,7 +12,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.laps.delta import GRID, SURE
-from smoother.laps.path import PlanPath
+from smoother.laps.path import PlanPath, interpolated
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward
@@ -209,7 +209,7 @@ def _speed_sigma(traces: Traces, trajectory: Trajectory, inside: BoolArray) -> A
     for lap, t in enumerate(traces.t[:, inside]):
         known = np.isfinite(t)
         if known.any():
-            out[lap] = float(np.sqrt(np.mean(np.interp(t[known], trajectory.t, trajectory.sigmas.speed) ** 2)))
+            out[lap] = float(np.sqrt(np.mean(interpolated(t[known], trajectory.t, trajectory.sigmas.speed) ** 2)))
     return out
 
 
@@ -246,6 +246,6 @@ def _braking_sigma(traces: Traces, trajectory: Trajectory, lap: int, index: int)
     place = (
         0.0
         if trajectory.sigmas is None
-        else float(np.interp(traces.t[lap, index], trajectory.t, trajectory.sigmas.track))
+        else float(interpolated(traces.t[lap, index], trajectory.t, trajectory.sigmas.track))
     )
     return float(np.sqrt(place**2 + (speed * ACCELERATION_SIGMA / jerk) ** 2 + GRID**2 / 12.0))

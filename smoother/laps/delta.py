@@ -12,7 +12,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.fit.running import local_polynomial
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
-from smoother.laps.path import PlanPath, level_acceleration, plan_path
+from smoother.laps.path import PlanPath, level_acceleration
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
 from smoother.laps.sideslip import sideslip_of
@@ -40,10 +40,9 @@ class Timed:
     balance: Array
 
 
-def row_values(trajectory: Trajectory) -> Timed:
-    """Return what is read off each row before laps are looked at."""
-    path = plan_path(trajectory)
-    acceleration = level_acceleration(trajectory)
+def row_values(trajectory: Trajectory, path: PlanPath) -> Timed:
+    """Return what is read off each row before laps are looked at; path is that of the trajectory."""
+    acceleration = level_acceleration(trajectory, path)
     along = _smoothed(acceleration[:, 0], path.t)
     sideslip, sigma, balance = sideslip_of(trajectory, path, acceleration[:, 1])
     return Timed(along, acceleration[:, 1], zones(along), sideslip, sigma, balance)
@@ -109,6 +108,7 @@ def _led_in(distance: Array, error: float, is_crossing: bool) -> Array:
 
 def make_traces(
     trajectory: Trajectory,
+    path: PlanPath,
     circuit: Circuit,
     passages: tuple[Passage, ...],
     values: Timed,
@@ -121,7 +121,7 @@ def make_traces(
     reference (M,) s: elapsed time of the reference lap at each place, None without; counting (L,): the laps whose mean
     the reference line is, None if that is another session's.
     """
-    path, curve = plan_path(trajectory), circuit.curve
+    curve = circuit.curve
     distance = grid_of(curve)
     t = np.stack([lap_times_at(path, circuit, passage, distance) for passage in passages])
     known = np.isfinite(t)

@@ -62,6 +62,17 @@ class PlanPath:
         return np.asarray(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2), dtype=np.int64)
 
 
+def interpolated(at: Array, t: Array, values: Array) -> Array:
+    """Return values (N,) over t (N,) at a few times (K,), linearly, held beyond the ends.
+
+    What numpy's interp gives, which copies t and values when they are read-only: a second for each thousand questions.
+    """
+    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    slope = (values[k + 1] - values[k]) / (t[k + 1] - t[k])
+    inside = values[k] + slope * (at - t[k])
+    return np.asarray(np.where(at <= t[0], values[0], np.where(at >= t[-1], values[-1], inside)))
+
+
 def plan_path(trajectory: Trajectory) -> PlanPath:
     """Return the path of a trajectory's antenna."""
     return PlanPath(
@@ -69,12 +80,12 @@ def plan_path(trajectory: Trajectory) -> PlanPath:
     )
 
 
-def level_acceleration(trajectory: Trajectory) -> Array:
-    """Return the acceleration (N, 2) m/s^2 along and left of the path.
+def level_acceleration(trajectory: Trajectory, path: PlanPath | None = None) -> Array:
+    """Return the acceleration (N, 2) m/s^2 along and left of the path, that of the trajectory.
 
     By the inertial sensor where the attitude is known, else from the smoothed speed over :data:`SMOOTHED_OVER`.
     """
-    path, acceleration_n = plan_path(trajectory), np.empty((len(trajectory), 2))
+    path, acceleration_n = path or plan_path(trajectory), np.empty((len(trajectory), 2))
     for part in pieces(len(trajectory)):
         R, a = trajectory.R_nb[part], trajectory.acceleration_b[part]
         acceleration_n[part] = np.einsum("nij,nj->ni", R[:, :2], a)

@@ -7,7 +7,8 @@ sideslip that is there on the straights as well is taken for a box that sits ask
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.frames import wrap_angle
+from smoother.disc import pieces, release
+from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.laps.path import PlanPath
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
@@ -21,15 +22,19 @@ def sideslip_of(trajectory: Trajectory, path: PlanPath, left: Array) -> tuple[Ar
 
     left (N,) m/s^2: level acceleration to the left of the path.
     """
-    nothing = np.full(len(trajectory), np.nan)
+    out = np.full((3, len(trajectory)), np.nan)
     if why_hidden(trajectory, path):
-        return nothing, nothing.copy(), nothing.copy()
-    course = np.arctan2(path.velocity_n[:, 1], path.velocity_n[:, 0])
-    sideslip = wrap_angle(course - trajectory.euler[:, 2])
-    sigma = _sigma(trajectory, path)
-    balance = trajectory.angular_rate_b[:, 2] - left / np.maximum(path.speed, 0.1)
-    hidden = ~(path.speed > MOVING) | ~(sigma < 2.0 * OBSERVABLE)
-    return tuple(np.where(hidden, np.nan, v) for v in (sideslip, sigma, balance))  # type: ignore[return-value]
+        return out[0], out[1], out[2]
+    all_sigma = _sigma(trajectory, path)
+    for part in pieces(len(trajectory)):
+        velocity, speed, sigma = path.velocity_n[part], path.speed[part], all_sigma[part]
+        yaw = euler_from_rotation(trajectory.R_nb[part])[2]
+        sideslip = wrap_angle(np.arctan2(velocity[:, 1], velocity[:, 0]) - yaw)
+        balance = trajectory.angular_rate_b[part, 2] - left[part] / np.maximum(speed, 0.1)
+        hidden = ~(speed > MOVING) | ~(sigma < 2.0 * OBSERVABLE)
+        out[:, part] = np.where(hidden, np.nan, np.stack([sideslip, sigma, balance]))
+        release(trajectory.R_nb, trajectory.angular_rate_b)
+    return out[0], out[1], out[2]
 
 
 def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
@@ -55,7 +60,9 @@ def _sigma(trajectory: Trajectory, path: PlanPath) -> Array:
     assert trajectory.sigmas is not None
     velocity = trajectory.sigmas.velocity_n
     across = np.hypot(velocity[:, 0], velocity[:, 1]) / np.sqrt(2.0)
-    return np.asarray(np.hypot(trajectory.sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1)))
+    sigma = np.hypot(trajectory.sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1))
+    release(trajectory.sigmas)
+    return np.asarray(sigma)
 
 
 def outward(sideslip: Array, sigma: Array, inside: BoolArray, turns_left: bool) -> tuple[Array, Array]:
