@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from smoother import disc
-from smoother.disc import LARGE, contents, kept, pieces, release, roomy
+from smoother.disc import LARGE, Growing, contents, kept, pieces, release, roomy, settle, thinned
 
 
 def resident() -> int:
@@ -95,3 +95,35 @@ def test_contents_are_the_bytes_of_the_file(size: int, tmp_path: Path) -> None:
 def test_pieces_make_up_the_whole() -> None:
     assert [range(10)[piece] for piece in pieces(10, 4)] == [range(4), range(4, 8), range(8, 10)]
     assert list(pieces(0)) == []
+
+
+@pytest.mark.parametrize("large", [1, LARGE])
+def test_rows_that_come_in_parts_make_up_the_whole(large: int) -> None:
+    rng = np.random.default_rng(1)
+    parts = [rng.integers(0, 9, (n, 3)).astype(np.int16) for n in (0, 4, 1, 30, 7, 0, 200)]
+    growing = Growing((3,), np.int16, large)
+    for part in parts:
+        growing.add(part)
+    np.testing.assert_array_equal(growing.rows, np.concatenate(parts))
+    assert len(growing) == 242
+    assert growing.rows.dtype == np.int16
+    assert not growing.rows.flags.writeable
+
+
+def test_what_is_kept_already_is_not_copied() -> None:
+    once = kept(np.arange(5.0), large=1)
+    assert kept(once, large=1) is once
+
+
+@pytest.mark.parametrize("step", [1, 3, 7])
+def test_thinning_takes_each_nth_row_of_all(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disc, "pieces", lambda n: pieces(n, 10))
+    values = np.arange(46.0).reshape(23, 2)
+    np.testing.assert_array_equal(thinned(values, step), values[::step])
+
+
+def test_values_survive_the_end_of_a_stage() -> None:
+    on_disc, in_memory = kept(np.arange(5.0), large=1), np.arange(3)
+    settle(on_disc, (in_memory,), None)
+    np.testing.assert_array_equal(on_disc, np.arange(5.0))
+    np.testing.assert_array_equal(in_memory, np.arange(3))

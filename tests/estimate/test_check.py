@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from smoother.disc import pieces
+from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
 from smoother.samples import GnssFixes, Problem, RawImu, RawSession
 from smoother.sim.simulation import simulate_preset
@@ -135,3 +137,18 @@ def test_a_motion_sensor_that_ran_for_half_the_drive_is_not_good(kart: RawSessio
 def test_what_the_reader_found_is_passed_on(kart: RawSession) -> None:
     flawed = changed(kart, problems=(Problem("x", "imu.csv: 3 rows dropped", 3),))
     assert "3 rows dropped" in texts(check(flawed), "warning")
+
+
+@pytest.mark.parametrize("reach", [None, 22.0])
+def test_a_recording_judged_in_parts_is_judged_as_at_once(
+    kart: RawSession, reach: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert kart.imu is not None
+    end = 22.0 / kart.imu.accel_scale
+    raw = with_imu(kart, accel=np.clip(kart.imu.accel, -end, end), accel_full_scale=reach)
+    at_once = check(raw)
+    monkeypatch.setattr(module, "pieces", lambda n: pieces(n, 777))
+    in_parts = check(raw)
+    assert in_parts.findings == at_once.findings
+    assert at_once.measures["accel_clipped_share"] > 0.0
+    assert in_parts.measures == pytest.approx(at_once.measures, rel=1e-6)  # one step's median differs in its rounding

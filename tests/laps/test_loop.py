@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
+from smoother.laps import loop
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.circuit import find_circuit
 from smoother.laps.follow import follow
 from smoother.laps.loop import find_loop
-from smoother.laps.path import plan_path
+from smoother.laps.path import in_gaps, interpolated, plan_path
 from smoother.laps.reference import Curve, first_line
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.sim.truth import Truth
@@ -44,6 +45,28 @@ def test_laps_are_found_with_nothing_given(driven: Trajectory, larkfield: Truth,
     true = true[(true > driven.t[0]) & (true < driven.t[-1])]
     assert timed(found) == pytest.approx(np.diff(true), abs=1e-3)
     assert [lap.reasons for lap in found.laps] == [("out-lap",), *[()] * (len(found.laps) - 2), ("in-lap",)]
+
+
+def test_a_loop_is_the_same_however_few_places_are_compared_at_once(
+    driven: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_once = find_loop(plan_path(driven), 100.0)
+    monkeypatch.setattr(loop, "PAIRS", 1)
+    assert find_loop(plan_path(driven), 100.0) == at_once is not None
+
+
+def test_values_between_rows_are_what_numpy_makes_of_them() -> None:
+    rng = np.random.default_rng(4)
+    t, values = np.cumsum(rng.uniform(0.01, 1.0, 200)), rng.normal(size=200)
+    at = np.concatenate([rng.uniform(-5.0, t[-1] + 5.0, 500), t])
+    np.testing.assert_allclose(interpolated(at, t, values), np.interp(at, t, values), rtol=0.0, atol=1e-12)
+
+
+def test_rows_in_holes_of_the_fixes_are_those_between_their_ends() -> None:
+    fixes = FixPath(np.array([0.0, 1.0, 4.0, 5.0, 9.0]), np.zeros((5, 2)))
+    t = np.array([-1.0, 0.5, 1.0, 1.1, 3.9, 4.0, 4.5, 7.0, 9.0, 10.0])
+    np.testing.assert_array_equal(t[in_gaps(t, fixes)], [1.1, 3.9, 7.0])
+    assert not in_gaps(t, FixPath(np.zeros(1), np.zeros((1, 2)))).any()
 
 
 def test_the_line_stands_across_a_fast_straight(driven: Trajectory, fixes: Fixes) -> None:

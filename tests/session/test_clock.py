@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smoother.session import clock
 from smoother.session.clock import TimeBase, describe_time_base, find_gaps, regularize, true_fix_times
 
 RNG = 20240531
@@ -180,3 +181,30 @@ def test_single_fixes_without_utc_move_with_their_neighbours() -> None:
     t, changed = true_fix_times(arrival, unix)
     assert changed and np.all(np.diff(t) > 0)
     assert np.max(np.abs(t - true - 0.12)) < 0.15
+
+
+@pytest.fixture
+def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many hours, each of a few seconds."""
+    monkeypatch.setattr(clock, "PART", 5000)
+    monkeypatch.setattr(clock, "MARGIN", 2000)
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_many_hours_are_evened_as_one_is() -> None:
+    true = sampled(42_000, 0.005, 200e-6, np.arange(14_990, 15_020))  # a gap close to a seam
+    base = regularize(stamped(true, 0.001))
+    assert np.count_nonzero(find_gaps(base)) == 1
+    assert np.max(np.diff(base.t)) == pytest.approx(31 * 0.005, abs=1e-3)
+    assert wander(base, true) < 0.05 * 0.005
+    others = np.delete(np.diff(base.t), np.flatnonzero(find_gaps(base)))
+    assert np.max(np.abs(others - 0.005)) < 0.1 * 0.005  # the line may step by a twentieth of a period at a seam
+
+
+@pytest.mark.usefixtures("in_parts")
+def test_many_hours_of_even_or_irregular_stamps_come_back_unchanged() -> None:
+    irregular = 3.0 + np.cumsum(np.random.default_rng(RNG).uniform(0.002, 0.02, 20_000))
+    for t, is_steady in ((sampled(20_000, 0.01), True), (irregular, False)):
+        base = regularize(t)
+        np.testing.assert_array_equal(base.t, t)
+        assert (base.jitter, base.is_steady) == (0.0, is_steady)

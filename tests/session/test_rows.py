@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from smoother.session.rows import (
     MICROSECOND_WRAP,
     RowFilter,
+    is_all,
     longest_increasing,
     put_in_time_order,
     spread_coarse_times,
@@ -27,6 +28,21 @@ def order(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, RowFilter]:
     rows = rows_of(len(t))
     time, index = put_in_time_order(rows, np.asarray(t, dtype=float))
     return time, index, rows
+
+
+def test_a_flawless_stream_is_used_as_it_is() -> None:
+    t = np.cumsum(np.random.default_rng(3).uniform(0.001, 500.0, 1000))
+    time, index, rows = order(t)
+    np.testing.assert_array_equal(time, t)
+    np.testing.assert_array_equal(index, np.arange(1000))
+    assert is_all(index, 1000)
+    assert not rows.problems
+    assert t.flags.writeable
+
+
+@pytest.mark.parametrize("index", [[0, 1], [0, 2, 1], [1, 2, 3], [0, 1, 2, 3]])
+def test_an_index_of_all_rows_is_one_of_each_in_order(index: list[int]) -> None:
+    assert not is_all(np.array(index), 3)
 
 
 def longest_by_force(t: list[float]) -> int:
