@@ -10,7 +10,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import release
-from smoother.estimate.resample import resample
+from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
@@ -97,12 +97,12 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
     if not inside.any():
         return {}
-    at_fixes = resample(estimate, t[inside])
-    gap = at_fixes.position_n[:, :2] - session.fix_position_n[inside, :2]
+    place = bracket(estimate.t, t[inside])
+    gap = position_at(estimate, t[inside])[:, :2] - session.fix_position_n[inside, :2]
     distance = np.hypot(gap[:, 0], gap[:, 1])
     sigma = _accuracy(session)[inside]
-    if at_fixes.sigmas is not None:
-        sigma = np.fmax(sigma, np.max(at_fixes.sigmas.position_n[:, :2], axis=1))
+    if estimate.sigmas is not None:
+        sigma = np.fmax(sigma, np.max(between_rows(estimate.sigmas.position_n, place)[:, :2], axis=1))
     far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
     return {
         "median_fix_distance_m": float(np.median(distance)),
