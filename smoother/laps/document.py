@@ -167,7 +167,7 @@ def row_columns(analysis: LapAnalysis, analysed_t: Array, t: Array) -> tuple[pl.
     lap = np.full(len(t), -1, dtype=np.int64)
     for one in analysis.laps:
         end = np.inf if one.end >= analysed_t[-1] else one.end  # rows between the last one analysed and the end
-        lap[(t >= one.start) & (t <= end)] = one.number
+        lap[np.searchsorted(t, one.start) : np.searchsorted(t, end, side="right")] = one.number
     column = pl.Series("lap", lap)
     column = column.set(column < 0, None)
     return column, _distance_at(analysis, analysed_t, t)
