@@ -5,7 +5,6 @@ whole chain and returns the covariance of every keyframe in the same sweep.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from smoother.arrays import Array
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import expected_motion
+from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
@@ -126,7 +126,7 @@ class Data:
     position_scale: Array
     velocity_scale: Array
     still: np.ndarray
-    extra: tuple[Callable[[ChainState, Noise], rw.Rows], ...] = ()
+    heading: Heading | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,19 +192,14 @@ class Batch:
         noise: Noise,
         before: Array | None = None,
         held: Array | None = None,
-        *,
-        moves_constants: bool = True,
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
         before (15,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (15, 15) is the covariance of constants that are to stay where they are. Without moves_constants they stay
-        for this step only, while the keyframes are not near enough to judge them.
+        held (15, 15) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
-        if not moves_constants:
-            solution = _given_constants(solution)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
             state.retract(share * solution.x, share * solution.constants),
@@ -255,7 +250,8 @@ def session_rows(
     out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
     if len(d.still):
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
-    out.extend(make(state, noise) for make in d.extra)
+    if d.heading is not None:
+        out.append(rw.heading_rows(state, d.heading))
     return out
 
 
@@ -275,14 +271,6 @@ def constants_moved(solution: ChainSolution) -> float:
     part = slice(POSITION_LATENCY.start, LEVER_ARM.stop)
     sigma2 = np.diag(solution.constants_covariance)[part]
     return math.sqrt(float(np.mean(solution.constants[part] ** 2 / sigma2)))
-
-
-def _given_constants(solution: ChainSolution) -> ChainSolution:
-    """Return the solution for constants that stay where they are; its covariance remains that of the whole."""
-    gain = np.linalg.solve(solution.constants_covariance, solution.constants)
-    return replace(
-        solution, x=solution.x - solution.constants_cross @ gain, constants=np.zeros_like(solution.constants)
-    )
 
 
 def _of_keyframes(system: ChainSystem) -> ChainSystem:

@@ -13,7 +13,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.batch import Batch, Noise
-from smoother.estimate.graph.imu import BinnedImu, halved
+from smoother.estimate.graph.imu import BinnedImu, DensePath, halved, motion_at
 from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import ChainState
 
@@ -30,7 +30,7 @@ def near_solution(start: Start, noise: Noise, iterations: int) -> ChainState:
     few = thinned(start, EVERY)
     batch = Batch(few.data, few.binned, few.priors)
     state = batch.approach(batch.graph(few.state, noise), few.state, noise, NEAR, iterations)
-    return carried(start.state, few.state, state)
+    return state if few is start else along(carried(start.state, few.state, state), batch.path(state))
 
 
 def thinned(start: Start, every: int) -> Start:
@@ -39,7 +39,7 @@ def thinned(start: Start, every: int) -> Start:
     if n < FEWEST:
         return start
     state = start.state.between(0, n * every + 1, every)
-    data = replace(start.data, still=_wholly_still(start.data.still, n, every), extra=())
+    data = replace(start.data, still=_wholly_still(start.data.still, n, every), heading=None)
     binned = _joined(start.binned, n, every, state.gyro_bias_s.mean(axis=0))
     return replace(start, state=state, data=data, binned=binned)
 
@@ -60,6 +60,18 @@ def _joined(binned: BinnedImu, n: int, every: int, gyro_bias: Array) -> BinnedIm
         binned.missing[: n * every].reshape(n, every).mean(axis=1),
     )
     return halved(joined, gyro_bias) if n_bins % 2 == 0 else joined
+
+
+def along(state: ChainState, path: DensePath) -> ChainState:
+    """Return `state` moved onto the path as far as it reaches: between few keyframes the samples say how it went.
+
+    So that slopes by the constants, which are read off the motion, are right from the first step with all keyframes.
+    """
+    within = state.t <= path.t[-1]
+    motion = motion_at(path, state.t[within])
+    R_ns, position_n, velocity_n = state.R_ns.copy(), state.position_n.copy(), state.velocity_n.copy()
+    R_ns[within], position_n[within], velocity_n[within] = motion.R_ns, motion.position_n, motion.velocity_n
+    return replace(state, R_ns=R_ns, position_n=position_n, velocity_n=velocity_n)
 
 
 def carried(state: ChainState, before: ChainState, after: ChainState) -> ChainState:

@@ -32,13 +32,18 @@ RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
 @dataclass(frozen=True, eq=False)
 class Heading:
-    """Heading measurements: intervals (N,), corrected field_s (N, 3), sigma rad of each, and of their common offset."""
+    """Heading measurements at the left keyframe of intervals (N,): corrected field_s (N, 3), any unit.
 
-    interval: np.ndarray
+    field_yaw rad is the direction of the horizontal field in n, sigma rad of each. offset_sigma rad of what they have
+    in common; without has_offset that is in field_yaw already.
+    """
+
+    interval: IntArray
     field_s: Array
     field_yaw: float
     sigma: float
     offset_sigma: float
+    has_offset: bool = True
 
 
 def heading_from_field(mag: MagSamples, state: ChainState, declination: float, inclination: float) -> Heading | None:

@@ -22,7 +22,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, session_rows
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.imu import BinnedImu, corrected, dense_path, preintegrate
-from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, OFFSET, VELOCITY, ChainState, Constants
 
 # GTSAM's variables of a keyframe, and the columns of its tangent that each one holds
@@ -248,13 +248,13 @@ class Stream:
             position_scale=d.position_scale[use],
             velocity_scale=d.velocity_scale[use],
             still=still,
-            extra=(),
+            heading=None,
         )
         path = dense_path(bins, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
         for rows in session_rows(part, bins, self._priors, path, state, self._noise):
             yield replace(rows, interval=rows.interval + begin)
-        for make in d.extra:
-            rows = make(self._state, self._noise)
+        if d.heading is not None:
+            rows = heading_rows(self._state, d.heading)
             yield _select(rows, (rows.interval >= window) & (rows.interval < last))
 
     def _values(self, begin: int) -> gtsam.Values:

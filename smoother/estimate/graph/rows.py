@@ -15,6 +15,7 @@ from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.state import (
     GYRO_BIAS,
@@ -172,21 +173,17 @@ def velocity_rows(
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
 
 
-def heading_rows(state: ChainState, interval: np.ndarray, field_s: Array, field_yaw: float, sigma: float) -> Rows:
-    """Heading of the magnetic field at the left keyframe of intervals (N,). field_s (N, 3) any unit; yaws rad.
-
-    Only the turn about up is asked for: a disturbed field must never tilt the kart. field_yaw is the direction of the
-    horizontal field in n, minus the declination.
-    """
-    field_n = np.einsum("nij,nj->ni", state.R_ns[interval], field_s)
-    residual = np.arctan2(field_n[:, 1], field_n[:, 0]) - field_yaw - state.constants.heading_offset
+def heading_rows(state: ChainState, heading: Heading) -> Rows:
+    """Heading of the magnetic field. Only the turn about up is asked for: a bad field must never tilt the kart."""
+    interval, offset = heading.interval, state.constants.heading_offset if heading.has_offset else 0.0
+    field_n = np.einsum("nij,nj->ni", state.R_ns[interval], heading.field_s)
+    residual = np.arctan2(field_n[:, 1], field_n[:, 0]) - heading.field_yaw - offset
     left, right, constants = _empty(len(interval), 1)
     left[:, 0, ROTATION] = state.R_ns[interval][:, 2, :]  # the third row of R_ns takes a turn in s to its part about up
-    constants[:, :, HEADING_OFFSET] = -1.0
+    constants[:, :, HEADING_OFFSET] = -1.0 if heading.has_offset else 0.0
     residual = wrap_angle(residual)[:, None]
-    return Rows(
-        "heading", interval, residual, np.full_like(residual, sigma), left, right, constants, np.ones(len(interval))
-    )
+    sigma = np.full_like(residual, heading.sigma)
+    return Rows("heading", interval, residual, sigma, left, right, constants, np.ones(len(interval)))
 
 
 def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float, sigma_turn: float) -> Rows:

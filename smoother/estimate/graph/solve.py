@@ -21,7 +21,6 @@ from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of
 from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
@@ -55,7 +54,7 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
     batch = Batch(data, start.binned, priors)
     graph = batch.graph(state, noise)
     solved, found = finish(batch, graph, state, noise, start, options, say)
-    if data.extra and _is_worse(found, noise):
+    if data.heading is not None and _is_worse(found, noise):
         batch = Batch(start.data, start.binned, start.priors)
         without, calm = finish(batch, graph, state, noise, start, options, say)
         if _is_worse(found, calm):
@@ -119,16 +118,13 @@ def finish(
     options: GraphOptions,
     say: Say,
 ) -> tuple[Solved, Noise]:
-    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts.
-
-    The first one moves the keyframes alone: from where they begin the constants would be led astray.
-    """
+    """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
-        solved = batch.step(graph, state, noise, before, moves_constants=turn > 0)
+        solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
         say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
@@ -163,9 +159,6 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
         return data, priors, (*problems, Problem("magnetometer_unused", text))
 
-    def rows(state: ChainState, noise: Noise) -> Rows:
-        return heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
-
     sigma = priors.constants_sigma.copy()
     sigma[HEADING_OFFSET] = heading.offset_sigma
-    return replace(data, extra=(rows,)), replace(priors, constants_sigma=sigma), problems
+    return replace(data, heading=heading), replace(priors, constants_sigma=sigma), problems

@@ -253,6 +253,6 @@ def stretch(start: Start, first: int, last: int) -> Start:
     inside = fixes_between(start, first, last)
     still = data.still[(data.still >= first) & (data.still < last)] - first
     names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
-    part = replace(data, still=still, extra=(), **{name: getattr(data, name)[inside] for name in names})
+    part = replace(data, still=still, heading=None, **{name: getattr(data, name)[inside] for name in names})
     state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
     return replace(start, state=state, data=part, binned=binned)

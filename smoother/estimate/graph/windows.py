@@ -15,15 +15,14 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import release, roomy
-from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.output import Estimated, Uncertainty, uncertainty_of
+from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.solve import Say, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch
 from smoother.estimate.graph.state import ChainState
-from smoother.frames import wrap_angle
 from smoother.samples import Problem, Session
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
@@ -51,7 +50,7 @@ class _Piece:
     begin: int
     state: ChainState
     factor: WindowFactor
-    rows: dict[str, rw.Rows]
+    rows: dict[str, Rows]
     fixes: dict[str, IntArray]  # indices in the session of the rows of FIXES
 
 
@@ -98,7 +97,7 @@ def _solve_piece(
     begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
     part = stretch(start, begin, end)
     state = near_solution(part, noise, options.approaches)
-    batch = Batch(_with_level_heading(session, part, state, noise), part.binned, start.priors)
+    batch = Batch(_with_level_heading(session, part, state), part.binned, start.priors)
     graph = batch.graph(state, noise)
     state = batch.approach(graph, state, noise, CONVERGED, 2 * options.approaches)
     solved = batch.step(graph, state, noise, held=held)
@@ -108,22 +107,17 @@ def _solve_piece(
     return _piece(solved, first, last, begin, fixes), known
 
 
-def _with_level_heading(session: Session, part: Start, state: ChainState, noise: Noise) -> Data:
+def _with_level_heading(session: Session, part: Start, state: ChainState) -> Data:
     """Add heading factors whose mean says nothing: they hold the turns together, but not to a held heading offset.
 
     The compass is fitted to each window anew, and its offset with it.
     """
     data, _, _ = with_heading(session, part, state)
-    if not data.extra:
+    if data.heading is None:
         return data
-    (make,) = data.extra
-    mean = float(np.median(make(state, noise).residual))
-
-    def rows(state: ChainState, noise: Noise) -> rw.Rows:
-        found = make(state, noise)
-        return replace(found, residual=wrap_angle(found.residual - mean), constants=np.zeros_like(found.constants))
-
-    return replace(data, extra=(rows,))
+    known = replace(data.heading, has_offset=False)
+    mean = float(np.median(heading_rows(state, known).residual))
+    return replace(data, heading=replace(known, field_yaw=known.field_yaw + mean))
 
 
 def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -> _Piece:
@@ -148,10 +142,10 @@ def _margin(state: ChainState) -> int:
     return round(0.5 * BLEND / state.interval)
 
 
-def _figures(rows: rw.Rows, use: IntArray, begin: int) -> rw.Rows:
+def _figures(rows: Rows, use: IntArray, begin: int) -> Rows:
     """Return residuals, sigmas and weights of the rows `use`, without their Jacobians."""
     empty = np.empty((len(use), 0, 0))
-    return rw.Rows(
+    return Rows(
         rows.name,
         rows.interval[use] + begin,
         rows.residual[use],
@@ -191,7 +185,7 @@ def _of_core(piece: _Piece, name: str) -> Array:
     return values[piece.first - piece.begin : piece.last - piece.begin]
 
 
-def _joined_rows(name: str, pieces: list[_Piece], n_fixes: int) -> rw.Rows:
+def _joined_rows(name: str, pieces: list[_Piece], n_fixes: int) -> Rows:
     """Rows of all windows; those of fixes in the order of the session's, one for each."""
     parts = [piece.rows[name] for piece in pieces if name in piece.rows]
     empty = np.empty((0, 0, 0))
@@ -203,4 +197,4 @@ def _joined_rows(name: str, pieces: list[_Piece], n_fixes: int) -> rw.Rows:
         all_interval, all_weight = np.zeros(n_fixes, dtype=np.int64), np.zeros(n_fixes)
         all_interval[at], all_residual[at], all_sigma[at], all_weight[at] = interval, residual, sigma, weight
         interval, residual, sigma, weight = all_interval, all_residual, all_sigma, all_weight
-    return rw.Rows(name, interval, residual, sigma, empty, empty, empty, weight)
+    return Rows(name, interval, residual, sigma, empty, empty, empty, weight)

@@ -78,7 +78,7 @@ def test_its_rows_read_zero_at_the_true_attitude() -> None:
     state = laps()
     heading = heading_from_field(readings(state, noise=0.0), state, DECLINATION, INCLINATION)
     assert heading is not None
-    rows = heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma)
+    rows = heading_rows(state, heading)
     assert np.max(np.abs(rows.residual)) < 2.0 * DEG
 
 

@@ -9,9 +9,9 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
+from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu
 from smoother.estimate.graph.incremental import IncrementalOptions, Stream, solve_as_stream, solve_incrementally
-from smoother.estimate.graph.rows import heading_rows
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
@@ -89,7 +89,7 @@ def drive(outlier: float = 0.0, duration: float = 40.0) -> Drive:
         np.ones(n_fixes),
         np.ones(n_fixes),
         np.arange(0, 13),
-        extra=(lambda state, _: heading_rows(state, looks, field_s, -CONSTANTS.heading_offset, 0.05),),
+        heading=Heading(looks, field_s, -CONSTANTS.heading_offset, 0.05, 1.0),
     )
     wrong = so3.exp(np.array([0.02, 0.03, 0.3]))
     zeros = np.zeros((len(keyframes), 3))

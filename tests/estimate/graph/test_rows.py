@@ -8,6 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path
 from smoother.estimate.graph.inertial import empty_system
 from smoother.estimate.graph.rows import (
@@ -190,7 +191,7 @@ class TestOtherJacobians:
         interval = np.array([0, 2, 5])
 
         def make(state: ChainState) -> Rows:
-            return heading_rows(state, interval, field_s, 0.1, 0.05)
+            return heading_rows(state, Heading(interval, field_s, 0.1, 0.05, 1.0))
 
         # the field's dip couples roll and pitch into its yaw; the rows leave that out on purpose
         rows = make(state)
@@ -281,7 +282,8 @@ class TestResiduals:
         constants = replace(state.constants, heading_offset=0.2)
         state = replace(state, constants=constants)
         field_n = np.array([-1.0, -1e-3, -2.0])  # yaw just above minus half a turn
-        rows = heading_rows(state, np.array([1]), (state.R_ns[1].T @ field_n)[None], 3.1, 0.05)
+        heading = Heading(np.array([1]), (state.R_ns[1].T @ field_n)[None], 3.1, 0.05, 1.0)
+        rows = heading_rows(state, heading)
         want = np.arctan2(-1e-3, -1.0) - 3.1 - 0.2 + 2.0 * np.pi
         np.testing.assert_allclose(rows.residual, [[want]], atol=1e-12)
         np.testing.assert_array_equal(rows.sigma, [[0.05]])
