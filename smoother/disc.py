@@ -122,7 +122,9 @@ def thinned(values: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
     for part in pieces(len(values)):
         parts.append(values[part.start + -part.start % step : part.stop : step].copy())
         release(values)
-    return np.concatenate(parts) if parts else values
+    out = np.concatenate(parts) if parts else values
+    out.flags.writeable = False
+    return out
 
 
 def contents(path: Path, large: int = LARGE) -> bytes | mmap.mmap:

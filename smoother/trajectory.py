@@ -1,11 +1,13 @@
 """Trajectory: what every estimator returns, baseline and smoother alike, on the same axes and with the same names."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from smoother.arrays import Array, frozen, require_increasing
+from smoother.disc import thinned
 from smoother.frames import euler_from_rotation
 from smoother.samples import Problem
 
@@ -154,21 +156,22 @@ class Trajectory:
 
     def every(self, step: int) -> "Trajectory":
         """Return each `step`-th row, the first one included; the report and the joint covariance stay as they are."""
-        return self if step == 1 else self.rows(slice(None, None, step))
+        return self if step == 1 else self._taken(lambda values: thinned(values, step))
 
     def rows(self, rows: slice) -> "Trajectory":
         """Return some of the rows; the report and the joint covariance stay as they are."""
+        return self._taken(lambda values: values[rows])
+
+    def _taken(self, take: Callable[[Array], Array]) -> "Trajectory":
         sigmas = self.sigmas
-        if sigmas is not None:
-            sigmas = Sigmas(*(values[rows] for values in vars(sigmas).values()))
         return Trajectory(
-            self.t[rows],
-            self.position_n[rows],
-            self.velocity_n[rows],
-            self.R_nb[rows],
-            self.acceleration_b[rows],
-            self.angular_rate_b[rows],
-            sigmas,
+            take(self.t),
+            take(self.position_n),
+            take(self.velocity_n),
+            take(self.R_nb),
+            take(self.acceleration_b),
+            take(self.angular_rate_b),
+            None if sigmas is None else Sigmas(*map(take, vars(sigmas).values())),
             self.report,
             self.joint,
         )

@@ -201,6 +201,7 @@ def write(
     estimates: Estimates, directory: Path, options: Options, watch: Stopwatch, progress: Progress = no_progress
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
+    from smoother.disc import settle
     from smoother.laps.document import lap_table
     from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
 
@@ -216,43 +217,46 @@ def write(
             write_trajectory(directory / BASELINE, baseline, session.origin, session.unix_at_zero)
         else:
             (directory / BASELINE).unlink(missing_ok=True)
+    settle(smoothed, baseline)
     with watch.stage("figures"):
-        _write_figures(estimates, directory, options, progress)
+        shown = _shown(estimates) if options.figures else None
+        _write_figures(shown, heading(estimates), directory, options, progress)
     with watch.stage("report"):
-        main_file = _write_page(estimates, directory, options)
+        main_file = _write_page(shown, directory)
+    settle(smoothed, baseline)
     document = _summary(estimates, options, watch)
     write_json(directory / SUMMARY, document)
     return Result(document, estimates.quality, directory, main_file, session.unix_at_zero)
 
 
-def _write_figures(estimates: Estimates, directory: Path, options: Options, progress: Progress) -> None:
-    if not (options.figures and options.pictures):
+def _write_figures(shown: Estimates | None, title: str, directory: Path, options: Options, progress: Progress) -> None:
+    if shown is None or not options.pictures:
         for name in FIGURE_NAMES:
             (directory / FIGURES / f"{name}.png").unlink(missing_ok=True)
         return
     from smoother.report.figures import Shown, save_figures
 
-    smoothed, baseline = _shown(estimates)
-    shown = Shown(estimates.session, smoothed, baseline, heading(estimates))
-    save_figures(shown, directory / FIGURES, lambda share: progress("figures", share))
+    drawn = Shown(shown.session, shown.smoothed, shown.baseline, title)
+    save_figures(drawn, directory / FIGURES, lambda share: progress("figures", share))
 
 
-def _write_page(estimates: Estimates, directory: Path, options: Options) -> Path:
+def _write_page(shown: Estimates | None, directory: Path) -> Path:
     """Write the report; return what a person opens first, which without figures is the table."""
-    if not options.figures:
+    if shown is None:
         return directory / TRAJECTORY
     from smoother.report.page import Report, write_page
 
-    session, (smoothed, baseline) = estimates.session, _shown(estimates)
-    write_page(directory / PAGE, Report(session, smoothed, baseline, estimates.laps, estimates.quality))
+    report = Report(shown.session, shown.smoothed, shown.baseline, shown.laps, shown.quality)
+    write_page(directory / PAGE, report)
     return directory / PAGE
 
 
-def _shown(estimates: Estimates) -> tuple[Trajectory, Trajectory | None]:
-    """The trajectories as they are drawn: no more rows than pixels can show, even of a close-up."""
+def _shown(estimates: Estimates) -> Estimates:
+    """The same as it is drawn: no more rows than pixels can show, even of a close-up."""
     smoothed, baseline = estimates.smoothed, estimates.baseline
     few = smoothed.every(-(-len(smoothed) // SHOWN_ROWS))
-    return few, None if baseline is None else baseline.every(-(-len(baseline) // SHOWN_ROWS))
+    few_baseline = None if baseline is None else baseline.every(-(-len(baseline) // SHOWN_ROWS))
+    return replace(estimates, smoothed=few, baseline=few_baseline)
 
 
 def heading(estimates: Estimates) -> str:
