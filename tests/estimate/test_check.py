@@ -147,7 +147,7 @@ def test_a_recording_judged_in_parts_is_judged_as_at_once(
     end = 22.0 / kart.imu.accel_scale
     raw = with_imu(kart, accel=np.clip(kart.imu.accel, -end, end), accel_full_scale=reach)
     at_once = check(raw)
-    monkeypatch.setattr(module, "pieces", lambda n: pieces(n, 777))
+    monkeypatch.setattr(module, "pieces", lambda n: pieces(n, 13))
     in_parts = check(raw)
     assert in_parts.findings == at_once.findings
     assert at_once.measures["accel_clipped_share"] > 0.0
