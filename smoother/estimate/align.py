@@ -33,6 +33,7 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
+FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +119,11 @@ class _Averages:
 
     def around(self, t: Array, width: float) -> tuple[Array, Array]:
         """Mean force and rate, each (..., 3), over `width` seconds around t (...)."""
-        mean = (self._until(t + 0.5 * width) - self._until(t - 0.5 * width)) / width
-        release(self._t, self._sum)
+        mean = np.empty((*t.shape, 6))
+        for some in pieces(t.shape[-1], FEW):
+            until, since = (self._until(t[..., some] + half) for half in (0.5 * width, -0.5 * width))
+            mean[..., some, :] = (until - since) / width
+            release(self._t, self._sum)
         return mean[..., :3], mean[..., 3:]
 
     def _until(self, t: Array) -> Array:
