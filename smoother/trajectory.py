@@ -79,7 +79,9 @@ class Keyframes:
     """The estimator's own states, before densifying. t (K,) s; accel_bias_s (K, 3) m/s^2, gyro_bias_s (K, 3) rad/s.
 
     position_n, velocity_n (K, 3) of the antenna; R_nb (K, 3, 3) of the kart; covariance (K, 9, 9) of the error in
-    (rotation vector in n of the kart's attitude: truth = exp(error) @ estimate; velocity_n; position_n).
+    (rotation vector in n of the kart's attitude: truth = exp(error) @ estimate; velocity_n; position_n). What no
+    measurement of the session can tell of the fixes' slow error, the same at all times, has the variance
+    unseen_offset (3,) m^2, which is in every position's.
     """
 
     t: Array
@@ -92,6 +94,7 @@ class Keyframes:
     sigma_accel_bias: Array
     sigma_gyro_bias: Array
     gps_offset_n: Array | None = None  # (K, 3) m, the slow error of the fixes
+    unseen_offset: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

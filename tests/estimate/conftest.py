@@ -81,7 +81,7 @@ def lap_fixes(
     return LapFixes(Session("lap", fixes, ORIGIN, config=config), is_bad, slow)
 
 
-@pytest.fixture(name="lap_fixes")
+@pytest.fixture(name="lap_fixes", scope="session")
 def lap_fixes_fixture() -> Callable[..., LapFixes]:
     return lap_fixes
 

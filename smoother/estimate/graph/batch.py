@@ -70,7 +70,8 @@ class Noise:
     """Everything the graph assumes about noise. Sigmas per axis of n (3,): m for positions, m/s for velocities.
 
     offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (2,) is the spread
-    of the entries of accel_error and gyro_error, scale and misalignment.
+    of the entries of accel_error and gyro_error, scale and misalignment. offset_tau_spread is the sigma of offset_tau's
+    logarithm where the session tells it, infinite where it is the population's.
     """
 
     inertial: InertialNoise
@@ -79,6 +80,7 @@ class Noise:
     offset_sigma: Array
     offset_tau: float
     sensor_error: Array
+    offset_tau_spread: float = math.inf
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""
@@ -362,9 +364,10 @@ def unseen_offset(noise: Noise, population: Array) -> Array:
     A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
     neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
     population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
-    that there is no offset at all.
+    that there is no offset at all. A session that lasts for many times the time over which its offset is forgotten is
+    its own judge.
     """
-    if noise.position[0] > UNFILTERED:
+    if noise.position[0] > UNFILTERED or math.isfinite(noise.offset_tau_spread):
         return np.zeros(3)
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
 

@@ -1,5 +1,6 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -273,6 +274,7 @@ def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Key
         sigma_accel_bias=known.biases[:, :3],
         sigma_gyro_bias=known.biases[:, 3:],
         gps_offset_n=state.offset_n,
+        unseen_offset=unseen,
     )
 
 
@@ -390,7 +392,9 @@ def _identified(
     sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
     source = "identified" if shown else "default"
     out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown, source)
-    out["gps_offset_tau"] = Identified(noise.offset_tau, None, "s", False, "default")
+    told = math.isfinite(noise.offset_tau_spread)
+    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
+    out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
     return out
 
 

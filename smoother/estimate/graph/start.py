@@ -8,6 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.gnss_offset import OffsetModel, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
@@ -19,9 +20,6 @@ from smoother.units import DEG
 
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
-# Of the population's offset, to start from where fixes scatter by more than a metre: such fixes are not filtered, and
-# nothing says that they wander as well; if they do, the identification finds it.
-UNFILTERED_OFFSET = 0.2
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
@@ -199,13 +197,16 @@ def _first_noise(
         stated.accel_bias_walk or options.accel_bias_walk,
         stated.gyro_bias_walk or options.gyro_bias_walk,
     )
+    usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
+    offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
     return Noise(
         inertial,
         path.position_sigma,
         path.velocity_sigma,
-        np.array(options.offset_sigma) * (UNFILTERED_OFFSET if path.position_sigma[0] > UNFILTERED else 1.0),
-        options.offset_tau,
+        offset.sigma,
+        offset.tau,
         np.full(2, options.sensor_error_sigma),
+        offset.tau_spread,
     )
 
 

@@ -342,3 +342,5 @@ class TestNoise:
         np.testing.assert_allclose(unseen_offset(noise, population), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
         white = replace(noise, position=np.full(3, 2.5))
         np.testing.assert_array_equal(unseen_offset(white, population), np.zeros(3))
+        long = replace(noise, offset_tau_spread=0.2)
+        np.testing.assert_array_equal(unseen_offset(long, population), np.zeros(3))

@@ -1,0 +1,184 @@
+"""The slow error of the fixes from the fixes alone: is there one, how large is it, and how long does it last?
+
+Doppler added up is a path of its own, wherever it began: it drifts like a random walk, by the white noise of Doppler,
+and along a straight line, by its bias. What the positions do against that path beyond these and beyond their own white
+noise is the slow offset, a first-order Gauss-Markov process. Its sigma and time are those of the highest likelihood,
+which a Kalman filter over means of `BIN` seconds finds for many candidates at once.
+
+What that decides (`offset_model`): fixes that scatter by more than a metre are not filtered, and have an offset only if
+they show one; filtered ones have one as receivers do, and its own sigma and time once a session is long enough to tell.
+
+Sources: Gelb 1974, 3.8 (the process); Schweppe 1965 (likelihood from innovations); Akaike 1974 (the price of a value).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.gnss_path import GnssPath
+
+BIN = 2.0  # s, of the means: a fifth of the shortest time that counts as slow
+GAP = 1.5  # s without Doppler, over which it cannot be added up
+WILD = 5.0  # m/s^2, what is unknown of the motion over a gap
+BIAS = 0.05  # m/s, sigma of Doppler's bias, as of the path
+ANYWHERE = 1e3  # m, sigma of where Doppler's path began
+FEWEST = 30  # means
+LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
+PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always fit a little better, have to be worth
+NONE = 0.005  # of the usual offset, where there is none: a centimetre
+UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
+TIMES = 10.0  # taus that a session has to last to tell them
+KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
+# m of white noise, below which one fix stands for its bin: a mean of a path that wanders by more than its fixes scatter
+# would wander less over a bin than over two, and seem to last longer.
+AVERAGED = 1.0
+WEIGHTY = 0.5  # weight in the path from which a measurement is one
+# Logarithms of candidates: tau s (what is faster is motion or white, what is slower a constant); walk 2 sigma^2 / tau
+# m^2/s, which the data know best; factor on the white variance that the path found.
+COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
+FINER = 2  # times that candidates are taken anew around the best, half as far apart
+AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
+
+
+@dataclass(frozen=True)
+class OffsetFit:
+    """Horizontal offset of the fixes: sigma m per axis and tau s of the highest likelihood.
+
+    tau_spread: sigma of the logarithm of tau. evidence: logarithm of how much likelier the fixes are so than without an
+    offset; never much below 0.
+    """
+
+    sigma: float
+    tau: float
+    tau_spread: float
+    evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class OffsetModel:
+    """What is assumed of the offset: sigma (3,) m north, west, up; tau s; tau_spread as in OffsetFit, infinite where it
+    is the population's.
+    """
+
+    sigma: Array
+    tau: float
+    tau_spread: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """B means of fixes against Doppler added up: t (B,) s, drift (B, 2) m; variances (B,) m^2: walk that Doppler adds
+    from the one before, white of the mean."""
+
+    t: Array
+    drift: Array
+    walk: Array
+    white: Array
+
+
+def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered: bool) -> OffsetModel:
+    """Return what the fixes of `path`, stamped fixes_t (M,) s, say of their offset, `usual` as far as they are too few.
+
+    Up is taken to wander in proportion, since hardly any receiver says its vertical speed.
+    """
+    lasts = float(fixes_t[-1] - fixes_t[0])
+    if is_filtered and lasts <= TIMES * usual.tau:
+        return usual
+    fit = fit_offset(fixes_t, path)
+    if fit is None:
+        return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
+    if not is_filtered and fit.evidence < PRICE:
+        return OffsetModel(usual.sigma * NONE, usual.tau)
+    own = usual.sigma * (fit.sigma / usual.sigma[0])
+    if lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE:
+        return OffsetModel(own, fit.tau, fit.tau_spread)
+    return usual if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+
+
+def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:
+    """Return the offset of the fixes, stamped fixes_t (M,) s, of `path`; None with too little Doppler to tell."""
+    seen = drift_against_doppler(fixes_t, path)
+    if len(seen.t) < FEWEST or np.mean(path.velocity_weight > WEIGHTY) < LEAST_DOPPLER:
+        return None
+    none = _log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
+    axes, best = COARSE, np.zeros(3)
+    for _ in range(1 + FINER):
+        candidates = _grid(axes)
+        best = candidates[:, np.argmax(_log_likelihood(seen, candidates))]
+        axes = tuple(x + AROUND * 0.5 * (a[1] - a[0]) for x, a in zip(best, axes, strict=True))
+    near = _grid(NEAR)
+    found = _log_likelihood(seen, best[:, None] + near)
+    tau, walk, _ = best
+    return OffsetFit(
+        math.sqrt(0.5 * math.exp(walk + tau)), math.exp(tau), _spread(near, found), float(found.max() - none.max())
+    )
+
+
+def _grid(axes: tuple[Array, ...]) -> Array:
+    return np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")])
+
+
+def _spread(near: Array, log_likelihood: Array) -> float:
+    """Sigma of the first of three values by a quadratic through log likelihoods (G,) at `near` (3, G), infinite if it
+    has no maximum."""
+    x, y, z = near
+    design = np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones_like(x)], axis=1)
+    xx, yy, zz, xy, xz, yz = np.linalg.lstsq(design, log_likelihood, rcond=None)[0][:6]
+    information = -np.array([[2.0 * xx, xy, xz], [xy, 2.0 * yy, yz], [xz, yz, 2.0 * zz]])
+    if np.linalg.eigvalsh(information)[0] <= 0.0:
+        return math.inf
+    return math.sqrt(np.linalg.inv(information)[0, 0])
+
+
+def drift_against_doppler(fixes_t: Array, path: GnssPath) -> Drift:
+    """Return the horizontal fixes of `path`, stamped fixes_t (M,) s, less its Doppler added up, in means of BIN."""
+    known = path.velocity_weight > WEIGHTY
+    off = np.where(known[:, None], np.nan_to_num(path.velocity_residual_n[:, :2]), 0.0)
+    step, both = np.diff(fixes_t), known[1:] & known[:-1]
+    added = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (off[1:] + off[:-1]) * step[:, None], axis=0)])
+    offset_n = path.at(fixes_t - path.position_latency).offset_n
+    drift = (offset_n - path.position_residual_n)[:, :2] + added
+    noise = path.velocity_sigma[0] * path.velocity_scale[1:] * step
+    walk = np.where(both & (step < GAP), noise, 0.5 * WILD * step**2) ** 2
+    walk = np.concatenate([[0.0], np.cumsum(walk)])
+    use = np.flatnonzero(np.isfinite(drift).all(axis=1) & (path.position_weight > WEIGHTY))
+    if path.position_sigma[0] < AVERAGED:
+        use = use[np.unique(np.floor((fixes_t[use] - fixes_t[0]) / BIN), return_index=True)[1]]
+    _, row, count = np.unique(np.floor((fixes_t[use] - fixes_t[0]) / BIN), return_inverse=True, return_counts=True)
+    t, north, west, walk, white = (
+        np.bincount(row, values) / count
+        for values in (fixes_t[use], *drift[use].T, walk[use], (path.position_sigma[0] * path.position_scale[use]) ** 2)
+    )
+    return Drift(t, np.stack([north, west], axis=1), np.diff(walk, prepend=walk[:1]), white / count)
+
+
+def _log_likelihood(seen: Drift, candidates: Array) -> Array:
+    """Log likelihood (G,) of candidates (3, G), as in COARSE, of both axes; one filter steps through all of them.
+
+    State: Doppler's path, its bias, the offset. Their covariance is the same for both axes and written out, because
+    stacks of such small matrices cost ten times as much.
+    """
+    tau, walked, white = np.exp(candidates)
+    variance = 0.5 * walked * tau
+    zero = np.zeros(len(tau))
+    p00, p01, p02, p11, p12, p22 = zero + ANYWHERE**2, zero, zero, zero + BIAS**2, zero, variance
+    x0, x1, x2 = (np.zeros((2, len(tau))) for _ in range(3))
+    total = np.zeros(len(tau))
+    measured, steps = (seen.drift - seen.drift[0])[:, :, None], np.diff(seen.t, prepend=seen.t[0]).tolist()
+    for z, h, walk, noise in zip(measured, steps, seen.walk.tolist(), seen.white.tolist(), strict=True):
+        keep = np.exp(-h / tau)
+        p00, p01 = p00 + h * (2.0 * p01 + h * p11) + walk, p01 + h * p11
+        p02, p12, p22 = keep * (p02 + h * p12), keep * p12, variance + keep**2 * (p22 - variance)
+        x0, x2 = x0 + h * x1, keep * x2
+        a0, a1, a2 = p00 + p02, p01 + p12, p02 + p22
+        s = a0 + a2 + white * noise
+        innovation = z - x0 - x2
+        total -= np.log(s) + 0.5 * np.sum(innovation**2, axis=0) / s
+        g0, g1, g2 = a0 / s, a1 / s, a2 / s
+        x0, x1, x2 = x0 + g0 * innovation, x1 + g1 * innovation, x2 + g2 * innovation
+        p00, p01, p02 = p00 - g0 * a0, p01 - g0 * a1, p02 - g0 * a2
+        p11, p12, p22 = p11 - g1 * a1, p12 - g1 * a2, p22 - g2 * a2
+    return total

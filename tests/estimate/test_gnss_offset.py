@@ -1,0 +1,111 @@
+"""The slow error of the fixes is found where there is one, of the size and time it has, and nowhere else."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from smoother.estimate.gnss_offset import (
+    FEWEST,
+    PRICE,
+    OffsetFit,
+    OffsetModel,
+    drift_against_doppler,
+    fit_offset,
+    offset_model,
+)
+from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+
+Made = tuple[np.ndarray, GnssPath]
+USUAL = OffsetModel(np.array([2.0, 2.0, 3.4]), 60.0)
+UNFILTERED = {"white": (2.5, 2.5, 4.3)}
+
+
+@pytest.fixture(scope="module")
+def fits(lap_fixes: Callable) -> Callable[..., Made]:
+    def make(**changes: object) -> Made:
+        made = lap_fixes(**changes)
+        return made.session.gnss.t, fit_gnss_path(made.session)
+
+    return make
+
+
+def fitted(made: Made) -> OffsetFit:
+    found = fit_offset(*made)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def half_hours(fits: Callable[..., Made]) -> list[Made]:
+    """Filtered fixes at 2 Hz with an offset of 2 m and 40 s."""
+    return [fits(seed=seed, duration=1800.0, rate=2.0, tau=40.0) for seed in range(4)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_white_fixes_show_no_offset(fits: Callable[..., Made], seed: int) -> None:
+    made = fits(seed=seed, duration=300.0, offset=(0.0, 0.0, 0.0), **UNFILTERED)
+    # twice the logarithm is chi square with two degrees of freedom at most, and above 2 * PRICE in one of seven; half
+    # of these have it at the edge of zero
+    assert fitted(made).evidence < 2.0 * PRICE
+    assert np.all(offset_model(*made, USUAL, is_filtered=False).sigma <= USUAL.sigma)
+
+
+def test_most_white_fixes_are_taken_to_have_none(fits: Callable[..., Made]) -> None:
+    made = [fits(seed=seed, duration=200.0, offset=(0.0, 0.0, 0.0), **UNFILTERED) for seed in range(10, 18)]
+    sigma = [offset_model(*m, USUAL, is_filtered=False).sigma[0] for m in made]
+    assert np.count_nonzero(np.array(sigma) < 0.02) >= 7
+
+
+def test_an_offset_under_white_noise_is_found_where_it_matters(fits: Callable[..., Made]) -> None:
+    made = fits(seed=1, duration=600.0, offset=(2.0, 2.0, 3.4), **UNFILTERED)
+    assert fitted(made).evidence > 10.0 * PRICE
+    sigma = offset_model(*made, USUAL, is_filtered=False).sigma
+    assert 1.0 < sigma[0] <= 2.0
+    assert sigma[2] / sigma[0] == pytest.approx(1.7)
+
+
+def test_sigma_and_time_of_a_long_session_are_within_their_spread(half_hours: list[Made]) -> None:
+    for made in half_hours:
+        found = fitted(made)
+        assert found.tau_spread < 0.4
+        assert abs(math.log(found.tau / 40.0)) < 3.0 * found.tau_spread
+        # 2 sigma^2 / tau is known from every step, sigma from 45 times tau and two axes
+        assert found.sigma**2 / found.tau == pytest.approx(2.0**2 / 40.0, rel=0.3)
+        assert found.sigma == pytest.approx(2.0, rel=0.4)
+
+
+def test_the_time_is_told_by_long_sessions_alone(half_hours: list[Made], fits: Callable[..., Made]) -> None:
+    models = [offset_model(*made, USUAL, is_filtered=True) for made in half_hours]
+    told = [m for m in models if math.isfinite(m.tau_spread)]
+    assert len(told) >= 2
+    assert all(m.tau != USUAL.tau and m.tau_spread < 0.3 for m in told)
+    assert all(m is USUAL for m in models if not math.isfinite(m.tau_spread))
+    ten_minutes = fits(seed=5, duration=600.0, rate=2.0)
+    assert offset_model(*ten_minutes, USUAL, is_filtered=True) is USUAL
+
+
+def test_the_drift_is_the_offset_and_what_doppler_adds_up_to(lap_fixes: Callable) -> None:
+    made = lap_fixes(seed=3, duration=300.0)
+    session = made.session
+    seen = drift_against_doppler(session.gnss.t, fit_gnss_path(session))
+    offset = np.stack([np.interp(seen.t, session.gnss.t, made.offset_n[:, i]) for i in range(2)], axis=1)
+    rest = seen.drift - offset
+    steps = rest[10:] - rest[:-10]
+    expected = np.mean(np.convolve(seen.walk[1:], np.ones(10), "valid")) + 2.0 * np.mean(seen.white)
+    # 29 disjoint steps of 20 s and two axes: their variance is known to 2 / sqrt(58)
+    assert 0.5 < np.mean(steps**2) / expected < 1.6
+
+
+def test_without_doppler_or_with_few_fixes_nothing_is_told(fits: Callable[..., Made]) -> None:
+    alone = fits(duration=300.0, doppler=None)
+    assert fit_offset(*alone) is None
+    assert offset_model(*alone, USUAL, is_filtered=False).sigma[0] == pytest.approx(0.4)
+    assert fit_offset(*fits(duration=2.0 * FEWEST - 10.0)) is None
+
+
+def test_an_outage_tells_nothing(fits: Callable[..., Made]) -> None:
+    """Over a gap Doppler cannot be added up: what its path does there must not pass for an offset."""
+    made = fits(seed=2, duration=300.0, offset=(0.0, 0.0, 0.0), outages=((100.0, 112.0), (200.0, 206.0)), **UNFILTERED)
+    assert fitted(made).evidence < 2.0 * PRICE
