@@ -53,6 +53,7 @@ def identify(window: Window) -> LagStart | str:
         return "the window is too short"
     k = int(inside[0])
     arm_b = np.array(found["lever_arm_b"].value)
+    unseen = np.zeros(3) if keyframes.unseen_offset is None else keyframes.unseen_offset
     return LagStart(
         float(keyframes.t[k]),
         keyframes.R_nb[k] @ R_bs,
@@ -73,8 +74,9 @@ def identify(window: Window) -> LagStart | str:
         ),
         np.array(found["gps_position_noise"].value),
         np.array(found["gps_velocity_noise"].value),
-        np.array(found["gps_offset_sigma"].value),
+        np.sqrt(np.array(found["gps_offset_sigma"].value) ** 2 - unseen),
         _number(found["gps_offset_tau"].value),
+        unseen,
     )
 
 

@@ -63,7 +63,8 @@ class LagStart:
     """Where a stream begins. R_ns (3, 3), position_n of the IMU, velocity_n, biases (3,) at t s, the first keyframe.
 
     R_bs (3, 3), with mounting_sigma (3,) rad about the axes of b; latencies s; lever_arm_s (3,) m; inertial densities;
-    position_sigma, velocity_sigma, offset_sigma (3,) m, m/s, m; offset_tau s.
+    position_sigma, velocity_sigma, offset_sigma (3,) m, m/s, m; offset_tau s. unseen_offset (3,) m^2: variance of what
+    the data cannot tell of the offset, as in the batch smoother: in the sigmas of positions, in no factor.
     """
 
     t: float
@@ -82,12 +83,14 @@ class LagStart:
     velocity_sigma: Array
     offset_sigma: Array
     offset_tau: float
+    unseen_offset: Array
 
 
 @dataclass(frozen=True, eq=False)
 class LagState:
     """The newest state. t s; R_nb (3, 3) of the kart; position_n, velocity_n (3,) of the antenna; sigmas:
     attitude_sigma (3,) rad about the axes of b, velocity_sigma, position_sigma (3,) m/s, m; delay s since the keyframe.
+    unseen_offset (3,) m^2 is the part of the positions' variance that no data can take away.
     """
 
     t: float
@@ -97,6 +100,7 @@ class LagState:
     attitude_sigma: Array
     velocity_sigma: Array
     position_sigma: Array
+    unseen_offset: Array
     delay: float
 
 
@@ -163,7 +167,8 @@ class FixedLag:
             now.velocity() + R_ns @ swing_s,
             np.sqrt(np.diag(R_bs @ turned @ R_bs.T) + self._start.mounting_sigma**2),
             np.sqrt(np.diag(P[6:, 6:])),
-            np.sqrt(np.diag(P[3:6, 3:6])),
+            np.sqrt(np.diag(P[3:6, 3:6]) + self._start.unseen_offset),
+            self._start.unseen_offset,
             self._newest - self._t,
         )
 

@@ -101,6 +101,11 @@ class Navigator:
         waits = self._identification is not None or self._next is not None or self._line is not None
         return waits or self._should_identify()
 
+    @property
+    def start(self) -> LagStart | None:
+        """Where its smoother began and what it runs with, None before."""
+        return self._start
+
     def take(self, items: Sequence[Item], arrival: float) -> int:
         """Take in samples and fixes (a row each); return how many were fixes. arrival s of the newest bytes."""
         fixes = 0
@@ -265,6 +270,11 @@ class Aboard:
     def __init__(self, worker: Worker, tracks: tuple[TrackFile, ...] = (), lag: LagOptions | None = None) -> None:
         self._make = partial(Navigator, worker, tracks, lag)
         self._navigator = self._make()
+
+    @property
+    def start(self) -> LagStart | None:
+        """Where its smoother began and what it runs with, None before."""
+        return self._navigator.start
 
     def restart(self) -> None:
         """Forget everything: the logger was switched off and on."""

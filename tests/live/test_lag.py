@@ -1,28 +1,42 @@
 """The rows of a fix have the Jacobians they claim, and the smoother is as sure as it is right."""
 
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
 import numpy as np
 import pytest
 
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.graph.state import Constants
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
+from smoother.live.lag import FixedLag
 from smoother.live.lag_rows import CONSTANTS, Reading, felt_errors, fix_rows
 from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
-from smoother.trajectory import Trajectory
 from smoother.units import DEG
 
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 TICK = 300  # bytes at once, a fifteenth of a second
 
 
 @pytest.fixture(scope="module")
 def navigating() -> Aboard:
     return Aboard(Foreground())
+
+
+@pytest.fixture(scope="module")
+def comparing() -> Iterator[ModuleType]:
+    """The benchmark as a module; its own folder is on the path only as long."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        yield importlib.import_module("live")
 
 
 @pytest.fixture(scope="module")
@@ -72,31 +86,26 @@ def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots:
     assert np.sqrt(np.mean((error / sigma) ** 2)) < 2.0
 
 
-def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fewer(drive, snapshots) -> None:
+def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fewer(
+    drive, navigating: Aboard, snapshots: list[Snapshot], comparing: ModuleType
+) -> None:
+    """In attitude, velocity and position, each over sqrt(P_lag - P_batch)."""
     session = prepare(drive.simulation.raw)
-    assert session.imu is not None
-    batch = GraphSmoother().estimate(session)
+    assert session.imu is not None and navigating.start is not None
+    batch = comparing.told_batch(session, navigating.start)
     last = [s.lag for s in snapshots if s.lag is not None and batch.t[-1] - 1.0 < s.lag.t <= batch.t[-1]]
     assert len(last) > 10
-    for state in last:
-        k = int(np.argmin(np.abs(batch.t - state.t)))
-        P = _batch_covariance(batch, state.t, session.imu.t[-1])
-        attitude = batch.R_nb[k].T @ P[:3, :3] @ batch.R_nb[k]
-        for difference, own, batchs in (
-            (so3.log(batch.R_nb[k].T @ state.R_nb), state.attitude_sigma**2, np.diag(attitude)),
-            (state.velocity_n - batch.velocity_n[k], state.velocity_sigma**2, np.diag(P[3:6, 3:6])),
-        ):
-            # nearer than a tenth of a sigma the two differ by how they linearise, and by a row of up to 10 ms beside
-            assert np.all(np.abs(difference) < 3.0 * np.sqrt(np.maximum(own - batchs, 0.01 * own)))
+    apart = np.array([comparing.apart_from(batch, state, session.imu.t[-1]) for state in last])
+    assert np.all(apart < 3.0)
 
 
-def _batch_covariance(batch: Trajectory, t: float, end: float) -> Array:
-    """Covariance (9, 9) at t s, on the line through those of two keyframes before the samples end."""
-    keyframes = batch.report.keyframes
-    assert keyframes is not None
-    k = int(np.clip(np.searchsorted(keyframes.t, t), 1, np.searchsorted(keyframes.t, end) - 1))
-    share = (t - keyframes.t[k - 1]) / (keyframes.t[k] - keyframes.t[k - 1])
-    return np.asarray((1.0 - share) * keyframes.covariance[k - 1] + share * keyframes.covariance[k])
+def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in_no_factor(navigating: Aboard) -> None:
+    assert navigating.start is not None
+    start = replace(navigating.start, unseen_offset=np.array([9.0, 4.0, 1.0]))
+    one, other = FixedLag(start).state(), FixedLag(replace(start, unseen_offset=np.zeros(3))).state()
+    np.testing.assert_allclose(one.position_sigma**2 - other.position_sigma**2, start.unseen_offset)
+    np.testing.assert_array_equal(one.velocity_sigma, other.velocity_sigma)
+    np.testing.assert_array_equal(one.unseen_offset, start.unseen_offset)
 
 
 def test_what_is_older_than_the_lag_is_forgotten(navigating: Aboard, snapshots: list[Snapshot]) -> None:

@@ -20,7 +20,7 @@ from smoother.live.receiver import LinkStatus
 from smoother.live.sensing import Reception
 from smoother.live.terminal import BAR, bar, panel
 
-LAG = LagState(1.0, np.eye(3), np.zeros(3), np.array([20.0, 0.0, 0.0]), *([np.full(3, 0.01)] * 3), 0.3)
+LAG = LagState(1.0, np.eye(3), np.zeros(3), np.array([20.0, 0.0, 0.0]), *([np.full(3, 0.01)] * 3), np.zeros(3), 0.3)
 FULL = Snapshot(
     t=12.0,
     madgwick=np.eye(3),
