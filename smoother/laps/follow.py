@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 
@@ -20,6 +21,7 @@ AHEAD = (10.0, 20.0, 35.0)  # m of path that must also be on the line before the
 BACK, ON = 6.0, 10.0  # m that are searched behind and, beyond what was driven, ahead
 TOGETHER = 40  # places that are looked for together: 6 s
 ASTRAY = 8.0  # m by which line and distance driven may part over these
+ROWS_TOGETHER = 1 << 16  # of the path that are projected onto the line together
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
 TURNED_FOR = 1.0  # s against the direction of the line, after which the kart is not on a lap
@@ -214,13 +216,22 @@ def _refined(path: PlanPath, curve: Curve, t: Array, coarse: Array) -> Followed:
     n = len(path.t)
     if not on.any():
         return Followed(np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
-    is_on = np.interp(path.t, t, on.astype(np.float64)) > 0.999
-    guess = np.interp(path.t, t[on], coarse[on])
-    distance, lateral = guess.copy(), np.full(n, np.nan)
-    distance[is_on], lateral[is_on] = curve.project(path.position_n[is_on], guess[is_on])
-    is_on &= ~(np.abs(lateral) > LOST_BEYOND + 2.0)
+    share, t_on, coarse_on = on.astype(np.float64), t[on], coarse[on]
+    distance, lateral, is_on = np.empty(n), np.full(n, np.nan), np.empty(n, dtype=np.bool_)
+    for part in pieces(n, ROWS_TOGETHER):
+        here = _between_times(path.t[part], t, share) > 0.999
+        guess = _between_times(path.t[part], t_on, coarse_on)
+        place, beside = guess.copy(), np.full(len(guess), np.nan)
+        place[here], beside[here] = curve.project(path.position_n[part][here], guess[here])
+        distance[part], lateral[part], is_on[part] = place, beside, here & ~(np.abs(beside) > LOST_BEYOND + 2.0)
     distance, is_on = _filled(path, distance, is_on)
     return Followed(distance, np.where(is_on, lateral, np.nan), is_on)
+
+
+def _between_times(at: Array, t: Array, values: Array) -> Array:
+    """Values (N,) over t (N,) at times `at` (K,), ascending, linearly: of a long recording that part alone is met."""
+    around = slice(max(int(np.searchsorted(t, at[0])) - 1, 0), int(np.searchsorted(t, at[-1])) + 1)
+    return np.interp(at, t[around], values[around])
 
 
 def _filled(path: PlanPath, distance: Array, is_on: BoolArray) -> tuple[Array, BoolArray]:

@@ -111,6 +111,9 @@ def in_gaps(t: Array, fixes: FixPath) -> BoolArray:
     """Mask (N,) of times t (N,) s in a hole of the fixes."""
     if len(fixes.t) < 2:
         return np.zeros(len(t), dtype=np.bool_)
-    before = np.clip(np.searchsorted(fixes.t, t) - 1, 0, len(fixes.t) - 2)
-    start, end = fixes.t[before], fixes.t[before + 1]
-    return np.asarray((end - start > GAP) & (t > start) & (t < end))
+    inside = np.zeros(len(t), dtype=np.bool_)
+    for part in pieces(len(t)):
+        before = np.clip(np.searchsorted(fixes.t, t[part]) - 1, 0, len(fixes.t) - 2)
+        start, end = fixes.t[before], fixes.t[before + 1]
+        inside[part] = (end - start > GAP) & (t[part] > start) & (t[part] < end)
+    return inside

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.disc import pieces
 from smoother.fit.running import gaussian_mean
 from smoother.fit.spline import CubicSpline
 from smoother.laps.path import PlanPath
@@ -64,12 +63,7 @@ class Curve:
 
         Newton's method on the foot of the perpendicular; `guess` must be right to some metres.
         """
-        distance, lateral = np.empty(len(guess)), np.empty(len(guess))
-        for part in pieces(len(guess)):
-            distance[part], lateral[part] = self._project(position_n[part], guess[part], rounds)
-        return distance, lateral
-
-    def _project(self, position_n: Array, distance: Array, rounds: int) -> tuple[Array, Array]:
+        distance = np.asarray(guess, dtype=np.float64)
         for _ in range(rounds):
             within = self.wrapped(distance)
             there, tangent = self._place_within(within)

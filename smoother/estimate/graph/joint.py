@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.disc import kept
+from smoother.disc import kept, release
 from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.rows import antenna_jacobian
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE, ChainState
@@ -79,6 +79,7 @@ class WindowsJoint:
             if inside.size == 0:
                 continue
             P = window.covariance(t[inside], direction_n[inside])
+            release(window)  # all of a day's are most of a gigabyte
             variance, here = np.diag(P), np.ix_(inside, inside)
             counts = self._counts(i, t[inside])
             own[inside[counts]] = variance[counts]
