@@ -6,7 +6,7 @@ covariance. The estimator's own is best ("joint"); results read from files carry
 time ("stored"); failing both, a model of the receiver's offset does ("model").
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,20 +137,20 @@ def time_covariances(errors: JointPosition, groups: Sequence[Crossed]) -> list[A
     return [c / (speed[:, None] * speed[None, :]) for c, speed in zip(along, closing, strict=True)]
 
 
-def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> list[Array]:
-    """Covariance (m, m) m^2 of positions at t (m,) s along direction_n (m, 3), for each of several groups.
+def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> Iterator[Array]:
+    """Yield the covariance (m, m) m^2 of positions at t (m,) s along direction_n (m, 3), for each of several groups.
 
     Groups are asked for together: a question costs more than its size does.
     """
     ends = np.cumsum([len(group) for group in t])
-    out: list[Array] = []
-    while len(out) < len(t):
-        first, before = len(out), ends[len(out)] - len(t[len(out)])
+    last = 0
+    while last < len(t):
+        first, before = last, ends[last] - len(t[last])
         last = max(first + 1, int(np.searchsorted(ends, before + TOGETHER, side="right")))
         whole = errors.covariance(np.concatenate(t[first:last]), np.concatenate(direction_n[first:last]))
         starts = ends[first:last] - before - [len(group) for group in t[first:last]]
-        out += [whole[i : i + len(group), i : i + len(group)] for i, group in zip(starts, t[first:last], strict=True)]
-    return out
+        for i, group in zip(starts, t[first:last], strict=True):
+            yield whole[i : i + len(group), i : i + len(group)]
 
 
 def sigma_of(covariance: Array, weights: Array) -> Array:
