@@ -56,8 +56,11 @@ UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
+SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
+LARGEST_SHARE = 0.95  # something is left where nothing shakes
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
-USUAL_COUNT = 20.0
+USUAL_POSITION_COUNT = 1.0  # residuals; filtered fixes show a tenth of it, so that it is hardly known
+USUAL_VELOCITY_COUNT = 20.0  # Doppler differs by less
 HELD = 1e-4  # m; what is held does not move by a digit
 USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
 USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
@@ -87,7 +90,7 @@ class Noise:
         return float(np.max(np.abs(np.log(self._levels() / other._levels()))))
 
     def _levels(self) -> Array:
-        densities = [self.inertial.accel, self.inertial.gyro]
+        densities = [self.inertial.accel, self.inertial.gyro, *self.inertial.calm]
         return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
 
 
@@ -346,8 +349,15 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatt
         accel=_density(force, noise.inertial.accel, scatter.accel),
         gyro=_density(rate, noise.inertial.gyro, scatter.gyro),
     )
-    white = _row_sigma(solved.rows["gps_position"], solution, noise.position, USUAL_POSITION)
-    velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY)
+    if binned.rough is not None:
+        rough, now = binned.rough[some], noise.inertial
+        new = replace(
+            new,
+            accel_share=_share(force, rough[:, 0], now.accel_share),
+            gyro_share=_share(rate, rough[:, 1], now.gyro_share),
+        )
+    white = _row_sigma(solved.rows["gps_position"], solution, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT)
+    velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
     return replace(
         noise,
         inertial=new,
@@ -383,10 +393,27 @@ def _density(component: VarianceComponent, density: float, scatter: float) -> fl
     return max(density * float(np.clip(ratio, 1.0 / 2.5, 2.5)), OWN_SCATTER * scatter)
 
 
-def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array) -> Array:
+def _share(component: VarianceComponent, rough: Array, share: float) -> float:
+    """Share of the variance that goes with vibration, from residuals of intervals of roughness (N,) given `share`.
+
+    Variances are fitted by a line over the roughness, each with the weight of its own variance: variance components.
+    Source: Foerstner 1979.
+    """
+    level = 1.0 + share * (rough - 1.0)
+    design = np.stack([np.ones_like(rough), rough], axis=1) / level[:, None]
+    normal = (design * np.maximum(component.redundancy_of, 0.0)[:, None]).T @ design
+    right = design.T @ component.squares_of
+    prior = np.array([[1.0, 0.0], [1.0, 2.0]])  # no vibration and twice the mean are equally noisy
+    normal += 0.5 * SHARE_COUNT * prior.T @ prior
+    right += 0.5 * SHARE_COUNT * prior.sum(axis=0)
+    constant, slope = np.linalg.solve(normal, right)
+    return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
+
+
+def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array, count: float) -> Array:
     """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
 
-    What is usual for receivers, (3,), counts as much as USUAL_COUNT residuals, lest a handful of fixes look perfect.
+    What is usual for receivers, (3,), counts as much as `count` residuals, lest a handful of fixes look perfect.
     """
     information = rows.information
     left = rows.weight[:, None] - posterior_variance(rows, solution) * information
@@ -397,7 +424,7 @@ def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Arra
             squares = float(np.sum(rows.residual[:, group] ** 2 * information[:, group]))
             redundancy = max(float(np.sum(left[:, group][known[:, group]])), 0.0)
             first = group[0]
-            variance = (sigma[first] ** 2 * squares + USUAL_COUNT * usual[first] ** 2) / (redundancy + USUAL_COUNT)
+            variance = (sigma[first] ** 2 * squares + count * usual[first] ** 2) / (redundancy + count)
             out[group] = np.clip(np.sqrt(variance), sigma[first] / 3.0, 3.0 * sigma[first])
     return out
 

@@ -7,6 +7,7 @@ makes GTSAM's first-order step, which rotates the force with the attitude at the
 order. Axes are s throughout: the graph estimates the attitude of the sensor, R_ns.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -21,6 +22,8 @@ from smoother.samples import ImuSamples
 from smoother.units import STANDARD_GRAVITY
 
 GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
+SLOW = 0.3  # s: what lasts longer may be the kart's motion, and
+NEARBY = 0.2  # s over which vibration is averaged
 TOGETHER = 1 << 13  # intervals whose samples are worked on together; half an hour
 
 
@@ -29,7 +32,8 @@ class BinnedImu:
     """Inertial measurements averaged into equal bins, n_bins to each of K-1 intervals between keyframes.
 
     t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
-    its bin's start; missing (K-1,), fraction of the interval without samples.
+    its bin's start; missing (K-1,), fraction of the interval without samples; rough (K-1, 2), power of the vibration of
+    force and rate in the interval over its mean in the session, None where it is not known.
     """
 
     t: Array
@@ -37,6 +41,7 @@ class BinnedImu:
     specific_force_s: Array
     angular_rate_s: Array
     missing: Array
+    rough: Array | None = None
 
     @property
     def n_bins(self) -> int:
@@ -57,6 +62,7 @@ class BinnedImu:
             self.specific_force_s[intervals],
             self.angular_rate_s[intervals],
             self.missing[intervals],
+            None if self.rough is None else self.rough[intervals],
         )
 
 
@@ -103,6 +109,13 @@ class InertialNoise:
     gyro: float
     accel_bias_walk: float  # m/s^2/sqrt(s)
     gyro_bias_walk: float  # rad/s/sqrt(s)
+    accel_share: float = 0.0  # of the variance at mean vibration: this goes with the vibration, the rest stays
+    gyro_share: float = 0.0
+
+    @property
+    def calm(self) -> tuple[float, float]:
+        """Densities without vibration."""
+        return self.accel * math.sqrt(1.0 - self.accel_share), self.gyro * math.sqrt(1.0 - self.gyro_share)
 
 
 def keyframe_times(start: float, end: float, interval: float) -> Array:
@@ -126,7 +139,9 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
         roomy((n_intervals, n_bins, 3)),
         roomy((n_intervals, n_bins, 3)),
         np.empty(n_intervals),
+        np.empty((n_intervals, 2)),
     )
+    assert out.rough is not None
     for part in pieces(n_intervals, TOGETHER):
         edges = t[0] + dt * np.arange(part.start * n_bins, part.stop * n_bins + 1)
         some = _samples_around(imu, edges[0], edges[-1])
@@ -134,8 +149,29 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
         shape = (part.stop - part.start, n_bins)
         out.specific_force_s[part], out.angular_rate_s[part] = force.reshape(*shape, 3), rate.reshape(*shape, 3)
         out.missing[part] = missing.reshape(shape).sum(axis=1) / (n_bins * dt)
+        for column, values in enumerate((force, rate)):
+            out.rough[part, column] = vibration(values, dt).reshape(shape).mean(axis=1)
         release(imu, out)
+    out.rough[...] = _over_mean(out.rough)
     return out
+
+
+def _over_mean(power: Array) -> Array:
+    """Each column of power (N, c) over its mean; one where there is none, or where the samples are damaged."""
+    with np.errstate(all="ignore"):
+        share = power / power.mean(axis=0)
+    return np.where(np.isfinite(share), share, 1.0)
+
+
+def vibration(values: Array, dt: float) -> Array:
+    """Power (B,) of what is quicker than a kart in the bins `values` (B, 3), which are dt s long, around each of them.
+
+    A tone that the sampling folds down passes through all low frequencies while the engine revs up, and for a moment
+    looks like a steady push. Only the oscillation before and after it gives it away.
+    """
+    with np.errstate(all="ignore"):  # damaged samples end in no number
+        quick = values - gaussian_mean(values, SLOW / dt)
+        return gaussian_mean(np.mean(quick**2, axis=1), NEARBY / dt)
 
 
 def _samples_around(imu: ImuSamples, start: float, end: float) -> ImuSamples:
@@ -204,10 +240,23 @@ MISSING_GYRO = 1.0  # rad/s likewise
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
     """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost.
 
-    An unseen acceleration of rms a over a fraction u of an interval T is worth a density a * u * sqrt(T).
+    It grows with vibration as the shares say. An unseen acceleration of rms a over a fraction u of an interval T is
+    worth a density a * u * sqrt(T).
     """
     lost = binned.missing * np.sqrt(np.diff(binned.t))
-    return np.hypot(noise.accel, MISSING_ACCEL * lost), np.hypot(noise.gyro, MISSING_GYRO * lost)
+    accel, gyro = (
+        density * np.sqrt(level)
+        for density, level in zip((noise.accel, noise.gyro), levels(binned, noise), strict=True)
+    )
+    return np.hypot(accel, MISSING_ACCEL * lost), np.hypot(gyro, MISSING_GYRO * lost)
+
+
+def levels(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
+    """Variances (K-1,) of force and rate by vibration, over those of the session."""
+    if binned.rough is None:
+        return np.ones(len(binned.missing)), np.ones(len(binned.missing))
+    accel, gyro = binned.rough.T
+    return 1.0 + noise.accel_share * (accel - 1.0), 1.0 + noise.gyro_share * (gyro - 1.0)
 
 
 def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:

@@ -348,6 +348,7 @@ def _bins(binned: BinnedImu, span: slice) -> BinnedImu:
         specific_force_s=binned.specific_force_s[span],
         angular_rate_s=binned.angular_rate_s[span],
         missing=binned.missing[span],
+        rough=None if binned.rough is None else binned.rough[span],
     )
 
 

@@ -78,7 +78,8 @@ class InertialGraph:
 
     def serves(self, noise: InertialNoise) -> bool:
         """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
-        ratios = (noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
+        ratios = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
+        ratios += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
         return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
 
     def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
@@ -209,13 +210,30 @@ def empty_system(n_keyframes: int) -> ChainSystem:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VarianceComponent:
-    """Weighted squared residuals that one source of noise answers for, and how many independent ones they amount to."""
+    """Weighted squared residuals that one source of noise answers for, and how many independent ones they amount to.
 
-    squares: float
-    redundancy: float
-    count: int
+    Of each of N intervals (N,), three residuals in each.
+    """
+
+    squares_of: Array
+    redundancy_of: Array
+
+    @property
+    def squares(self) -> float:
+        """Of all intervals together."""
+        return float(np.sum(self.squares_of))
+
+    @property
+    def redundancy(self) -> float:
+        """Of all intervals together."""
+        return float(np.sum(self.redundancy_of))
+
+    @property
+    def count(self) -> int:
+        """Residuals of all intervals."""
+        return 3 * len(self.squares_of)
 
 
 def inertial_components(
@@ -233,13 +251,12 @@ def inertial_components(
     root, e = _root_information(state, linear, at), linear.residual[at]
     C = _posterior_covariance(linear, solution, at)
     W = root @ _force_covariance(accel[at], state.interval) @ root.transpose(0, 2, 1)
-    squares, redundancy = np.einsum("ki,kij,kj->", e, W, e), np.einsum("kij,kji->", W, np.eye(15) - C)
-    force = VarianceComponent(float(squares), float(redundancy), 3 * len(e))
+    force = VarianceComponent(np.einsum("ki,kij,kj->k", e, W, e), np.einsum("kij,kji->k", W, np.eye(15) - C))
     unwhiten = np.linalg.inv(root)[:, ROTATION, :]
     variance = (gyro[at] ** 2 * state.interval)[:, None]
     turned = np.einsum("kij,kj->ki", unwhiten, e)
     left = np.einsum("kri,kri->kr", unwhiten @ C, unwhiten)
-    rate = VarianceComponent(float(np.sum(turned**2 / variance)), float(np.sum(1.0 - left / variance)), 3 * len(e))
+    rate = VarianceComponent(np.sum(turned**2 / variance, axis=1), np.sum(1.0 - left / variance, axis=1))
     return force, rate
 
 

@@ -143,9 +143,12 @@ def _is_settled(solved: Solved) -> bool:
 def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:
     """Noise from the residuals, but for the densities that the settings state."""
     better = update_noise(solved, noise, start.binned, scatter)
-    accel = start.stated.accel_noise or better.inertial.accel
-    gyro = start.stated.gyro_noise or better.inertial.gyro
-    return replace(better, inertial=replace(better.inertial, accel=accel, gyro=gyro))
+    inertial, stated = better.inertial, start.stated
+    if stated.accel_noise:
+        inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0)
+    if stated.gyro_noise:
+        inertial = replace(inertial, gyro=stated.gyro_noise, gyro_share=0.0)
+    return replace(better, inertial=inertial)
 
 
 def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Data, Priors, tuple[Problem, ...]]:

@@ -11,15 +11,17 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.batch import (
     OWN_SCATTER,
-    USUAL_COUNT,
     USUAL_POSITION,
+    USUAL_POSITION_COUNT,
     USUAL_VELOCITY,
+    USUAL_VELOCITY_COUNT,
     Batch,
     Data,
     Noise,
     Priors,
     Scatter,
     Solved,
+    _share,
     posterior_variance,
     unseen_offset,
     update_noise,
@@ -27,7 +29,7 @@ from smoother.estimate.graph.batch import (
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import expected_motion
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
-from smoother.estimate.graph.inertial import inertial_factors
+from smoother.estimate.graph.inertial import VarianceComponent, inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
@@ -315,16 +317,37 @@ class TestNoise:
             solved = batch.step(batch.graph(state, noise), state, noise)
             state, noise = solved.state, update_noise(solved, noise, p.binned, scatter)
         # 150 fixes of 3 components tell their sigma to 4 %; what the solution takes up widens the others. What is usual
-        # for receivers counts as another 20 residuals, beside the 300 horizontal and 150 vertical ones.
+        # for receivers counts as a few more residuals, beside the 300 horizontal and 150 vertical ones.
         count = np.array([300.0, 300.0, 150.0])
 
-        def with_the_usual(sigma: Array, usual: Array) -> Array:
-            return np.sqrt((count * sigma**2 + USUAL_COUNT * usual**2) / (count + USUAL_COUNT))
+        def with_the_usual(sigma: Array, usual: Array, worth: float) -> Array:
+            return np.sqrt((count * sigma**2 + worth * usual**2) / (count + worth))
 
-        np.testing.assert_allclose(noise.position, with_the_usual(p.noise.position, USUAL_POSITION), rtol=0.15)
-        np.testing.assert_allclose(noise.velocity, with_the_usual(p.noise.velocity, USUAL_VELOCITY), rtol=0.25)
+        position = with_the_usual(p.noise.position, USUAL_POSITION, USUAL_POSITION_COUNT)
+        velocity = with_the_usual(p.noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
+        np.testing.assert_allclose(noise.position, position, rtol=0.15)
+        np.testing.assert_allclose(noise.velocity, velocity, rtol=0.25)
         assert noise.inertial.accel == pytest.approx(p.noise.inertial.accel, rel=0.3)
         assert noise.inertial.gyro == pytest.approx(p.noise.inertial.gyro, rel=0.3)
+
+    @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+    def test_how_much_of_it_goes_with_vibration_is_found_from_where_the_residuals_are_large(self, share: float) -> None:
+        rng = np.random.default_rng(0)
+        rough = rng.gamma(0.7, size=2000)
+        rough /= rough.mean()
+        found = 0.0
+        for _ in range(10):
+            level = 1.0 + found * (rough - 1.0)
+            variance = 2.0 * (1.0 + share * (rough - 1.0)) / level  # density unknown as well
+            residual = rng.normal(size=(3, len(rough))) * np.sqrt(variance)
+            component = VarianceComponent(np.sum(residual**2, axis=0), np.full(len(rough), 3.0))
+            found = _share(component, rough, found)
+        assert found == pytest.approx(share, abs=0.05)  # of 6000 residuals
+
+    def test_few_residuals_do_not_make_the_noise_follow_the_vibration(self) -> None:
+        rough = np.array([0.2, 0.5, 1.0, 2.3])
+        nothing = VarianceComponent(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
+        assert _share(nothing, rough, 0.0) < 0.01
 
     def test_change_is_the_largest_relative_difference(self) -> None:
         noise = problem().noise

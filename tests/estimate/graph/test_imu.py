@@ -244,6 +244,32 @@ class TestNoise:
         np.testing.assert_allclose(accel, want_accel)
         np.testing.assert_allclose(gyro, want_gyro)
 
+    def test_noise_follows_the_vibration_by_its_share(self) -> None:
+        t, rng = np.arange(1, 4001) / 100.0, np.random.default_rng(0)
+        shaking = (t > 10.0) & (t < 20.0)
+        force = np.where(shaking, 5.0, 0.5)[:, None] * rng.normal(size=(len(t), 3)) + [3.0, 0.0, 9.8]
+        rate = 0.1 * rng.normal(size=(len(t), 3))
+        binned = bin_imu(ImuSamples(t, force, rate), np.arange(0.2, 39.8, 0.2), 10, NO_BIAS, NO_BIAS)
+        assert binned.rough is not None
+        np.testing.assert_allclose(binned.rough.mean(axis=0), 1.0)  # so that the density is that of the session
+        inside, outside = slice(55, 90), np.r_[5:40, 110:190]
+        ratio = np.median(binned.rough[inside], axis=0) / np.median(binned.rough[outside], axis=0)
+        assert ratio[0] == pytest.approx(100.0, rel=0.3)  # force alone is rough there, by (5 / 0.5)^2
+        assert ratio[1] == pytest.approx(1.0, rel=0.3)
+        accel, gyro = interval_noise(binned, replace(NOISE, accel_share=0.8))
+        np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(0.2 + 0.8 * binned.rough[:, 0]))
+        np.testing.assert_allclose(gyro, NOISE.gyro)
+
+    def test_a_steady_turn_is_no_vibration(self) -> None:
+        motion, t = Shaken(1.0, 0.0, 0.0), np.arange(0.2, 29.0, 0.2)
+        imu = motion.samples(100.0, 0.0, 30.0)
+        tone = 2.0 * np.sin(2.0 * np.pi * 12.0 * imu.t)[:, None] * [0.0, 0.6, 0.8]
+        at_once = replace(imu, specific_force_s=imu.specific_force_s + np.where(imu.t[:, None] > 15.0, tone, 0.0))
+        rough = bin_imu(at_once, t, 10, NO_BIAS, NO_BIAS).rough
+        assert rough is not None
+        assert np.median(rough[t[:-1] < 14.0, 0]) < 0.05  # forces of 5 m/s^2 that take seconds
+        assert np.median(rough[t[:-1] > 16.0, 0]) > 1.5
+
     def test_preintegrated_covariance_is_that_of_white_noise(self) -> None:
         imu = Shaken(0.0, 0.0, 0.0, turn=0.0).samples(200.0, 0.0, 3.0)
         measured = preintegrated(bin_imu(imu, np.array([1.0, 2.0]), 50, NO_BIAS, NO_BIAS))[0]
