@@ -167,7 +167,7 @@ def test_groups_asked_for_together_get_their_own_covariances() -> None:
     sizes = (3, 1, 200, 90, 40, 5)  # one is larger than what is asked for together, others share a question
     t = [np.sort(rng.uniform(0.0, 900.0, size)) for size in sizes]
     directions = [rng.normal(size=(size, 3)) for size in sizes]
-    assert covariances(model, [], []) == []
+    assert list(covariances(model, [], [])) == []
     for group, times, direction in zip(covariances(model, t, directions), t, directions, strict=True):
         np.testing.assert_allclose(group, model.covariance(times, direction), rtol=1e-12)
 
