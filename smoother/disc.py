@@ -6,6 +6,7 @@ it after each.
 """
 
 import contextlib
+import gc
 import mmap
 import os
 import tempfile
@@ -96,6 +97,7 @@ def settle(*values: object) -> None:
     if any(_is_in_file(value) for value in values):
         import ctypes
 
+        gc.collect()
         with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library, another system
             ctypes.CDLL(None).malloc_trim(0)
 

@@ -221,6 +221,7 @@ def write(
     with watch.stage("figures"):
         shown = _shown(estimates) if options.figures else None
         _write_figures(shown, heading(estimates), directory, options, progress)
+        settle(smoothed, baseline)
     with watch.stage("report"):
         main_file = _write_page(shown, directory)
     settle(smoothed, baseline)

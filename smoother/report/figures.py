@@ -76,6 +76,7 @@ def save_figures(shown: Shown, directory: Path, done: Callable[[float], None] | 
                 continue
             with replacing(path) as temporary:
                 style.save(figure, temporary)
+            figure.clear()  # what it shows would else stay until all figures are drawn
             written.append(path)
             if done is not None:
                 done((i + 1) / len(FIGURES))
