@@ -7,6 +7,10 @@ probable given both sensors, though. On a track the yaw rate is nearly lateral a
 latency are told apart only by where it is not; filtered one by one, each would miss something that the other one knows,
 and the fit would take that for the difference.
 
+They must not lead or lag the samples either. The nose turns in before the path does, so the best guess of the yaw rate
+would contain the slope of the acceleration; of noise in the velocities that is the second derivative, which goes with
+what the fit leaves of it and would look like an arm. Gains without a phase leave such noise out of phase with the rest.
+
 Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
 """
 
@@ -51,7 +55,7 @@ def most_probable(values: Array, sigma: Array, dt: float) -> Array:
     """Multichannel Wiener filter: most probable signals (N, c) behind `values` (N, c), dt s apart, all at once.
 
     sigma (c,): white noise of the channels, independent of one another. What of the spectral matrix noise alone may
-    reach is taken off.
+    reach is taken off. Only what the channels share in phase passes from one to another.
     """
     n, c = values.shape
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):
@@ -59,7 +63,7 @@ def most_probable(values: Array, sigma: Array, dt: float) -> Array:
     mean = values.mean(axis=0)
     spectrum = np.fft.rfft(values - mean, axis=0) / sigma
     band, first, last = _bands(len(spectrum), n * dt)
-    power = spectrum[:, :, None] * spectrum[:, None, :].conj() / n
+    power = (spectrum[:, :, None] * spectrum[:, None, :].conj()).real / n
     power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
     count = last - first
     eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
