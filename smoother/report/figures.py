@@ -31,6 +31,7 @@ CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
 CELLS = 75  # along each side of the g-g diagram
+MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
 MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 
@@ -342,7 +343,7 @@ def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
     corner = np.abs(t - middle) <= 0.5 * CORNER_TIME
     x_limits, y_limits = (style.limits_around(line[corner], 0.15, least=2 * CLOSE_UP) for line in (x, y))
     _draw_tracks(axes, shown, 4.5, (x_limits, y_limits), (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
-    axes.set_title(f"One corner at {style.clock(middle - shown.start)}")
+    axes.set_title(f"Corner at {style.clock(middle - shown.start)}")
     style.outside_legend(axes)
     size = x_limits[1] - x_limits[0], y_limits[1] - y_limits[0]
     whole.add_patch(Rectangle((x_limits[0], y_limits[0]), *size, fill=False, edgecolor=style.INK, linewidth=1.0))
@@ -415,7 +416,12 @@ def _line(
 ) -> None:
     rows = slice(None) if part is None else slice(*np.searchsorted(trajectory.t, part))
     t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=2 * style.pixels(axes))
-    thin = style.broken_at_wraps(thin) if wraps else thin
+    if wraps:
+        broken = style.broken_at_wraps(thin)
+        if np.count_nonzero(np.isnan(broken)) > MOSTLY * len(thin):  # whole turns within a pixel, and no line left
+            line = ","
+        else:
+            thin = broken
     axes.plot(t, thin, line, color=colour, label=label, linewidth=width)
 
 

@@ -5,7 +5,7 @@ from importlib.resources import files
 from xml.etree.ElementTree import Element
 
 from smoother.report.page_data import Document
-from smoother.report.page_html import element, whole_page
+from smoother.report.page_html import LONG, element, whole_page
 
 TEMPLATE = files("smoother.report") / "template"
 Part = tuple[str, tuple[float, float]]  # of the track: name, and ends in m
@@ -60,9 +60,8 @@ def picker(names: Sequence[str], parts: Sequence[Part]) -> Element:
     choices = [element("option", "whole lap" if parts else "everything", value="whole")]
     choices += [element("option", name, value=str(i)) for i, (name, _) in enumerate(parts)]
     choices.append(element("option", "own choice", value="own", disabled="disabled"))
-    fields = element(
-        "fieldset", element("legend", "Laps shown"), element("div", *boxes, class_="picker"), id="laps-picked"
-    )
+    kind = "picker many" if len(names) >= LONG else "picker"
+    fields = element("fieldset", element("legend", "Laps shown"), element("div", *boxes, class_=kind), id="laps-picked")
     coloured = element("label", "Speed colours: ", element("select", id="coloured"))
     part = element("label", "Part: ", element("select", *choices, id="stretch"))
     return element("div", fields, element("div", coloured, part, class_="settings"))

@@ -8,6 +8,7 @@ import pytest
 from matplotlib import image
 
 from smoother.cli.pipeline import FIGURE_NAMES
+from smoother.frames import rotation_from_euler
 from smoother.report import figures, style
 from smoother.report.figures import FIGURES, Shown, overview, save_figures
 from smoother.samples import Session
@@ -140,3 +141,18 @@ def test_thinning_lives_with_stretches_that_are_unknown() -> None:
 )
 def test_the_clock_reads_minutes_and_seconds(seconds: float, step: float, text: str) -> None:
     assert style.clock(seconds, step) == text
+
+
+def test_a_heading_that_turns_faster_than_pixels_can_show_is_still_drawn(
+    session: Session, trajectory: Trajectory
+) -> None:
+    n = 20_000
+    yaw = np.linspace(0.0, 2.0 * np.pi * n / 15, n)  # fifteen rows to a turn, a turn to half a pixel
+    zero = np.zeros((n, 3))
+    R_nb = rotation_from_euler(0.0 * yaw, 0.0 * yaw, yaw)
+    turning = Trajectory(np.linspace(0.0, 86400.0, n), zero, zero, R_nb, zero, zero)
+    figure = figures.attitude(Shown(session, turning, None, "a day"))
+    assert figure is not None
+    degrees = np.asarray(figure.axes[2].lines[0].get_ydata(), dtype=np.float64)
+    assert np.mean(np.isfinite(degrees)) > 0.9
+    assert np.ptp(degrees[np.isfinite(degrees)]) > 300.0

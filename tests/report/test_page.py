@@ -14,8 +14,10 @@ from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
 from smoother.laps.analysis import analyse
 from smoother.laps.results import FixPath, LapAnalysis
+from smoother.report import page as page_module
+from smoother.report import page_data
 from smoother.report.page import Report, page, write_page
-from smoother.report.page_html import element, json_in_script, row, whole_page
+from smoother.report.page_html import LONG, element, json_in_script, row, table, whole_page
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
@@ -220,3 +222,24 @@ def test_numbers_are_said_as_people_say_them() -> None:
     assert number(-0.001, 2) == "0.00"
     assert with_sigma(1.0, 0.25, 2) == "1.00 ± 0.25"
     assert with_sigma(1.0, float("nan"), 2, signed=True) == "+1.00"
+
+
+def test_of_very_many_laps_the_quickest_are_drawn_and_the_page_says_so(
+    report: Report, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert report.laps is not None
+    valid = [i for i, lap in enumerate(report.laps.laps) if lap.is_valid]
+    monkeypatch.setattr(page_data, "MOST_DRAWN", 2)
+    monkeypatch.setattr(page_module, "MOST_DRAWN", 2)
+    quickest = sorted(valid, key=lambda i: report.laps.laps[i].time)[:2]  # type: ignore[union-attr]
+    assert page_data.drawn_laps(report.laps) == sorted(quickest)
+    text = page(report)
+    assert f"Of {len(report.laps.laps)} laps the 2 quickest can be shown" in text
+    laps = numbers(text)["laps"]
+    assert isinstance(laps, list) and len(laps) == 2
+
+
+def test_a_long_table_scrolls_by_itself() -> None:
+    for count, is_long in ((LONG - 1, False), (LONG, True)):
+        made = table(["lap"], [row(str(i)) for i in range(count)])
+        assert ("long" in (made.get("class") or "").split()) == is_long
