@@ -78,12 +78,14 @@ class Growing:
 
 
 def release(*values: object) -> None:
-    """Give back the memory of arrays in files, also of those in dataclasses and sequences; their values stay."""
+    """Give back the memory of arrays in files, also of those in dataclasses, dicts, sequences; their values stay."""
     for value in values:
         if isinstance(value, (np.ndarray, mmap.mmap)):
             _forget(value)
         elif is_dataclass(value) and not isinstance(value, type):
             release(*(getattr(value, field.name) for field in fields(value)))
+        elif isinstance(value, dict):
+            release(*value.values())
         elif isinstance(value, (tuple, list)):
             release(*value)
 
@@ -107,6 +109,8 @@ def _is_in_file(value: object) -> bool:
         return _map_of(value) is not None
     if is_dataclass(value) and not isinstance(value, type):
         return any(_is_in_file(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, dict):
+        return any(map(_is_in_file, value.values()))
     return isinstance(value, (tuple, list)) and any(map(_is_in_file, value))
 
 

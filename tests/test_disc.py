@@ -3,6 +3,7 @@
 import errno
 import mmap
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def test_release_finds_arrays_in_dataclasses_and_leaves_others_alone() -> None:
         name: str = "holder"
 
     holder = Holder(np.arange(3.0), (kept(np.arange(5.0), large=1)[1:], np.ones(2)))
-    release(holder)
+    release(holder, {"name": holder})
     np.testing.assert_array_equal(holder.parts[0], [1.0, 2.0, 3.0, 4.0])
     np.testing.assert_array_equal(holder.values, [0.0, 1.0, 2.0])
 
@@ -127,3 +128,13 @@ def test_values_survive_the_end_of_a_stage() -> None:
     settle(on_disc, (in_memory,), None)
     np.testing.assert_array_equal(on_disc, np.arange(5.0))
     np.testing.assert_array_equal(in_memory, np.arange(3))
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is told by Linux alone")
+@pytest.mark.parametrize("hide", [lambda v: {"values": v}, lambda v: [(v,)]])
+def test_arrays_are_found_wherever_they_are_held(hide: Callable[[np.ndarray], object]) -> None:
+    values = roomy(4 * LARGE // 8)
+    before = resident()
+    values[:] = 1.0
+    release(hide(values))
+    assert resident() - before < LARGE

@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
-from smoother.disc import release, roomy
+from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
@@ -79,7 +79,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
         pieces.append(piece)
         for name, values in vars(whole).items():
             values[first:last] = getattr(known, name)
-        release(whole, start.binned)
+        settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
     return WindowsSolution(_joined(pieces, start, held, whole), noise, priors, problems)
 
