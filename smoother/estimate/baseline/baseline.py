@@ -148,7 +148,8 @@ def _attitude(
         yaw = _starting_yaw(mag, rest)
     # As in listing 5.G all readings are first turned by the attitude at the start, and the filter begins at unity.
     R_0s = alignment.turned_about_up(yaw) @ rest.R_ls
-    force, rate = steps.specific_force_s @ R_0s.T, (steps.angular_rate_s - rest.gyro_bias) @ R_0s.T
+    force = _turned(steps.specific_force_s, np.zeros(3), R_0s)
+    rate = _turned(steps.angular_rate_s, rest.gyro_bias, R_0s)
     field = None if field is None else field @ R_0s.T
     after, _ = run_madgwick(
         np.minimum(steps.interval, LONGEST_STEP), force, rate, field, UNITY, options.beta, options.zeta
@@ -163,6 +164,15 @@ def _attitude(
         before = after[part.stop - 1].copy()
         release(R_ns, after)
     return R_ns, problems
+
+
+def _turned(values: Array, bias: Array, R: Array) -> Array:
+    """Vectors (P, 3) without their bias (3,), in the axes that R (3, 3) takes them to."""
+    out = roomy(values.shape)
+    for part in pieces(len(values)):
+        out[part] = (values[part] - bias) @ R.T
+        release(out, values)
+    return out
 
 
 def _field_at(t: Array, mag: MagSamples) -> Array:
@@ -191,7 +201,10 @@ def _mounting(
     """R_bs as configured, else level at rest and forward along the straights."""
     if session.config.mounting.R_bs is not None:
         return np.asarray(session.config.mounting.R_bs, dtype=np.float64), ()
-    _, _, yaw_l = euler_from_rotation(R_ns @ rest.R_ls.T)
+    yaw_l = np.empty(len(R_ns))
+    for part in pieces(len(R_ns)):
+        yaw_l[part] = euler_from_rotation(R_ns[part] @ rest.R_ls.T)[2]
+        release(R_ns)
     duration = np.inf if has_north else alignment.FIRST_MOTION  # without north, yaw drifts away later
     heading = alignment.forward_of_box(t, yaw_l, course, duration)
     if heading is None:
@@ -248,17 +261,22 @@ def _trajectory(
     timings: dict[str, float],
 ) -> Trajectory:
     n, origin = len(t), session.origin
-    exact = geodetic_to_nwu(*projection.to_degrees(filtered.position), np.full(n, origin.alt_m), origin)
-    unknown = np.full((n, 3), np.nan)
-    R_nb, acceleration_b, angular_rate_b = np.full((n, 3, 3), np.nan), unknown, unknown
+    position = roomy((n, 2))
+    for part in pieces(n):
+        lat_deg, lon_deg = projection.to_degrees(filtered.position[part])
+        position[part] = geodetic_to_nwu(lat_deg, lon_deg, np.full(len(lat_deg), origin.alt_m), origin)[:, :2]
+        release(position, filtered)
     if inertial is not None:
         R_nb, acceleration_b, angular_rate_b = _body_motion(inertial, t)
+    else:
+        unknown = np.full((n, 3), np.nan)
+        R_nb, acceleration_b, angular_rate_b = np.full((n, 3, 3), np.nan), unknown, unknown
     for values in (R_nb, acceleration_b, angular_rate_b):
         values.flags.writeable = False
     problems = (_NO_IMU,) if inertial is None else inertial.problems
     return Trajectory(
         t=t,
-        position_n=_with_unknown_up(exact[:, :2]),
+        position_n=_with_unknown_up(position),
         velocity_n=_with_unknown_up(filtered.velocity),
         R_nb=R_nb,
         acceleration_b=acceleration_b,
@@ -288,19 +306,32 @@ def _body_motion(inertial: Inertial, t: Array) -> tuple[Array, Array, Array]:
 
 
 def _with_unknown_up(horizontal: Array) -> Array:
-    return np.column_stack([horizontal, np.full(len(horizontal), np.nan)])
+    out = roomy((len(horizontal), 3))
+    for part in pieces(len(horizontal)):
+        out[part, :2], out[part, 2] = horizontal[part], np.nan
+        release(out, horizontal)
+    out.flags.writeable = False
+    return out
 
 
 def _sigmas(filtered: KalmanOutput) -> Sigmas:
     """Sigmas of the Kalman filter. It believes the fixes' errors independent, so they are its own, not honest ones."""
     n = len(filtered.position)
-    variance = filtered.velocity_covariance
-    speed = np.hypot(filtered.velocity[:, 0], filtered.velocity[:, 1])[:, None]
-    along = np.where(speed > 0.0, filtered.velocity / np.where(speed > 0.0, speed, 1.0), [1.0, 0.0])
+    position, velocity, of_speed = roomy((n, 2)), roomy((n, 2)), roomy(n)
+    for part in pieces(n):
+        variance, v = filtered.velocity_covariance[part], filtered.velocity[part]
+        speed = np.hypot(v[:, 0], v[:, 1])[:, None]
+        along = np.where(speed > 0.0, v / np.where(speed > 0.0, speed, 1.0), [1.0, 0.0])
+        position[part] = np.sqrt(np.einsum("kii->ki", filtered.position_covariance[part]))
+        velocity[part] = np.sqrt(np.einsum("kii->ki", variance))
+        of_speed[part] = np.sqrt(np.einsum("ki,kij,kj->k", along, variance, along))
+        release(position, velocity, of_speed, filtered)
+    unknown = _with_unknown_up(np.broadcast_to(np.nan, (n, 2)))
+    of_speed.flags.writeable = False
     return Sigmas(
-        position_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", filtered.position_covariance))),
-        velocity_n=_with_unknown_up(np.sqrt(np.einsum("kii->ki", variance))),
-        speed=np.sqrt(np.einsum("ki,kij,kj->k", along, variance, along)),
-        attitude=np.full((n, 3), np.nan),
+        position_n=_with_unknown_up(position),
+        velocity_n=_with_unknown_up(velocity),
+        speed=of_speed,
+        attitude=unknown,
         track=np.full(n, np.nan),
     )
