@@ -6,7 +6,8 @@ noise is the slow offset, a first-order Gauss-Markov process. Its sigma and time
 which a Kalman filter over means of `BIN` seconds finds for many candidates at once.
 
 What that decides (`offset_model`): fixes that scatter by more than a metre are not filtered, and have an offset only if
-they show one; filtered ones have one as receivers do, and its own sigma and time once a session is long enough to tell.
+they show one. Filtered ones have one as receivers do; how fast it walks is theirs within a minute, its own sigma and
+time once a session is long enough to tell.
 
 Sources: Gelb 1974, 3.8 (the process); Schweppe 1965 (likelihood from innovations); Akaike 1974 (the price of a value).
 """
@@ -38,6 +39,8 @@ WEIGHTY = 0.5  # weight in the path from which a measurement is one
 # Logarithms of candidates: tau s (what is faster is motion or white, what is slower a constant); walk 2 sigma^2 / tau
 # m^2/s, which the data know best; factor on the white variance that the path found.
 COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
+WALKS = np.linspace(-9.0, 1.5, 22)  # logarithms of walk over the usual one
+WALK_SPREAD = 3.0  # sigma of these beforehand: receivers of a metre and of a decimetre are both usual
 FINER = 2  # times that candidates are taken anew around the best, half as far apart
 AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
@@ -86,7 +89,7 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     if is_filtered and lasts <= TIMES * usual.tau:
-        return usual
+        return walked(fixes_t, path, usual)
     fit = fit_offset(fixes_t, path)
     if fit is None:
         return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
@@ -95,7 +98,23 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     own = usual.sigma * (fit.sigma / usual.sigma[0])
     if lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE:
         return OffsetModel(own, fit.tau, fit.tau_spread)
-    return usual if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+    return walked(fixes_t, path, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+
+
+def walked(fixes_t: Array, path: GnssPath, usual: OffsetModel) -> OffsetModel:
+    """Return the usual offset with a sigma at which it walks, over seconds, as the fixes of `path` show.
+
+    Sigma and time together say how fast it walks, and that is what a fix is worth against the next one. What it amounts
+    to over minutes stays open, and is for the reader of absolute positions to be told.
+    """
+    seen = drift_against_doppler(fixes_t, path)
+    if len(seen.t) < FEWEST or np.mean(path.velocity_weight > WEIGHTY) < LEAST_DOPPLER:
+        return usual
+    mean = math.log(2.0 * usual.sigma[0] ** 2 / usual.tau)
+    candidates = _grid((np.array([math.log(usual.tau)]), mean + WALKS, COARSE[2]))
+    found = _log_likelihood(seen, candidates) - 0.5 * ((candidates[1] - mean) / WALK_SPREAD) ** 2
+    share = math.exp(0.5 * (float(candidates[1, np.argmax(found)]) - mean))
+    return OffsetModel(usual.sigma * share, usual.tau)
 
 
 def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:

@@ -81,9 +81,28 @@ def test_the_time_is_told_by_long_sessions_alone(half_hours: list[Made], fits: C
     told = [m for m in models if math.isfinite(m.tau_spread)]
     assert len(told) >= 2
     assert all(m.tau != USUAL.tau and m.tau_spread < 0.3 for m in told)
-    assert all(m is USUAL for m in models if not math.isfinite(m.tau_spread))
+    assert all(m.tau == USUAL.tau for m in models if not math.isfinite(m.tau_spread))
     ten_minutes = fits(seed=5, duration=600.0, rate=2.0)
-    assert offset_model(*ten_minutes, USUAL, is_filtered=True) is USUAL
+    assert math.isinf(offset_model(*ten_minutes, USUAL, is_filtered=True).tau_spread)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 2.0, 4.0])
+@pytest.mark.parametrize("duration", [100.0, 500.0])
+def test_how_fast_the_offset_walks_is_told_by_a_minute(
+    fits: Callable[..., Made], sigma: float, duration: float
+) -> None:
+    for seed in range(3):
+        made = fits(seed=seed, duration=duration, offset=(sigma, sigma, 1.7 * sigma), tau=60.0, white=(0.05, 0.05, 0.1))
+        found = offset_model(*made, USUAL, is_filtered=True)
+        # fifty steps of two axes: their variance is known to a fifth, and candidates a quarter apart in sigma; in 2 s
+        # an offset of 0.1 m walks 0.03 m and Doppler 0.1 m, of which it may have a part
+        assert found.sigma[0] == pytest.approx(sigma, rel=0.5, abs=0.4)
+        assert found.tau == USUAL.tau
+
+
+def test_a_walk_that_fixes_cannot_tell_is_the_usual_one(fits: Callable[..., Made]) -> None:
+    assert offset_model(*fits(duration=300.0, doppler=None), USUAL, is_filtered=True) is USUAL
+    assert offset_model(*fits(duration=2.0 * FEWEST - 10.0), USUAL, is_filtered=True) is USUAL
 
 
 def test_the_drift_is_the_offset_and_what_doppler_adds_up_to(lap_fixes: Callable) -> None:
