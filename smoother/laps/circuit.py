@@ -116,7 +116,8 @@ def laps_on_line(path: PlanPath, curve: Curve, followed: Followed, blind: BoolAr
     lap = np.floor(followed.distance / curve.length)
     seen = np.unique(lap[followed.is_on])
     order = np.argsort(lap, kind="stable")
-    starts, ends = (np.searchsorted(lap[order], seen, side=side) for side in ("left", "right"))
+    lap = lap[order]
+    starts, ends = np.searchsorted(lap, seen), np.searchsorted(lap, seen, side="right")
     for number, start, end in zip(seen, starts, ends, strict=True):
         r = order[start:end]
         covered = np.ptp(followed.distance[r])

@@ -54,14 +54,17 @@ def refollow(path: PlanPath, before: Curve, followed: Followed, curve: Curve) ->
     """Return where the path is on a line that lies within metres of the one it was followed on."""
     at = before.line.distance
     there, _ = curve.project(before.line.position_n, at * curve.length / before.length)
-    if not before.line.is_closed:
-        moved = np.interp(followed.distance, at, there)
-    else:
-        laps = np.floor(followed.distance / before.length)
-        within = followed.distance - laps * before.length
-        ends = np.append(at, before.length), np.append(there, there[0] + curve.length)
-        moved = laps * curve.length + np.interp(within, *ends)
-    return _refined(path, curve, path.t, np.where(followed.is_on, moved, np.nan))
+    ends = np.append(at, before.length), np.append(there, there[0] + curve.length)
+    moved = np.empty(len(path.t))
+    for part in pieces(len(moved)):
+        distance = followed.distance[part]
+        if before.line.is_closed:
+            laps = np.floor(distance / before.length)
+            distance = laps * curve.length + np.interp(distance - laps * before.length, *ends)
+        else:
+            distance = np.interp(distance, at, there)
+        moved[part] = np.where(followed.is_on[part], distance, np.nan)
+    return _refined(path, curve, path.t, moved)
 
 
 def _rows(path: PlanPath) -> IntArray:
@@ -216,10 +219,10 @@ def _refined(path: PlanPath, curve: Curve, t: Array, coarse: Array) -> Followed:
     n = len(path.t)
     if not on.any():
         return Followed(np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.bool_))
-    share, t_on, coarse_on = on.astype(np.float64), t[on], coarse[on]
+    t_on, coarse_on = (t, coarse) if on.all() else (t[on], coarse[on])
     distance, lateral, is_on = np.empty(n), np.full(n, np.nan), np.empty(n, dtype=np.bool_)
     for part in pieces(n, ROWS_TOGETHER):
-        here = _between_times(path.t[part], t, share) > 0.999
+        here = _between_times(path.t[part], t, on) > 0.999
         guess = _between_times(path.t[part], t_on, coarse_on)
         place, beside = guess.copy(), np.full(len(guess), np.nan)
         place[here], beside[here] = curve.project(path.position_n[part][here], guess[here])
@@ -228,7 +231,7 @@ def _refined(path: PlanPath, curve: Curve, t: Array, coarse: Array) -> Followed:
     return Followed(distance, np.where(is_on, lateral, np.nan), is_on)
 
 
-def _between_times(at: Array, t: Array, values: Array) -> Array:
+def _between_times(at: Array, t: Array, values: Array | BoolArray) -> Array:
     """Values (N,) over t (N,) at times `at` (K,), ascending, linearly: of a long recording that part alone is met."""
     around = slice(max(int(np.searchsorted(t, at[0])) - 1, 0), int(np.searchsorted(t, at[-1])) + 1)
     return np.interp(at, t[around], values[around])

@@ -58,11 +58,13 @@ def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
 def _sigma(trajectory: Trajectory, path: PlanPath) -> Array:
     """Sigma (N,) rad: heading, and velocity across the direction of travel."""
     assert trajectory.sigmas is not None
-    velocity = trajectory.sigmas.velocity_n
-    across = np.hypot(velocity[:, 0], velocity[:, 1]) / np.sqrt(2.0)
-    sigma = np.hypot(trajectory.sigmas.attitude[:, 2], across / np.maximum(path.speed, 0.1))
-    release(trajectory.sigmas)
-    return np.asarray(sigma)
+    sigma = np.empty(len(trajectory))
+    for part in pieces(len(trajectory)):
+        velocity, yaw = trajectory.sigmas.velocity_n[part], trajectory.sigmas.attitude[part, 2]
+        across = np.hypot(velocity[:, 0], velocity[:, 1]) / np.sqrt(2.0)
+        sigma[part] = np.hypot(yaw, across / np.maximum(path.speed[part], 0.1))
+        release(trajectory.sigmas)
+    return sigma
 
 
 def outward(sideslip: Array, sigma: Array, inside: BoolArray, turns_left: bool) -> tuple[Array, Array]:
