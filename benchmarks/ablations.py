@@ -34,6 +34,7 @@ from thinning import DATA, read_estimate, scored, thin
 
 from smoother.arrays import Array
 from smoother.config import ImuNoise
+from smoother.estimate.gnss_offset import OffsetModel
 from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
@@ -145,6 +146,14 @@ def _no_ratio(_: Any) -> Array:
     return np.ones(3)
 
 
+def _no_share(*_: Any) -> float:
+    return 0.0
+
+
+def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetModel:
+    return usual
+
+
 def _as_given(_: Any, __: Any, sigma: Array, *___: Any) -> Array:
     return sigma
 
@@ -208,6 +217,8 @@ EFFECTS = (
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
+    Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
+    Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("reported accuracies", session=_no_reports),
     Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
