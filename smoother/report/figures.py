@@ -32,6 +32,7 @@ SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
 CELLS = 75  # along each side of the g-g diagram
 MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
+DOTS = 10  # for each point of a line, where an angle turns too fast for one
 MANY_FIXES = 5000  # beyond it their dots are drawn smaller
 
 
@@ -415,11 +416,13 @@ def _line(
     part: tuple[float, float] | None = None,
 ) -> None:
     rows = slice(None) if part is None else slice(*np.searchsorted(trajectory.t, part))
-    t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=2 * style.pixels(axes))
+    points = 2 * style.pixels(axes)
+    t, thin = style.thinned(trajectory.t[rows] - shown.start, values[rows], points=points)
     if wraps:
         broken = style.broken_at_wraps(thin)
         if np.count_nonzero(np.isnan(broken)) > MOSTLY * len(thin):  # whole turns within a pixel, and no line left
-            line = ","
+            some = slice(None, None, max(1, len(values[rows]) // (DOTS * points)))
+            t, thin, line = trajectory.t[rows][some] - shown.start, values[rows][some], ","
         else:
             thin = broken
     axes.plot(t, thin, line, color=colour, label=label, linewidth=width)

@@ -137,9 +137,13 @@ def _settle(axes: Axes) -> None:
 
 
 def clock_axis(axes: Axes, seconds: float) -> None:
-    """Label the x axis of `seconds` length as minutes:seconds, or hours:minutes when it is long."""
+    """Label the x axis of `seconds` length as minutes:seconds, hours:minutes:seconds, or hours when it is very long."""
     step = next((step for step in _TICK_STEPS if seconds / step <= 8), 6 * 3600)
     axes.xaxis.set_major_locator(MultipleLocator(step))
+    if step >= 3600:
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x / 3600:.0f}"))
+        axes.set_xlabel("time since the first fix (h)")
+        return
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: clock(x, step)))
     axes.set_xlabel("time since the first fix (h:min:s)" if seconds >= 3600 else "time since the first fix (min:s)")
 

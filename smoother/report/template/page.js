@@ -43,7 +43,8 @@
   const factor = () => UNITS[state.unit];
   const fixed = (value, digits, signed) =>
     Number.isFinite(value) ? (signed && value >= 0 ? "+" : "") + value.toFixed(digits) : "–";
-  const clock = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+  const two = (n) => String(Math.floor(n)).padStart(2, "0");
+  const clock = (s) => s < 3600 ? `${Math.floor(s / 60)}:${two(s % 60)}` : `${Math.floor(s / 3600)}:${two(s / 60 % 60)}:${two(s % 60)}`;
   const along = (x) => (data.axis === "time" ? clock(x) : `${x.toFixed(0)} m`);
   function niceStep(span, most) {
     const rough = span / most;
@@ -57,7 +58,7 @@
     return [out, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
   }
   function clockTicks(low, high) {
-    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600].find((s) => (high - low) / s <= 9) || 7200;
+    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200].find((s) => (high - low) / s <= 9) || 14400;
     const out = [];
     for (let v = Math.ceil(low / step) * step; v <= high; v += step) out.push(v);
     return out;
