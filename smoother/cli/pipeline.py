@@ -36,7 +36,7 @@ OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
 PAGE = "report.html"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
-SHOWN_ROWS = 1_000_000  # five hours at 50 Hz
+SHOWN_ROWS = 600_000  # three hours at 50 Hz; a day is drawn with six rows a second
 STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
 """What an earlier run with other options may have left, and this one then removes."""
 
