@@ -213,6 +213,7 @@ EFFECTS = (
         patches=((batch, "SENSOR_ERROR", (OFF, OFF)),),
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
+    Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),

@@ -28,7 +28,7 @@ _RELINEARIZE = {
     "v": [0.1] * 3,
     "b": [0.05] * 3 + [0.005] * 3,
     "o": [1e6] * 3,
-    "c": [0.005] * 2 + [0.05] * 3 + [1e6] * 9,
+    "c": [0.005] * 2 + [0.05] * 6 + [1e6] * 9,
 }
 _AVERAGED = 0.1  # s each side of a keyframe over which force and rate are averaged: a receiver follows no vibration
 _HELD = 1e-3  # m; the height of the antenna, which the drive does not show, does not move by a digit
@@ -55,6 +55,7 @@ class LagOptions:
     gyro_bias: float = 0.035
     latency: float = 0.25
     lever_arm: float = 0.5
+    doppler_bias: float = 0.03
     sensor_error: float = 0.01
 
 
@@ -199,11 +200,11 @@ class FixedLag:
         self._update(graph, values)
 
     def _constants_prior(self) -> tuple[Array, Array]:
-        """Mean (14,) and covariance (14, 14). The height of the antenna is held, as in the batch graph."""
+        """Mean (17,) and covariance (17, 17). The height of the antenna is held, as in the batch graph."""
         s, o = self._start, self._options
         mean, sigma = np.zeros(rows.CONSTANTS), np.full(rows.CONSTANTS, o.sensor_error)
         mean[:2] = s.position_latency, s.velocity_latency
-        sigma[:2] = o.latency
+        sigma[:2], sigma[rows.DOPPLER_BIAS] = o.latency, o.doppler_bias
         covariance = np.diag(sigma**2)
         level = np.diag([o.lever_arm**2, o.lever_arm**2, _HELD**2])
         covariance[rows.LEVER_ARM, rows.LEVER_ARM] = s.R_bs.T @ level @ s.R_bs

@@ -1,8 +1,8 @@
 """What the window's factors say, without the window: rows of a fix, the offset's step, the biases' step.
 
-Constants of a stream, in this order: position latency, velocity latency, s; lever arm (3,) m in s; errors of scale and
-misalignment of force (3, 2) and of rate (3,), as in the batch graph: by which the measured force grows per force along
-each level axis of the kart, the rate per rate about up.
+Constants of a stream, in this order: position latency, velocity latency, s; lever arm (3,) m in s; bias of the
+receiver's velocity (3,) m/s in n; errors of scale and misalignment of force (3, 2) and of rate (3,), as in the batch
+graph: by which the measured force grows per force along each level axis of the kart, the rate per rate about up.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from smoother.arrays import Array
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, interval_noise
 from smoother.frames import GRAVITY_N
 
-POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM = 0, 1, slice(2, 5)
-ACCEL_ERROR, GYRO_ERROR = slice(5, 11), slice(11, 14)
-CONSTANTS = 14
+POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, DOPPLER_BIAS = 0, 1, slice(2, 5), slice(5, 8)
+ACCEL_ERROR, GYRO_ERROR = slice(8, 14), slice(14, 17)
+CONSTANTS = 17
 _EYE = np.eye(3)
 
 
@@ -52,8 +52,9 @@ def fix_rows(
     by_constants[3:, VELOCITY_LATENCY] = -a
     by_constants[:3, LEVER_ARM] = R_ns @ (_EYE + late * turning)
     by_constants[3:, LEVER_ARM] = R_ns @ turning
+    by_constants[3:, DOPPLER_BIAS] = _EYE
     moved = p + v * late + 0.5 * a * late**2 + R_ns @ swung + offset
-    velocity = v + a * late_velocity + R_ns @ swing
+    velocity = v + a * late_velocity + R_ns @ swing + constants[DOPPLER_BIAS]
     return np.concatenate([moved, velocity]), (by_pose, by_velocity, by_offset, by_constants)
 
 
@@ -101,7 +102,7 @@ def offset_step(left: int, right: int, phi: float, sigma: Array) -> gtsam.Nonlin
 
 
 def felt_errors(level_axes_s: Array, force_s: Array, rate_s: Array) -> Array:
-    """Errors (6,) of mean force and rate (3,), in s, by the constants, (6, 14).
+    """Errors (6,) of mean force and rate (3,), in s, by the constants, (6, 17).
 
     level_axes_s (3, 3): rows are the kart's axes in s, two level ones and up.
     """
@@ -112,14 +113,14 @@ def felt_errors(level_axes_s: Array, force_s: Array, rate_s: Array) -> Array:
 
 
 def bias_start(bias: int, constants: int, mean: Array, sigma: Array, felt: Array) -> gtsam.NonlinearFactor:
-    """Prior on the first bias as felt, mean and sigma (6,) of what is left without the errors `felt` (6, 14)."""
+    """Prior on the first bias as felt, mean and sigma (6,) of what is left without the errors `felt` (6, 17)."""
     model = gtsam.noiseModel.Diagonal.Sigmas(sigma)
     factor = gtsam.JacobianFactor(bias, np.eye(6), constants, -felt, mean, model)
     return gtsam.LinearContainerFactor(factor, _zeros({constants: CONSTANTS}, bias))
 
 
 def bias_step(left: int, right: int, constants: int, more_felt: Array, sigma: Array) -> gtsam.NonlinearFactor:
-    """Step of the bias as felt: its walk, sigma (6,), and the errors (6, 14) felt more than in the last step."""
+    """Step of the bias as felt: its walk, sigma (6,), and the errors (6, 17) felt more than in the last step."""
     model = gtsam.noiseModel.Diagonal.Sigmas(sigma)
     factor = gtsam.JacobianFactor(left, -np.eye(6), right, np.eye(6), constants, -more_felt, np.zeros(6), model)
     return gtsam.LinearContainerFactor(factor, _zeros({constants: CONSTANTS}, left, right))

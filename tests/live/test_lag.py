@@ -67,7 +67,7 @@ def test_errors_of_scale_are_felt_as_the_batch_smoother_takes_them_out() -> None
     axes, force, rate = so3.exp(rng.normal(0, 1, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
     accel_error, gyro_error = rng.normal(0, 0.01, (3, 2)), rng.normal(0, 0.01, 3)
     state = Constants(0.0, 0.0, np.zeros(3), accel_error=accel_error, gyro_error=gyro_error, level_axes_s=axes)
-    constants = np.concatenate([np.zeros(5), accel_error.ravel(), gyro_error])
+    constants = np.concatenate([np.zeros(8), accel_error.ravel(), gyro_error])
     felt = felt_errors(axes, force, rate) @ constants
     np.testing.assert_allclose(felt[:3], state.accel_matrix @ force, atol=1e-12)
     np.testing.assert_allclose(felt[3:], state.gyro_matrix @ rate, atol=1e-12)

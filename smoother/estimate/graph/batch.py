@@ -104,7 +104,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (15,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known.
@@ -200,8 +200,8 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
 
-        before (15,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (15, 15) is the covariance of constants that are to stay where they are.
+        before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (18, 18) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
@@ -297,7 +297,7 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (15,) of all constants."""
+    """Prior sigma (18,) of all constants."""
     sigma = priors.constants_sigma.copy()
     sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
     return sigma

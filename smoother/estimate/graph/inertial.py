@@ -166,12 +166,12 @@ def _moved(at_rest: gtsam.Values, tangents: Sequence[Array]) -> gtsam.Values:
 
 
 def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual for sensor errors that differ by `constants_step` (15,)."""
+    """Return the factors with the residual for sensor errors that differ by `constants_step` (18,)."""
     return replace(linear, residual=linear.residual + linear.errors @ constants_step[_ERRORS])
 
 
 def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (15,)."""
+    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (18,)."""
     moved = np.einsum("kri,ki->kr", linear.left, step[:-1, _INERTIAL])
     moved += np.einsum("kri,ki->kr", linear.right, step[1:, _INERTIAL])
     return inertial_after_errors(replace(linear, residual=linear.residual + moved), constants_step)

@@ -18,6 +18,7 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.state import (
+    DOPPLER_BIAS,
     GYRO_BIAS,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
@@ -45,7 +46,7 @@ _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 6). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 9). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -134,7 +135,7 @@ def position_rows(
 def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
     """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
 
-    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 6) by the row constants.
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 9) by the row constants.
     """
     b = bracket(state, t)
     R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
@@ -159,7 +160,7 @@ def velocity_rows(
     rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, state.constants.lever_arm_s)
     swing_n = np.cross(rate_n, arm_n)
     weights = hermite_velocity(b)
-    residual = _on_curve(state, b, weights) + swing_n - measured_n
+    residual = _on_curve(state, b, weights) + swing_n + state.constants.doppler_bias_n - measured_n
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
@@ -167,6 +168,7 @@ def velocity_rows(
     _put_turn(left, right, state, b, -turning @ so3.skew(arm_n))
     # the rate is measured minus bias, and the swing is minus [l]x times it
     left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
+    constants[:, :, DOPPLER_BIAS] = np.eye(3)
     acceleration_n = at_times(path, felt.acceleration_n, at)
     constants[:, :, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
     constants[:, :, LEVER_ARM] = turning @ R_ns
@@ -227,7 +229,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (15,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (18,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -294,7 +296,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (15,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (18,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])

@@ -13,7 +13,7 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
-from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
@@ -31,7 +31,7 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
-    sensor_error: scale and misalignment; the data sheet's 3 % is the
+    doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
     limit, not the spread.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. rounds: of solving and identifying.
@@ -46,6 +46,7 @@ class GraphOptions:
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
     lever_arm_sigma: float = 0.5
+    doppler_bias_sigma: float = 0.03
     sensor_error_sigma: float = 0.01
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
@@ -164,6 +165,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
+    sigma[DOPPLER_BIAS] = options.doppler_bias_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6

@@ -15,14 +15,15 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
-# Constants of the session. The first six enter the rows of rows.py, the sensor errors only the inertial factors.
+# Constants of the session. The first nine enter the rows of rows.py, the sensor errors only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
-ROW_CONSTANTS_SIZE = 6
-ACCEL_ERROR, GYRO_ERROR = slice(6, 12), slice(12, 15)
-CONSTANTS_SIZE = 15
+DOPPLER_BIAS = slice(6, 9)
+ROW_CONSTANTS_SIZE = 9
+ACCEL_ERROR, GYRO_ERROR = slice(9, 15), slice(15, 18)
+CONSTANTS_SIZE = 18
 
 
-def _no_gyro_error() -> Array:
+def _no_bias() -> Array:
     return np.zeros(3)
 
 
@@ -37,9 +38,9 @@ def _s_is_level() -> Array:
 @dataclass(frozen=True, eq=False)
 class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
-    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; accel_error (3, 2), scale and
-    misalignment: by which the measured force grows per force along each of the two level axes; gyro_error (3,),
-    likewise of the rate about up.
+    IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
+    receiver's velocity; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along
+    each of the two level axes; gyro_error (3,), likewise of the rate about up.
 
     level_axes_s (3, 3), not estimated: rows are those axes in s, two level ones and up. A scale multiplies what is felt
     across gravity and turned about it. Along gravity it is a bias; a kart's rates of roll and pitch are mostly noise,
@@ -50,8 +51,9 @@ class Constants:
     velocity_latency: float
     lever_arm_s: Array
     heading_offset: float = 0.0
+    doppler_bias_n: Array = field(default_factory=_no_bias)
     accel_error: Array = field(default_factory=_no_accel_error)
-    gyro_error: Array = field(default_factory=_no_gyro_error)
+    gyro_error: Array = field(default_factory=_no_bias)
     level_axes_s: Array = field(default_factory=_s_is_level)
 
     @property
@@ -68,7 +70,7 @@ class Constants:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
         latencies, offset = np.array([self.position_latency, self.velocity_latency]), np.array([self.heading_offset])
         errors = [self.accel_error.ravel(), self.gyro_error]
-        return np.concatenate([latencies, self.lever_arm_s, offset, *errors])
+        return np.concatenate([latencies, self.lever_arm_s, offset, self.doppler_bias_n, *errors])
 
     @staticmethod
     def from_vector(x: Array, level_axes_s: Array) -> "Constants":
@@ -78,6 +80,7 @@ class Constants:
             float(x[1]),
             np.array(x[LEVER_ARM]),
             float(x[5]),
+            np.array(x[DOPPLER_BIAS]),
             x[ACCEL_ERROR].reshape(3, 2),
             np.array(x[GYRO_ERROR]),
             level_axes_s,

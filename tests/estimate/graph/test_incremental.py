@@ -17,7 +17,7 @@ from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 
 T, RATE, N_BINS = 0.2, 200.0, 10
-CONSTANTS = Constants(0.13, 0.21, np.array([0.3, -0.2, 0.4]), 0.1)
+CONSTANTS = Constants(0.13, 0.21, np.array([0.3, -0.2, 0.4]), 0.1, np.array([0.02, -0.01, 0.0]))
 FROZEN = 1e-7  # sigma of the constants, with which the batch solves what the stream does: the constants are known
 GYRO_BIAS = np.array([0.01, 0.02, -0.015])
 FIELD_N = np.array([1.0, 0.0, -2.0])
@@ -76,7 +76,7 @@ def drive(outlier: float = 0.0, duration: float = 40.0) -> Drive:
     arm_n, swing_n = R_ns @ CONSTANTS.lever_arm_s, np.cross(rate_n, R_ns @ CONSTANTS.lever_arm_s)
     at, late = (np.searchsorted(t, stamps - latency) for latency in (0.13, 0.21))
     position = (p + arm_n)[at] + np.array([1.5, -2.0, 2.0]) + 0.2 * rng.normal(size=(len(at), 3))
-    velocity = (v + swing_n)[late] + 0.15 * rng.normal(size=(len(at), 3))
+    velocity = (v + swing_n)[late] + CONSTANTS.doppler_bias_n + 0.15 * rng.normal(size=(len(at), 3))
     position[50, :2] += outlier
     velocity[::7, 2] = np.nan
     looks = np.arange(0, len(keyframes) - 1, 5)

@@ -64,6 +64,7 @@ def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
         rng.uniform(0.02, 0.2),
         0.5 * rng.normal(size=3),
         heading_offset=rng.normal(),
+        doppler_bias_n=0.1 * rng.normal(size=3),
         accel_error=0.01 * rng.normal(size=(3, 2)),
         gyro_error=0.01 * rng.normal(size=3),
     )
@@ -239,7 +240,8 @@ class TestResiduals:
             return R, p, radius * pace * np.stack([np.cos(yaw), np.sin(yaw), 0.0 * t], axis=1)
 
         zeros = np.zeros((K, 3))
-        constants = Constants(position_latency, velocity_latency, arm_s)
+        doppler_bias_n = np.array([0.03, -0.05, 0.1])
+        constants = Constants(position_latency, velocity_latency, arm_s, doppler_bias_n=doppler_bias_n)
         state = ChainState(t, *at(t), zeros, zeros, np.tile(offset_n, (K, 1)), constants)
         force = np.array([0.0, radius * pace**2, 9.80665])
         rate = np.array([0.0, 0.0, pace])
@@ -257,7 +259,7 @@ class TestResiduals:
         rows = position_rows(state, path, felt_on(path, state, rates), ask, fix, ones, position_latency)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-4)
         R, _, v = at(ask - velocity_latency)
-        doppler = v + np.einsum("nij,j->ni", R, np.cross(rate, arm_s))
+        doppler = v + np.einsum("nij,j->ni", R, np.cross(rate, arm_s)) + doppler_bias_n
         rows = velocity_rows(state, path, felt_on(path, state, rates), ask, doppler, ones)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
 
