@@ -2,12 +2,12 @@
 
     SMOOTH_DATA=../shared/data python benchmarks/ablations.py --results ablations.jsonl
 
-Every case (a simulated session, or a recording with fixes left out) is estimated with everything on, and with each
-effect off; a difference is paired, case by case. For simulated sessions it is that of the error against truth, for
-recordings that at the dropped fixes, in blocks of time in place of seeds. A change stands in the table in per cent with
-a hundred times the standard error of its logarithm; it counts (bold) when Student's t says that chance would show it
-once in CHANCE. The switches are options and settings where there are any, else patches made here for the length of a
-run: the product has no knobs for what nobody should turn.
+Every case (a simulated session, a recording with fixes left out, two modules in one car) is estimated with everything on,
+and with each effect off; a difference is paired, case by case. For simulated sessions it is that of the error against
+truth, for recordings that at the dropped fixes or between the two modules, in blocks of time in place of seeds. A change
+stands in the table in per cent with a hundred times the standard error of its logarithm; it counts (bold) when Student's
+t says that chance would show it once in CHANCE. The switches are options and settings where there are any, else patches
+made here for the length of a run: the product has no knobs for what nobody should turn.
 
 Results are kept in a file of lines, so that a stopped run goes on where it was; --report prints the tables again.
 """
@@ -31,6 +31,7 @@ import numpy as np
 from scipy.stats import t as student
 from scoring import SCORED_RATE, Case, cases, compare, normalised_errors, recorded, rms_errors
 from thinning import DATA, read_estimate, scored, thin
+from twins import differ, twin_sessions
 
 from smoother.arrays import Array
 from smoother.config import ImuNoise
@@ -41,6 +42,7 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import BinnedImu, DensePath
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.resample import position_at
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
@@ -308,6 +310,19 @@ class Thinned:
 
 
 @dataclass(frozen=True)
+class Twins:
+    """Two modules in one car for half an hour: they are to say the same."""
+
+    @property
+    def group(self) -> str:
+        """Heading of its table's column."""
+        return "two modules in one car"
+
+
+Work = Simulated | Thinned | Twins
+
+
+@dataclass(frozen=True)
 class Result:
     """One case with one effect off. errors: by quantity, or by block of a recording; scaled: rms error over sigma.
 
@@ -321,11 +336,13 @@ class Result:
     scaled: dict[str, float]
 
 
-def run(work: tuple[Simulated | Thinned, str]) -> Result:
+def run(work: tuple[Work, str]) -> Result:
     """Estimate one case without one effect."""
     case, name = work
     try:
         effect = BY_NAME[name]
+        if isinstance(case, Twins):
+            return _run_twins(case, effect)
         return _run_recording(case, effect) if isinstance(case, Thinned) else _run_simulated(case, effect)
     except np.linalg.LinAlgError as error:  # what is left of the model may have no solution: that is a result as well
         print(f"{case}, {name}: {error}", file=sys.stderr)
@@ -367,6 +384,16 @@ def _run_recording(case: Thinned, effect: Effect) -> Result:
     blocks = np.array_split(error, BLOCKS)
     errors = {f"block {i}": float(np.sqrt(np.mean(block))) for i, block in enumerate(blocks)}
     return Result(case.group, case.recording, effect.name, errors, {})
+
+
+def _run_twins(case: Twins, effect: Effect) -> Result:
+    sessions, t = twin_sessions(DATA)
+    second, first = (effect.estimate(session) for session in reversed(sessions))
+    lag = differ(effect.name, second, first, t).lag
+    apart = np.sum((position_at(second, t + lag) - position_at(first, t))[:, :2] ** 2, axis=1)
+    blocks = np.array_split(apart, BLOCKS)
+    errors = {f"block {i}": float(np.sqrt(np.mean(block))) for i, block in enumerate(blocks)}
+    return Result(case.group, case.group, effect.name, errors, {})
 
 
 def _beginning(session: Session, duration: float) -> Session:
@@ -563,9 +590,9 @@ def main() -> None:
     print(report(done))
 
 
-def _wanted(arguments: argparse.Namespace) -> list[tuple[Simulated | Thinned, str]]:
+def _wanted(arguments: argparse.Namespace) -> list[tuple[Work, str]]:
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    sessions: list[Simulated | Thinned] = []
+    sessions: list[Work] = []
     for name in [] if arguments.no_simulations else arguments.world or WORLDS:
         world = WORLDS[name]
         drawn = cases(world.preset, seeds, arguments.duration)
@@ -573,20 +600,21 @@ def _wanted(arguments: argparse.Namespace) -> list[tuple[Simulated | Thinned, st
     if DATA.is_dir() and not arguments.no_recordings:
         for interval in arguments.interval or (1.0, 2.0, 5.0):
             sessions += [Thinned(name, interval, arguments.duration) for name in RECORDINGS]
+        sessions.append(Twins())
     effects = [FULL.name, *(arguments.effect or [e.name for e in EFFECTS])]
     return [(session, effect) for effect in effects for session in sessions]
 
 
-def _missing(
-    wanted: list[tuple[Simulated | Thinned, str]], done: list[Result]
-) -> list[tuple[Simulated | Thinned, str]]:
+def _missing(wanted: list[tuple[Work, str]], done: list[Result]) -> list[tuple[Work, str]]:
     known = {(r.group, r.case, r.effect) for r in done}
     return [work for work in wanted if _key(*work) not in known]
 
 
-def _key(work: Simulated | Thinned, effect: str) -> Key:
+def _key(work: Work, effect: str) -> Key:
     if isinstance(work, Thinned):
         return work.group, work.recording, effect
+    if isinstance(work, Twins):
+        return work.group, work.group, effect
     return work.world, work.case.name, effect
 
 

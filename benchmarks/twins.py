@@ -107,12 +107,17 @@ def beside_rtk(data: Path) -> tuple[Difference, Difference]:
     return differ("fixes", fixes_as_trajectory(session), truth, t), differ("smoothed", smoothed, truth, t)
 
 
-def between_twins(data: Path) -> tuple[Difference, Difference]:
-    """Difference of module b from module a: of their fixes, and of their smoothed paths."""
+def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
+    """Modules a and b in one n, and the times (N,) s at which both have fixes."""
     first, second = (prepare(load_raw(data / name)) for name in TWINS)
-    second = _with_origin_of(second, first)
     stamps = [first.gnss.t, second.gnss.t]
     t = common_times(stamps, np.arange(max(s[0] for s in stamps), min(s[-1] for s in stamps), SPACING))
+    return (first, _with_origin_of(second, first)), t
+
+
+def between_twins(data: Path) -> tuple[Difference, Difference]:
+    """Difference of module b from module a: of their fixes, and of their smoothed paths."""
+    (first, second), t = twin_sessions(data)
     raw = differ("fixes", fixes_as_trajectory(second), fixes_as_trajectory(first), t)
     paths = [GraphSmoother().estimate(session) for session in (second, first)]
     return raw, differ("smoothed", *paths, t)
