@@ -2,12 +2,12 @@
 
     SMOOTH_DATA=../shared/data python benchmarks/ablations.py --results ablations.jsonl
 
-Every case (a simulated session, a recording with fixes left out, two modules in one car) is estimated with everything on,
-and with each effect off; a difference is paired, case by case. For simulated sessions it is that of the error against
-truth, for recordings that at the dropped fixes or between the two modules, in blocks of time in place of seeds. A change
-stands in the table in per cent with a hundred times the standard error of its logarithm; it counts (bold) when Student's
-t says that chance would show it once in CHANCE. The switches are options and settings where there are any, else patches
-made here for the length of a run: the product has no knobs for what nobody should turn.
+Every case (a simulated session, a recording with fixes left out, two modules in one car) is estimated with everything
+on, and with each effect off; a difference is paired, case by case. For simulated sessions it is that of the error
+against truth, for recordings that at the dropped fixes or between the two modules, in blocks of time in place of
+seeds. A change stands in the table in per cent with a hundred times the standard error of its logarithm; it counts
+(bold) when Student's t says that chance would show it once in CHANCE. The switches are options and settings where
+there are any, else patches made here for the length of a run: the product has no knobs for what nobody should turn.
 
 Results are kept in a file of lines, so that a stopped run goes on where it was; --report prints the tables again.
 """
