@@ -90,14 +90,13 @@ def run(case: Case, gps_only: bool) -> SessionScore:
     found = analyse(estimate, fixes)
     seconds = between - since, 0.5 * (time.process_time() - between)
     crossings = simulation.lap_crossings()
-    crossings = judged(crossings, estimate)
+    crossings = within(crossings, estimate)
     logged = logged_times(given, simulation, fixes.position_n)
-    end = last_judged(estimate)
-    laps, given_counts = scored(given, crossings, simulation, logged, case.standing, end)
+    laps, given_counts = scored(given, crossings, simulation, logged, case.standing, estimate)
     found_errors, found_counts = [], (0, 0, 0)
     if found.start_line is not None:
         on_found = true_crossings(simulation, found.start_line, session.origin, estimate)
-        pairs, missed, false = paired(found, on_found, end)
+        pairs, missed, false = paired(found, on_found, estimate)
         found_counts = len(on_found) - 1, missed, false
         found_errors = [(found.laps[i].time - t, found.laps[i].sigma) for i, t, _ in pairs]
     return SessionScore(case, laps, given_counts, found_counts, found_errors, seconds, given.sigma_source)
@@ -124,32 +123,35 @@ def true_crossings(simulation: Simulation, line: Line, origin: Origin, estimate:
     lat, lon, _ = nwu_to_geodetic(ends, origin)
     plan = geodetic_to_nwu(lat, lon, np.full(2, simulation.truth.origin.alt_m), simulation.truth.origin)[:, :2]
     crossings = simulation.truth.crossings(plan, simulation.scenario.lever_arm_b)
-    return judged(crossings, estimate)
+    return within(crossings, estimate)
 
 
-def judged(crossings: Array, estimate: Trajectory) -> Array:
-    """Return those of the true times (K,) s that lie within the session, and not at its very end."""
-    return np.asarray(crossings[(crossings > estimate.t[0]) & (crossings < last_judged(estimate))])
+def within(crossings: Array, estimate: Trajectory) -> Array:
+    """Return those of the true times (K,) s that lie within the session."""
+    return np.asarray(crossings[(crossings > estimate.t[0]) & (crossings < estimate.t[-1])])
 
 
-def last_judged(estimate: Trajectory) -> float:
-    """Time s up to which crossings count: what lies a moment before or after the end is a matter of centimetres."""
-    return float(estimate.t[-1]) - SAME_LAP
+def paired(
+    analysis: LapAnalysis, crossings: Array, estimate: Trajectory
+) -> tuple[list[tuple[int, float, int]], int, int]:
+    """Return (index of a lap, its true time, its first true crossing); how many were missed; how many false.
 
-
-def paired(analysis: LapAnalysis, crossings: Array, last: float) -> tuple[list[tuple[int, float, int]], int, int]:
-    """Return (index of a lap, its true time, its first true crossing); how many were missed; how many false."""
+    A lap that ends within a moment of the session's end is neither, since one of its two ends may lie beyond it.
+    """
+    last = float(estimate.t[-1]) - SAME_LAP
     pairs, false = [], 0
     for i, lap in enumerate(analysis.laps):
-        if not lap.is_timed or lap.end > last:
+        if not lap.is_timed:
             continue
         k, end = (int(np.argmin(np.abs(crossings - t))) for t in (lap.start, lap.end))
         near = max(abs(crossings[k] - lap.start), abs(crossings[end] - lap.end)) < SAME_LAP
         if near and end == k + 1:
             pairs.append((i, float(crossings[end] - crossings[k]), k))
-        else:
+        elif lap.end < last:
             false += 1
-    return pairs, max(len(crossings) - 1, 0) - len(pairs), false
+    found = {k + 1 for _, _, k in pairs}
+    missed = sum(end not in found and crossings[end] < last for end in range(1, len(crossings)))
+    return pairs, missed, false
 
 
 def logged_times(analysis: LapAnalysis, simulation: Simulation, position_n: Array) -> Array:
@@ -169,10 +171,10 @@ def scored(
     simulation: Simulation,
     logged: Array,
     standing: bool,
-    last: float,
+    estimate: Trajectory,
 ) -> tuple[list[LapScore], tuple[int, int, int]]:
     """Return the score of every lap on the given line, and how many laps there are, were missed, and are false."""
-    pairs, missed, false = paired(analysis, crossings, last)
+    pairs, missed, false = paired(analysis, crossings, estimate)
     assert analysis.start_line is not None or not pairs
     bounds = lap_bounds(simulation, crossings, analysis.start_line) if pairs else np.empty(0)
     laps = []
