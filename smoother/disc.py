@@ -44,6 +44,25 @@ def kept(values: npt.NDArray[Any], large: int = LARGE) -> npt.NDArray[Any]:
     return out
 
 
+class Shelf:
+    """Read-only copies of many small arrays side by side in one made by :func:`roomy`: one file, not one for each.
+
+    size : values that all of them hold together.
+    """
+
+    def __init__(self, size: int, large: int = LARGE) -> None:
+        self._room, self._used = roomy(size, large=large), 0
+
+    def keep(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return a copy of `values`, of float64."""
+        place = self._room[self._used : self._used + values.size].reshape(values.shape)
+        place[...] = values
+        place.flags.writeable = False
+        self._used += values.size
+        release(self._room)
+        return place
+
+
 class Growing:
     """Rows that come part by part, however many: they are in memory, and from `large` bytes on in a file.
 

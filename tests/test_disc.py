@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from smoother import disc
-from smoother.disc import LARGE, Growing, contents, kept, pieces, release, roomy, settle, thinned
+from smoother.disc import LARGE, Growing, Shelf, contents, kept, pieces, release, roomy, settle, thinned
 
 
 def resident() -> int:
@@ -55,6 +55,18 @@ def test_release_finds_arrays_in_dataclasses_and_leaves_others_alone() -> None:
 
 def test_what_is_kept_cannot_be_written_to() -> None:
     assert not kept(np.arange(5.0), large=1).flags.writeable
+
+
+@pytest.mark.parametrize("large", [1, LARGE])
+def test_small_arrays_lie_side_by_side_and_keep_their_values(large: int) -> None:
+    arrays = [np.arange(24.0).reshape(2, 3, 4), np.ones((5, 0)), -np.arange(7.0)]
+    shelf = Shelf(sum(a.size for a in arrays), large)
+    copies = [shelf.keep(a) for a in arrays]
+    release(copies)
+    for a, copy in zip(arrays, copies, strict=True):
+        np.testing.assert_array_equal(copy, a)
+        assert not copy.flags.writeable
+    assert np.shares_memory(copies[0].base, copies[2].base)
 
 
 def test_nothing_is_left_on_the_disc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.disc import kept, release
+from smoother.disc import Shelf, release
 from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.rows import antenna_jacobian
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE, ChainState
@@ -32,7 +32,7 @@ class ChainJoint:
 
 @dataclass(frozen=True, eq=False)
 class WindowFactor:
-    """A solved window for later questions: every fourth of its keyframes, with large arrays on the disc.
+    """A solved window for later questions: every fourth of its keyframes, its covariances on the disc.
 
     It counts from time `first` to `last`, s, and knows positions over the whole time of `state`.
     """
@@ -56,7 +56,15 @@ def window_factor(first: float, last: float, state: ChainState, factor: ChainFac
     every = slice(None, None, 2 ** factor.thinnable(COARSER))
     names = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
     thinned = ChainState(constants=state.constants, **{name: getattr(state, name)[every].copy() for name in names})
-    return WindowFactor(first, last, thinned, factor.thinned(COARSER, lambda values: kept(values, large=1 << 20)))
+    sizes: list[int] = []
+
+    def counted(values: Array) -> Array:
+        sizes.append(values.size)
+        return values
+
+    factor.thinned(COARSER, counted)
+    shelf = Shelf(sum(sizes), large=1 << 20)
+    return WindowFactor(first, last, thinned, factor.thinned(COARSER, shelf.keep))
 
 
 @dataclass(frozen=True, eq=False)
