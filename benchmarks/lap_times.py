@@ -136,9 +136,10 @@ def paired(
 ) -> tuple[list[tuple[int, float, int]], int, int]:
     """Return (index of a lap, its true time, its first true crossing); how many were missed; how many false.
 
-    A lap that ends within a moment of the session's end is neither, since one of its two ends may lie beyond it.
+    A lap that begins or ends within a moment of the session's own beginning and end is neither: the true crossing may
+    lie beyond it.
     """
-    last = float(estimate.t[-1]) - SAME_LAP
+    first, last = float(estimate.t[0]) + SAME_LAP, float(estimate.t[-1]) - SAME_LAP
     pairs, false = [], 0
     for i, lap in enumerate(analysis.laps):
         if not lap.is_timed:
@@ -147,10 +148,11 @@ def paired(
         near = max(abs(crossings[k] - lap.start), abs(crossings[end] - lap.end)) < SAME_LAP
         if near and end == k + 1:
             pairs.append((i, float(crossings[end] - crossings[k]), k))
-        elif lap.end < last:
+        elif lap.start > first and lap.end < last:
             false += 1
     found = {k + 1 for _, _, k in pairs}
-    missed = sum(end not in found and crossings[end] < last for end in range(1, len(crossings)))
+    inside = (crossings > first) & (crossings < last)
+    missed = sum(end not in found and bool(inside[end - 1] and inside[end]) for end in range(1, len(crossings)))
     return pairs, missed, false
 
 
