@@ -88,28 +88,26 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     Up is taken to wander in proportion, since hardly any receiver says its vertical speed.
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
-    if is_filtered and lasts <= TIMES * usual.tau:
-        return walked(fixes_t, path, usual)
-    fit = fit_offset(fixes_t, path)
-    if fit is None:
+    seen = drift_against_doppler(fixes_t, path)
+    if not _tells(seen, path):
         return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
+    if is_filtered and lasts <= TIMES * usual.tau:
+        return _walked(seen, usual)
+    fit = _fitted(seen)
     if not is_filtered and fit.evidence < PRICE:
         return OffsetModel(usual.sigma * NONE, usual.tau)
     own = usual.sigma * (fit.sigma / usual.sigma[0])
     if lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE:
         return OffsetModel(own, fit.tau, fit.tau_spread)
-    return walked(fixes_t, path, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+    return _walked(seen, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
 
 
-def walked(fixes_t: Array, path: GnssPath, usual: OffsetModel) -> OffsetModel:
-    """Return the usual offset with a sigma at which it walks, over seconds, as the fixes of `path` show.
+def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
+    """Return the usual offset with a sigma at which it walks, over seconds, as the fixes show.
 
     Sigma and time together say how fast it walks, and that is what a fix is worth against the next one. What it amounts
     to over minutes stays open, and is for the reader of absolute positions to be told.
     """
-    seen = drift_against_doppler(fixes_t, path)
-    if len(seen.t) < FEWEST or np.mean(path.velocity_weight > WEIGHTY) < LEAST_DOPPLER:
-        return usual
     mean = math.log(2.0 * usual.sigma[0] ** 2 / usual.tau)
     candidates = _grid((np.array([math.log(usual.tau)]), mean + WALKS, COARSE[2]))
     found = _log_likelihood(seen, candidates) - 0.5 * ((candidates[1] - mean) / WALK_SPREAD) ** 2
@@ -120,8 +118,15 @@ def walked(fixes_t: Array, path: GnssPath, usual: OffsetModel) -> OffsetModel:
 def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:
     """Return the offset of the fixes, stamped fixes_t (M,) s, of `path`; None with too little Doppler to tell."""
     seen = drift_against_doppler(fixes_t, path)
-    if len(seen.t) < FEWEST or np.mean(path.velocity_weight > WEIGHTY) < LEAST_DOPPLER:
-        return None
+    return _fitted(seen) if _tells(seen, path) else None
+
+
+def _tells(seen: Drift, path: GnssPath) -> bool:
+    """Whether there are means and Doppler enough to say anything of an offset."""
+    return len(seen.t) >= FEWEST and float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER
+
+
+def _fitted(seen: Drift) -> OffsetFit:
     none = _log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
     axes, best = COARSE, np.zeros(3)
     for _ in range(1 + FINER):

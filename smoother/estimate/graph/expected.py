@@ -69,7 +69,7 @@ def most_probable(values: Array, sigma: Array, dt: float) -> Array:
     eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
     of_noise = (1.0 + np.sqrt(c / count)) ** 2
     share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
-    gain = ((axes * share[:, None, :]) @ axes.conj().transpose(0, 2, 1)).reshape(len(band), c * c)
+    gain = ((axes * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), c * c)
     k = np.arange(len(spectrum))
     fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(c * c)], axis=1).reshape(-1, c, c)
     return np.asarray(np.fft.irfft((fine @ spectrum[:, :, None])[:, :, 0] * sigma, n, axis=0) + mean)

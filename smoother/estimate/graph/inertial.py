@@ -230,11 +230,6 @@ class VarianceComponent:
         """Of all intervals together."""
         return float(np.sum(self.redundancy_of))
 
-    @property
-    def count(self) -> int:
-        """Residuals of all intervals."""
-        return 3 * len(self.squares_of)
-
 
 def inertial_components(
     state: ChainState, linear: LinearInertial, solution: ChainSolution, accel: Array, gyro: Array, use: BoolArray

@@ -39,7 +39,7 @@ from smoother.estimate.graph.state import (
 )
 from smoother.frames import GRAVITY_N
 
-# Many bins: between their edges velocities are read off a straight line, which is not what is tested here
+# Many bins: between their edges the turn rate is read off a straight line, which is not what is tested here
 K, T, N_BINS = 7, 0.2, 50
 START = 3.0
 TIMES = START + np.array([0.23, 0.31, 0.59, 0.6, 0.87, 1.03, 1.199])

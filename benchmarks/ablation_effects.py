@@ -1,0 +1,189 @@
+"""What the smoother models, and how to do without each of it: options, settings, or names replaced for a while."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.config import ImuNoise
+from smoother.estimate.gnss_offset import OffsetModel
+from smoother.estimate.graph import batch, imu, rows, smoother, start
+from smoother.estimate.graph.chain import ChainSystem
+from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.imu import BinnedImu, DensePath
+from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.samples import ImuSamples, Session
+from smoother.trajectory import Trajectory
+
+OFF = 1e-6  # a sigma that leaves nothing to find
+TINY = 1e-3  # m, likewise of an offset, of which there is one at every keyframe: less spoils the arithmetic
+EQUAL = 1e-5  # s, sigma of the difference of latencies that are to be one
+Patch = tuple[Any, str, Any]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Something modelled, and how to do without: other options, another session, or names replaced in modules."""
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+    session: Callable[[Session], Session] | None = None
+    patches: tuple[Patch, ...] = ()
+
+    def estimate(self, session: Session) -> Trajectory:
+        """Return the trajectory without the effect."""
+        given = session if self.session is None else self.session(session)
+        with _patched(self.patches):
+            return GraphSmoother(GraphOptions(**self.options)).estimate(given)
+
+
+@contextlib.contextmanager
+def _patched(patches: Sequence[Patch]) -> Iterator[None]:
+    """Replace names in modules for a while. Raises AttributeError for a name that is no longer there."""
+    with contextlib.ExitStack() as stack:
+        for module, name, replacement in patches:
+            stack.enter_context(patch.object(module, name, replacement))
+        yield
+
+
+def _timing(session: Session) -> Session:
+    config = session.config
+    gps = replace(config.gps, position_latency=0.0, velocity_latency=0.0)
+    return replace(session, config=replace(config, gps=gps))
+
+
+def _no_arm(session: Session) -> Session:
+    mounting = replace(session.config.mounting, lever_arm_b=np.zeros(3))
+    return replace(session, config=replace(session.config, mounting=mounting))
+
+
+def _data_sheet(session: Session) -> Session:
+    noise = ImuNoise(start.DATA_SHEET_ACCEL, start.DATA_SHEET_GYRO)
+    return replace(session, config=replace(session.config, imu=noise))
+
+
+def _no_magnetometer(session: Session) -> Session:
+    return replace(session, mag=None)
+
+
+def _no_reports(session: Session) -> Session:
+    gnss = replace(session.gnss, sigma_horizontal=None, sigma_up=None, sigma_velocity=None, hdop=None)
+    return replace(session, gnss=gnss)
+
+
+def _one_latency() -> tuple[Patch, ...]:
+    """Start the latencies alike, and hold their difference by a factor of its own."""
+    priors, add = start._priors, rows.add_constants_prior
+
+    def same_start(*given: Any) -> batch.Priors:
+        found = priors(*given)
+        mean = found.constants.copy()
+        mean[0] = mean[1]
+        return replace(found, constants=mean)
+
+    def held_together(system: ChainSystem, residual: Array, sigma: Array) -> None:
+        add(system, residual, sigma)
+        weight, apart = EQUAL**-2, residual[1] - residual[0]
+        system.corner[:2, :2] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        system.rhs_constants[:2] -= weight * apart * np.array([-1.0, 1.0])
+
+    return ((start, "_priors", same_start), (rows, "add_constants_prior", held_together))
+
+
+def _rough_mounting(state: Any, rough_R_bs: Array) -> FittedMounting:
+    return FittedMounting(rough_R_bs, np.full(3, 0.05), False)
+
+
+def _same(value: Any, *_: Any) -> Any:
+    return value
+
+
+def _no_ratio(_: Any) -> Array:
+    return np.ones(3)
+
+
+def _no_share(*_: Any) -> float:
+    return 0.0
+
+
+def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetModel:
+    return usual
+
+
+def _as_given(_: Any, __: Any, sigma: Array, *___: Any) -> Array:
+    return sigma
+
+
+def _never_still(session: Session) -> Array:
+    assert session.imu is not None
+    return np.zeros(len(session.imu.t), dtype=bool)
+
+
+def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
+    def at_edges(values: Array) -> Array:
+        return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
+
+    turning = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
+    return ExpectedMotion(at_edges(path.acceleration_n), at_edges(turning))
+
+
+def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
+    """Bins with what was interpolated passed off as measured."""
+    binned = imu.bin_imu(samples, t, n_bins, *biases)
+    return replace(binned, missing=np.zeros_like(binned.missing))
+
+
+def _plain_bins(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
+    """Means of the components of force and rate, as if the box did not turn within a bin."""
+    binned = imu.bin_imu(samples, t, n_bins, *biases)
+    step = np.diff(samples.t, prepend=samples.t[0])[:, None]
+    out = []
+    for values in (samples.specific_force_s, samples.angular_rate_s):
+        total = np.cumsum(values * step, axis=0)
+        at = np.stack([np.interp(binned.edges, samples.t, total[:, i]) for i in range(3)], axis=1)
+        out.append((np.diff(at, axis=0) / binned.dt).reshape(binned.specific_force_s.shape))
+    return replace(binned, specific_force_s=out[0], angular_rate_s=out[1])
+
+
+def _plain_halves(binned: BinnedImu, _: Array) -> BinnedImu:
+    force, rate = (
+        0.5 * (values[:, 0::2] + values[:, 1::2]) for values in (binned.specific_force_s, binned.angular_rate_s)
+    )
+    return replace(binned, dt=2.0 * binned.dt, specific_force_s=force, angular_rate_s=rate)
+
+
+_NO_OFFSET = {"offset_sigma": (TINY, TINY, TINY)}
+EFFECTS = (
+    Effect("velocity latency of its own", patches=_one_latency()),
+    Effect("latencies at all", session=_timing),
+    Effect("lever arm", session=_no_arm),
+    Effect("mounting refined", patches=((smoother, "fit_mounting", _rough_mounting),)),
+    Effect("GPS offset", options=_NO_OFFSET, patches=((batch, "_offset_ratio", _no_ratio),)),
+    Effect("GPS offset's sigma identified", patches=((batch, "_offset_ratio", _no_ratio),)),
+    Effect("GPS offset's tau (20 s in place of 60 s)", options={"offset_tau": 20.0}),
+    Effect("inertial noise identified (data sheet)", session=_data_sheet),
+    Effect("noise of the fixes identified", patches=((batch, "_row_sigma", _as_given),)),
+    Effect(
+        "scale and misalignment",
+        options={"sensor_error_sigma": OFF},
+        patches=((batch, "SENSOR_ERROR", (OFF, OFF)),),
+    ),
+    Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
+    Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
+    Effect("magnetometer", session=_no_magnetometer),
+    Effect("robust weights", patches=((batch, "_robust", _same),)),
+    Effect("standstill", patches=((start, "session_standstill", _never_still),)),
+    Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
+    Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
+    Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
+    Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
+    Effect("reported accuracies", session=_no_reports),
+    Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
+)
+FULL = Effect("everything on")
+BY_NAME = {effect.name: effect for effect in (FULL, *EFFECTS)}
