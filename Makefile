@@ -1,5 +1,5 @@
 # Everything a fresh clone needs is `make demo` and `make test`; only Python 3.11 to 3.14 must be there.
-#   make demo    simulate a kart session, smooth it, say where the pictures are
+#   make demo    simulate a kart session, smooth it, say where the report is
 #   make test    run every test
 #   make lint    style and types
 #   make bench   the measurements behind the README's tables (minutes)

@@ -30,6 +30,7 @@ PASS_TIME = 16.0  # s drawn around its middle: one pass, never the next lap
 CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
+TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is told as one
 CELLS = 75  # along each side of the g-g diagram
 MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
 DOTS = 10  # for each point of a line, where an angle turns too fast for one
@@ -244,8 +245,14 @@ def sigma(shown: Shown) -> Figure | None:
     figure = _figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
     t = shown.smoothed.t - shown.start
     horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
+    # a keyframe is surer than what lies between two, five times a second: lines would look like a band
+    track = style.running_median(shown.smoothed.t, sigmas.track, seconds=TYPICAL_OVER)
     groups = {
-        "position (m)": {"horizontal": horizontal, "up": sigmas.position_n[:, 2], "line on the track": sigmas.track},
+        "position (m)": {
+            "horizontal": horizontal,
+            "up": sigmas.position_n[:, 2],
+            f"line on the track (median over {TYPICAL_OVER:g} s)": track,
+        },
         "velocity (km/h)": {
             "speed": sigmas.speed / KMH,
             "north": sigmas.velocity_n[:, 0] / KMH,

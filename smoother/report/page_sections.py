@@ -144,7 +144,7 @@ def lap_section(told: Told) -> list[Element]:
     top: list[Child] = [
         element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
     ]
-    top += [*(["official", "ours −"] if official else []), "does not count because"]
+    top += [*(["official", "ours −"] if official else []), "not counted"]
     rows = []
     for i, lap in enumerate(laps.laps):
         cells: list[Child] = [str(lap.number)]

@@ -16,6 +16,7 @@ from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, MultipleLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 from PIL import Image
+from scipy.ndimage import median_filter
 
 from smoother.arrays import Array
 
@@ -192,6 +193,14 @@ def thinned(t: Array, *values: Array, points: int) -> list[Array]:
     high = first + np.argmax(np.where(known, bins, -np.inf), axis=1)
     rows = np.unique(np.concatenate([low, high, np.arange(whole, len(t)), [0, len(t) - 1]]))
     return [np.asarray(t)[rows], *(value[rows] for value in values)]
+
+
+def running_median(t: Array, values: Array, *, seconds: float) -> Array:
+    """Return the median of values (N,) over `seconds` around each of t (N,) s, or values where some are unknown."""
+    size = round(seconds / float(np.median(np.diff(t)))) if len(t) > 1 else 1
+    if size < 2 or not np.isfinite(values).all():
+        return values
+    return np.asarray(median_filter(values, min(size, len(t)) | 1, mode="nearest"))
 
 
 def thinned_path(x: Array, y: Array, *values: Array, step: float) -> list[Array]:

@@ -95,6 +95,17 @@ def test_thinning_keeps_every_peak_and_bounds_the_points() -> None:
     assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
 
 
+def test_a_running_median_tells_what_swings_five_times_a_second_as_one_and_keeps_what_lasts() -> None:
+    t = np.arange(2000) / 50.0
+    swinging = 0.14 + 0.01 * np.cos(2.0 * np.pi * 5.0 * t) + np.where(t > 20.0, 1.0, 0.0)
+    median = style.running_median(t, swinging, seconds=1.0)
+    np.testing.assert_allclose(median[(t > 0.5) & (t < 19.5)], 0.14, atol=0.004)
+    np.testing.assert_allclose(median[(t > 20.5) & (t < 39.4)], 1.14, atol=0.004)
+    unknown = np.append(swinging, np.nan)
+    np.testing.assert_array_equal(style.running_median(np.append(t, 40.0), unknown, seconds=1.0), unknown)
+    np.testing.assert_array_equal(style.running_median(t[:1], swinging[:1], seconds=1.0), swinging[:1])
+
+
 def test_a_thinned_path_keeps_its_ends_and_leaves_no_hole_and_no_crowd() -> None:
     way = np.concatenate([np.zeros(50), np.linspace(0.0, 100.0, 2001), [140.0]])  # a stand, a drive, a jump
     x, y, which = style.thinned_path(way, 2.0 * way, np.arange(len(way)), step=1.0)

@@ -206,6 +206,14 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     unit.select_by_value("km/h")
 
 
+def test_the_table_of_laps_fits_a_small_laptop(opened: Any) -> None:
+    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    table = "document.querySelector('#laps ~ .scroll')"
+    assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth")
+    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
