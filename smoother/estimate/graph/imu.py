@@ -406,20 +406,17 @@ def _bin_of(path: DensePath, t: Array) -> tuple[IntArray, Array, float]:
 
 @dataclass(frozen=True, eq=False)
 class MotionAt:
-    """Motion at asked-for times: R_ns (N, 3, 3); position_n, velocity_n, acceleration_n, angular_rate_s (N, 3)."""
+    """Motion at asked-for times: R_ns (N, 3, 3); position_n, velocity_n (N, 3)."""
 
     R_ns: Array
     position_n: Array
     velocity_n: Array
-    acceleration_n: Array
-    angular_rate_s: Array
 
 
 def motion_at(path: DensePath, t: Array) -> MotionAt:
     """Interpolate the path at t (N,), held at the ends by constant velocity."""
     i, tau, dt = _bin_of(path, t)
     beyond = (tau < 0.0) | (tau > dt)
-    acceleration = np.where(beyond, 0.0, path.acceleration_n[i])
     share = tau / dt
     # position is cubic between the edges, so that it is consistent with both velocities
     h01 = share**2 * (3.0 - 2.0 * share)
@@ -435,10 +432,4 @@ def motion_at(path: DensePath, t: Array) -> MotionAt:
         np.where(tau < 0.0, path.velocity_n[i], path.velocity_n[i + 1]),
         path.velocity_n[i] + path.acceleration_n[i] * tau,
     )
-    return MotionAt(
-        attitude_at(path, t),
-        np.where(beyond, edge + end, cubic),
-        velocity,
-        acceleration,
-        np.where(beyond, 0.0, path.angular_rate_s[i]),
-    )
+    return MotionAt(attitude_at(path, t), np.where(beyond, edge + end, cubic), velocity)
