@@ -271,6 +271,7 @@ def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
         values = position_n[np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0), axis]
         if values.size:
             centre[axis], spread[axis] = np.median(values), 1000.0 + np.ptp(values)
+    spread[:2] = spread[:2].max()  # then north and west are known alike, and one factor serves both
     return centre, spread
 
 

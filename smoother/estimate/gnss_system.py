@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
+from smoother.estimate.gnss_chains import Chains, solve_chains
+from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.motion_prior import N_MOTION, MotionPrior, quintic_basis
 
 N_STATE = 4  # position, velocity, acceleration, offset
@@ -164,13 +165,11 @@ def solve(rows: Design, information: Array, between: Transitions, prior: PathPri
 
     The solution counts nodes as laid out, axis by axis. Raises NotPositiveDefiniteError for unusable numbers.
     """
-    total = at.x.shape[0] * at.x.shape[1]
-    diagonal, rhs = np.zeros((total, N_STATE, N_STATE)), np.zeros((total, N_STATE))
-    upper = np.zeros((total, N_STATE, N_STATE))
-    _add_rows(rows, information, diagonal, upper, rhs)
-    _add_prior(between, prior, at.x, diagonal, upper, rhs)
-    border, corner, rhs_constants = _constants(rows, information, prior, at.constants, total)
-    return solve_chain(ChainSystem(diagonal, upper[:-1], border, corner, rhs, rhs_constants))
+    like = _alike(rows, information, between)
+    diagonal, upper = _matrices(rows, information, between, like)
+    rhs = _right_hand_side(rows, information, between, prior, at.x)
+    border, corner, rhs_constants = _constants(rows, information, prior, at.constants, at.x.shape[:2])
+    return solve_chains(Chains(like, diagonal, upper, border, corner, rhs, rhs_constants))
 
 
 def leverage(rows: Design, prior: PathPrior, solution: ChainSolution) -> Array:
@@ -195,55 +194,84 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ri,ri->r", a, b))
 
 
-def _add_rows(rows: Design, information: Array, diagonal: Array, upper: Array, rhs: Array) -> None:
-    weighted_left, weighted_right = rows.left * information[:, None], rows.right * information[:, None]
-    total = rhs.shape[0]
+def _alike(rows: Design, information: Array, between: Transitions) -> tuple[int, ...]:
+    """Which of the matrices is whose, (A,): north and west share one where they are measured alike, as they mostly are.
+
+    An equal one, not an approximate one: the derivatives of their rows do not depend on where the path is.
+    """
+    A, K = between.first.shape[0], between.step.shape[1] + 1
+    north, west = np.flatnonzero(rows.node < K), np.flatnonzero((rows.node >= K) & (rows.node < 2 * K))
+    is_alike = np.array_equal(rows.node[north] + K, rows.node[west])
+    for values in (rows.left, rows.right, information) if is_alike else ():
+        is_alike = is_alike and np.array_equal(values[north], values[west])
+    for values in (between.first, between.information):
+        is_alike = is_alike and np.array_equal(values[0], values[1])
+    return (0, 0, 1)[:A] if is_alike else (0, 1, 2)[:A]
+
+
+def _matrices(rows: Design, information: Array, between: Transitions, like: tuple[int, ...]) -> tuple[Array, Array]:
+    """Diagonal (C, K, 4, 4) and upper blocks (C, K-1, 4, 4) of the C different matrices of the axes."""
+    K, own = between.step.shape[1] + 1, [like.index(c) for c in range(max(like) + 1)]
+    axis = rows.node // K
+    use = np.flatnonzero(np.isin(axis, own))
+    node = rows.node[use] + K * (np.asarray(like) - np.arange(len(like)))[axis[use]]
+    left, right = np.ascontiguousarray(rows.left[use].T), np.ascontiguousarray(rows.right[use].T)
+    weighted_left, weighted_right = left * information[use], right * information[use]
+    total = len(own) * K
+    diagonal, upper = np.empty((total, N_STATE, N_STATE)), np.empty((total, N_STATE, N_STATE))
     for i in range(N_STATE):
-        rhs[:, i] -= np.bincount(rows.node, weighted_left[:, i] * rows.residual, total)
-        rhs[:, i] -= np.bincount(rows.node + 1, weighted_right[:, i] * rows.residual, total)
         for j in range(N_STATE):
-            upper[:, i, j] += np.bincount(rows.node, weighted_left[:, i] * rows.right[:, j], total)
+            upper[:, i, j] = np.bincount(node, weighted_left[i] * right[j], total)
             if j >= i:
-                entry = np.bincount(rows.node, weighted_left[:, i] * rows.left[:, j], total)
-                entry += np.bincount(rows.node + 1, weighted_right[:, i] * rows.right[:, j], total)
-                diagonal[:, i, j] += entry
-                diagonal[:, j, i] = diagonal[:, i, j]
+                entry = np.bincount(node, weighted_left[i] * left[j], total)
+                entry[1:] += np.bincount(node, weighted_right[i] * right[j], total)[:-1]
+                diagonal[:, i, j] = diagonal[:, j, i] = entry
+    shape = (len(own), K, N_STATE, N_STATE)
+    diagonal, upper = diagonal.reshape(shape), upper.reshape(shape)[:, :-1]
+    back = between.step[own].swapaxes(-1, -2) @ between.information[own]
+    diagonal[:, 1:] += between.information[own]
+    diagonal[:, :-1] += back @ between.step[own]
+    diagonal[:, 0] += between.first[own]
+    return diagonal, upper - back
 
 
-def _add_prior(between: Transitions, prior: PathPrior, x: Array, diagonal: Array, upper: Array, rhs: Array) -> None:
-    shape = x.shape
-    diagonal_of, upper_of, rhs_of = (
-        diagonal.reshape(*shape, N_STATE),
-        upper.reshape(*shape, N_STATE),
-        rhs.reshape(shape),
-    )
-    back = between.step.swapaxes(-1, -2) @ between.information
-    driven = prior_residuals(between, x)[..., None]
-    diagonal_of[:, 1:] += between.information
-    diagonal_of[:, :-1] += back @ between.step
-    upper_of[:, :-1] -= back
-    rhs_of[:, 1:] -= (between.information @ driven)[..., 0]
-    rhs_of[:, :-1] += (back @ driven)[..., 0]
-    start = np.zeros((shape[0], N_STATE))
-    start[:, 0] = prior.start[: shape[0]]
-    diagonal_of[:, 0] += between.first
-    rhs_of[:, 0] -= (between.first @ (x[:, 0] - start)[..., None])[..., 0]
+def _right_hand_side(rows: Design, information: Array, between: Transitions, prior: PathPrior, x: Array) -> Array:
+    """What pulls each node of x (A, K, 4), likewise (A, K, 4)."""
+    pull, total = information * rows.residual, x.shape[0] * x.shape[1]
+    rhs = np.empty((total, N_STATE))
+    for i in range(N_STATE):
+        entry = np.bincount(rows.node, pull * rows.left[:, i], total)
+        entry[1:] += np.bincount(rows.node, pull * rows.right[:, i], total)[:-1]
+        rhs[:, i] = -entry
+    rhs = rhs.reshape(x.shape)
+    driven = between.information @ prior_residuals(between, x)[..., None]
+    rhs[:, 1:] -= driven[..., 0]
+    rhs[:, :-1] += (between.step.swapaxes(-1, -2) @ driven)[..., 0]
+    start = np.zeros((x.shape[0], N_STATE))
+    start[:, 0] = prior.start[: x.shape[0]]
+    rhs[:, 0] -= (between.first @ (x[:, 0] - start)[..., None])[..., 0]
+    return rhs
 
 
 def _constants(
-    rows: Design, information: Array, prior: PathPrior, constants: Array, total: int
+    rows: Design, information: Array, prior: PathPrior, constants: Array, shape: tuple[int, ...]
 ) -> tuple[Array, Array, Array]:
-    """Border (total, 4, m), corner (m, m) and right-hand side (m,) of the m free constants."""
+    """Border (A, K, 4, m), corner (m, m) and right-hand side (m,) of the m free constants. shape: (A, K)."""
     free = prior.is_free
     by_constant = rows.by_constant[:, free]
     weighted = by_constant * information[:, None]
+    total = shape[0] * shape[1]
     border = np.zeros((total, N_STATE, by_constant.shape[1]))
     for m in range(by_constant.shape[1]):
         some = np.flatnonzero(by_constant[:, m])
         node, weight = rows.node[some], weighted[some, m]
         for i in range(N_STATE):
             border[:, i, m] = np.bincount(node, weight * rows.left[some, i], total)
-            border[:, i, m] += np.bincount(node + 1, weight * rows.right[some, i], total)
+            border[1:, i, m] += np.bincount(node, weight * rows.right[some, i], total)[:-1]
     own = prior.constants_sigma[free] ** -2.0
     corner = weighted.T @ by_constant + np.diag(own)
-    return border, corner, -(weighted.T @ rows.residual) - own * (constants - prior.constants)[free]
+    return (
+        border.reshape(*shape, N_STATE, -1),
+        corner,
+        -(weighted.T @ rows.residual) - own * (constants - prior.constants)[free],
+    )

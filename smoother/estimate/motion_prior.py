@@ -46,19 +46,19 @@ class MotionPrior:
 
     def transition(self, dt: Array) -> Array:
         """Transition of the state over steps dt (K,) s up to LONGEST_STEP. Returns (K, 3, 3)."""
-        terms, power = [], np.eye(N_MOTION)
+        terms, power, rates = [], np.eye(N_MOTION), self._rates()
         for k in range(_TERMS):
             terms.append(power / factorial(k))
-            power = power @ self._rates()
+            power = power @ rates
         return _series(dt, terms)
 
     def covariance(self, dt: Array) -> Array:
         """Covariance of the state after steps dt (K,) s from a known state. Returns (K, 3, 3)."""
-        terms, moment = [np.zeros((N_MOTION, N_MOTION))], np.zeros((N_MOTION, N_MOTION))
+        terms, moment, rates = [np.zeros((N_MOTION, N_MOTION))], np.zeros((N_MOTION, N_MOTION)), self._rates()
         moment[2, 2] = self.jerk_density**2
         for k in range(1, _TERMS):
             terms.append(moment / factorial(k))
-            moment = self._rates() @ moment + moment @ self._rates().T
+            moment = rates @ moment + moment @ rates.T
         return _series(dt, terms)
 
     def information(self, dt: Array) -> Array:

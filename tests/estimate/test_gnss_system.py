@@ -1,6 +1,7 @@
 """The chain of nodes against dense least squares, and its derivatives against differences."""
 
 import numpy as np
+import pytest
 
 from smoother.arrays import Array
 from smoother.estimate import gnss_system as system
@@ -11,11 +12,13 @@ NODES = np.array([-0.3, 0.0, 0.2, 0.5, 0.8, 1.0, 1.2, 1.5])
 AT_LAG = np.array([0.12, 0.03, -0.02, 0.01])
 
 
-def problem() -> tuple[system.FixRows, system.PathPrior, system.Unknowns]:
+def problem(*, is_alike: bool = False) -> tuple[system.FixRows, system.PathPrior, system.Unknowns]:
     rng = np.random.default_rng(5)
     position, velocity = rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     position[2, 2] = velocity[1] = np.nan
     scale = rng.uniform(1.0, 3.0, (5, 3))
+    if is_alike:  # north and west are
+        scale[:, 1] = scale[:, 0]
     prior = system.PathPrior(
         motion=(MotionPrior(3.0, 5.0, 4.0), MotionPrior(1.0, 1.0, 1.0)),
         offset_sigma=(2.0, 2.0, 3.0),
@@ -60,8 +63,9 @@ def test_derivatives_of_the_rows_match_differences() -> None:
         np.testing.assert_allclose(difference, J[:, i], rtol=1e-6, atol=1e-6)
 
 
-def test_solution_covariance_and_leverage_are_those_of_dense_least_squares() -> None:
-    rows, prior, at = problem()
+@pytest.mark.parametrize("is_alike", [False, True])
+def test_solution_covariance_and_leverage_are_those_of_dense_least_squares(is_alike: bool) -> None:
+    rows, prior, at = problem(is_alike=is_alike)
     design, between = system.design(rows, NODES, FIX_TIMES, at), system.transitions(NODES, prior, 3)
     information = 1.0 / (0.3 * rows.scale) ** 2
     solution = system.solve(design, information, between, prior, at)
@@ -96,7 +100,9 @@ def test_solution_covariance_and_leverage_are_those_of_dense_least_squares() -> 
     # the chain works on the normal equations: it has half the digits of the QR decomposition, 1e-8 x condition
     found = np.concatenate([solution.x.reshape(-1), solution.constants])
     np.testing.assert_allclose(found, dx, rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(solution.covariance[5], P[20:24, 20:24], rtol=1e-4, atol=1e-6)
+    for k in (5, K + 5, 2 * K + 5):
+        own = slice(4 * k, 4 * k + 4)
+        np.testing.assert_allclose(solution.covariance[k], P[own, own], rtol=1e-4, atol=1e-6)
     expected = np.einsum("ri,ij,rj->r", J[0], P, J[0])
     np.testing.assert_allclose(system.leverage(design, prior, solution), expected, rtol=1e-4)
 
