@@ -1,14 +1,14 @@
-"""What several commands share: exit codes, the names of the commands, and the check that a session exists."""
+"""What several commands share: exit codes, arguments and options, and the check that a session exists."""
 
 import difflib
 from pathlib import Path
 
 import click
 
+from smoother.cli.commands import COMMAND_NAMES
 from smoother.errors import UsageError
 
 EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is Python's own, for bugs; 130 the shell's
-COMMAND_NAMES = ("calibrate", "check", "demo", "simulate", "evaluate", "export", "laps", "compare", "live", "batch")
 
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")

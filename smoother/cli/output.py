@@ -1,13 +1,16 @@
 """What the command line says: results on stdout, progress and warnings on stderr, never a stray control character.
 
-Colour, width and whether a terminal is there are rich's business; it knows NO_COLOR and pipes. It is imported when a
-table is printed, so that `smooth --help` does not wait for it.
+Tables with several columns and progress are drawn by rich, which is imported when it is needed, as it is slow to start.
+Lines and pairs, which every command prints, do without.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
@@ -18,17 +21,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share (0..1) of it that is done."""
-
-
-def _console() -> Console:
-    """A console that lets the one error boundary decide what a closed pipe means."""
-    from rich.console import Console
-
-    class OurConsole(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return OurConsole(highlight=False)
+NAME_COLUMNS, GUTTER = 12, "  "  # of pairs: the least width of names (and of values), and what stands between
 
 
 def no_progress(stage: str, share: float) -> None:
@@ -56,18 +49,21 @@ def warn(text: str) -> None:
 
 
 def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
-    """Print a title and, below it, names with their values in two columns."""
-    from rich.table import Table
-    from rich.text import Text
+    """Print a title and, below it, names with their values in two columns; long values are wrapped."""
+    rows = [(plain(name), plain(value)) for name, value in pairs]
+    first = max([NAME_COLUMNS, *(len(name) for name, _ in rows)])
+    rest = max(shutil.get_terminal_size().columns - first - len(GUTTER), NAME_COLUMNS)
+    lines = [_styled(plain(title), bold=True)]
+    for name, value in rows:
+        for part in textwrap.wrap(value, rest, break_on_hyphens=False) or [""]:
+            lines.append(f"{_styled(name.ljust(first), dim=True)}{GUTTER}{part}".rstrip())
+            name = ""
+    click.echo("\n".join(lines))
 
-    table = Table.grid(padding=(0, 2))
-    table.add_column(min_width=12)
-    table.add_column(overflow="fold")
-    for name, value in pairs:
-        table.add_row(Text(plain(name), style="dim"), Text(plain(value)))
-    console = _console()
-    console.print(Text(plain(title), style="bold"))
-    console.print(table)
+
+def _styled(text: str, **style: bool) -> str:
+    """Text as a terminal shows it, where it can; click takes the style away where there is no terminal."""
+    return click.style(text, **style) if text.strip() and os.environ.get("TERM") not in ("dumb", "unknown") else text
 
 
 def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
@@ -81,6 +77,17 @@ def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     for row in rows:
         table.add_row(*(Text(plain(cell)) for cell in row))
     _console().print(table)
+
+
+def _console() -> Console:
+    """A console that lets the one error boundary decide what a closed pipe means."""
+    from rich.console import Console
+
+    class OurConsole(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return OurConsole(highlight=False)
 
 
 @contextlib.contextmanager

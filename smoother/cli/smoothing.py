@@ -15,19 +15,10 @@ from smoother.cli.arguments import (
     sessions_argument,
     solver_option,
 )
-from smoother.cli.batching import batch
-from smoother.cli.calibrating import calibrate
 from smoother.cli.card import tasks
-from smoother.cli.checking import check
-from smoother.cli.comparing import compare
-from smoother.cli.demo import demo
-from smoother.cli.evaluating import evaluate
-from smoother.cli.exporting import export
-from smoother.cli.lapping import laps
-from smoother.cli.living import live
+from smoother.cli.commands import COMMAND_NAMES, named_command
 from smoother.cli.output import progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
-from smoother.cli.simulating import simulate
 from smoother.cli.tables import show_result
 from smoother.errors import SmootherError
 
@@ -42,18 +33,6 @@ summary.json with everything that was found out. Nothing you recorded is changed
     smooth check monday/     is the recording good? (seconds, at the track)
     smooth demo              no recording yet? simulate one and smooth it
 """
-NAMED_COMMANDS: dict[str, click.Command] = {
-    "calibrate": calibrate,
-    "check": check,
-    "demo": demo,
-    "simulate": simulate,
-    "evaluate": evaluate,
-    "export": export,
-    "laps": laps,
-    "compare": compare,
-    "live": live,
-    "batch": batch,
-}
 EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
@@ -69,7 +48,7 @@ class SmoothCommand(click.Command):
         """Write the list of named commands, how a folder with such a name is told apart, and the exit codes."""
         with formatter.section("Commands"):
             formatter.write_dl(
-                [(f"smooth {name}", command.get_short_help_str(70)) for name, command in NAMED_COMMANDS.items()]
+                [(f"smooth {name}", named_command(name).get_short_help_str(70)) for name in COMMAND_NAMES]
             )
         for paragraph in EPILOG:
             formatter.write_paragraph()

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from smoother.cli.arguments import COMMAND_NAMES
 from smoother.cli.checking import check
+from smoother.cli.commands import COMMAND_NAMES, named_command
 from smoother.cli.demo import demo
 from smoother.cli.main import choose, run
 from smoother.cli.pipeline import FIGURE_NAMES
 from smoother.cli.simulating import PRESETS, TRACKS
-from smoother.cli.smoothing import NAMED_COMMANDS, output_directories, smooth
+from smoother.cli.smoothing import output_directories, smooth
 from smoother.sim import presets, track
 
 
@@ -65,7 +65,7 @@ def test_a_word_that_is_no_command_is_a_session_that_is_not_there(
 def test_names_that_are_listed_for_speed_are_those_of_their_modules() -> None:
     from smoother.report import figures
 
-    assert tuple(NAMED_COMMANDS) == COMMAND_NAMES
+    assert [named_command(name).name for name in COMMAND_NAMES] == list(COMMAND_NAMES)
     assert set(PRESETS) == set(presets.PRESETS)
     assert set(TRACKS) == set(track.TRACKS)
     assert tuple(figures.FIGURES) == FIGURE_NAMES

@@ -1,0 +1,56 @@
+"""What commands print: two columns that fit the terminal, without a stray control character."""
+
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+from smoother.cli.output import say_pairs
+
+TITLE = "monday \x1b[31m"
+PAIRS = [("driven", "10 min, " + "far " * 30), ("", "x" * 100), ("a name of more than twelve", "")]
+
+
+def test_pairs_stand_in_two_columns_and_long_values_are_wrapped(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "70")
+    say_pairs(TITLE, PAIRS)
+    title, *lines = capsys.readouterr().out.splitlines()
+    width = len("a name of more than twelve")
+    assert title == "monday  [31m"
+    assert max(map(len, lines)) <= 70
+    assert [line[: width + 2].rstrip() for line in lines if line[0] != " "] == ["driven", PAIRS[2][0]]
+    values = [line[width + 2 :] for line in lines]
+    assert " ".join(values[:4]) == PAIRS[0][1].strip()
+    assert "".join(values[4:]) == "x" * 100
+
+
+def test_a_terminal_too_narrow_for_a_value_still_gets_all_of_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "5")
+    say_pairs("", [("best", "52.689 ± 0.016 (lap 8)")])
+    assert "".join(capsys.readouterr().out.split()) == "best52.689±0.016(lap8)"
+
+
+@pytest.mark.parametrize(("term", "is_styled"), [("xterm", True), ("dumb", False)])
+def test_only_a_terminal_that_knows_styles_is_sent_some(term: str, is_styled: bool) -> None:
+    code = f"from smoother.cli.output import say_pairs; say_pairs({TITLE!r}, [('name', 'value')])"
+    terminal, other_end = pty.openpty()
+    subprocess.run([sys.executable, "-c", code], stdout=other_end, env=os.environ | {"TERM": term}, check=True)
+    os.close(other_end)
+    shown = os.read(terminal, 4096).decode()
+    os.close(terminal)
+    assert ("\x1b[1m" in shown and "\x1b[2m" in shown) == is_styled
+    assert ("\x1b" in shown) == is_styled
+    assert "\x1b[31m" not in shown
+
+
+def test_the_command_line_starts_without_what_only_some_commands_need() -> None:
+    code = "import sys, smoother.cli.main; print([name for name in sys.modules if name.startswith(%r)])"
+    for slow in ("rich", "numpy", "smoother.cli.batching", "smoother.cli.living"):
+        shown = subprocess.run([sys.executable, "-c", code % slow], capture_output=True, text=True, check=True).stdout
+        assert shown == "[]\n"
