@@ -1,7 +1,7 @@
 """Batch solution of the graph: Gauss-Newton with robust weights, and the noise of the session estimated on the way.
 
-GTSAM holds the inertial factors, preintegrates and linearises them; rows.py linearises the rest; chain.py solves the
-whole chain and returns the covariance of every keyframe in the same sweep.
+GTSAM preintegrates the inertial samples; increments.py and rows.py linearise; chain.py solves the whole chain and
+returns the covariance of every keyframe in the same sweep.
 """
 
 import math

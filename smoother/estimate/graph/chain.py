@@ -273,12 +273,17 @@ def _cholesky(blocks: Array) -> Array:
         raise NotPositiveDefiniteError("the data does not determine every unknown") from error
 
 
-def _inverse_from_cholesky(factor: Array) -> Array:
-    """Inverse of `factor @ factor.T`, by forward substitution over the whole stack at once."""
-    n = factor.shape[-1]
+def inverse_of_lower(factor: Array) -> Array:
+    """Inverses of lower triangular matrices (K, n, n), by forward substitution over the whole stack at once."""
     inverse = np.zeros_like(factor)
-    for i in range(n):
+    for i in range(factor.shape[-1]):
         row = -(factor[:, i, None, :i] @ inverse[:, :i, :])[:, 0, :]
         row[:, i] += 1.0
         inverse[:, i] = row / factor[:, i, i, None]
+    return inverse
+
+
+def _inverse_from_cholesky(factor: Array) -> Array:
+    """Inverse of `factor @ factor.T`."""
+    inverse = inverse_of_lower(factor)
     return np.asarray(inverse.transpose(0, 2, 1) @ inverse)

@@ -1,6 +1,6 @@
 """The inertial part of the graph: GTSAM's CombinedImuFactor over every interval, linearised into the chain."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -9,8 +9,9 @@ from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.graph.chain import ChainSolution, ChainSystem
+from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, preintegrate, shared_densities
+from smoother.estimate.graph.increments import in_left_axes, increments, linearize_increments
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,
@@ -23,12 +24,11 @@ from smoother.estimate.graph.state import (
     Constants,
 )
 
-# Columns of a linearised CombinedImuFactor, whose keys are X V X V B B, and where they go in a keyframe's block.
-_LEFT = np.r_[0:6, 6:9, 18:24]
-_RIGHT = np.r_[9:15, 15:18, 24:30]
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, GYRO_ERROR.stop)
-PIECE = 128  # intervals that share a set of values
+_MOTION = slice(0, 9)  # rows of rotation, position and velocity
+_LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 39)  # columns of a factor's Jacobian
+PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
 
 
@@ -43,21 +43,31 @@ def inertial_factors(measured: Sequence[gtsam.PreintegratedCombinedMeasurements]
 
 @dataclass(frozen=True, eq=False)
 class LinearInertial:
-    """Whitened Jacobians left, right (K-1, 15, 15) by the inertial part of the ends, errors (K-1, 15, 9) by the
-    errors of scale and misalignment, and residual (K-1, 15).
+    """Whitened factors: jacobian (K-1, 15, 39), of which left and right are by the inertial part of the ends and errors
+    by the errors of scale and misalignment; residual (K-1, 15).
     """
 
-    left: Array
-    right: Array
-    errors: Array
+    jacobian: Array
     residual: Array
+
+    @property
+    def left(self) -> Array:
+        """Jacobian (K-1, 15, 15) by the left keyframes."""
+        return self.jacobian[:, :, _LEFT]
+
+    @property
+    def right(self) -> Array:
+        """Jacobian (K-1, 15, 15) by the right keyframes."""
+        return self.jacobian[:, :, _RIGHT]
+
+    @property
+    def errors(self) -> Array:
+        """Jacobian (K-1, 15, 9) by the errors of scale and misalignment."""
+        return self.jacobian[:, :, _BY_ERRORS]
 
 
 class InertialGraph:
-    """CombinedImuFactors of all intervals, preintegrated once about one pair of biases, linearised by GTSAM.
-
-    They are kept in pieces of equal keys, so that one small set of values at rest is made once: putting biases into
-    GTSAM's values costs more from Python than everything that is done with them.
+    """CombinedImuFactors of all intervals, preintegrated once about one pair of biases: by GTSAM, and linearised here.
 
     binned with sensor errors as in `constants` taken out; biases (3,) m/s^2 and rad/s to preintegrate about.
     """
@@ -69,10 +79,8 @@ class InertialGraph:
         self.constants = constants
         self.noise = noise
         self._binned = binned
-        self._pieces = [inertial_factors(measured[k : k + PIECE]) for k in range(0, len(measured), PIECE)]
-        self._at_rest = _values_at_rest(min(PIECE, len(measured)) + 1)
+        self._increments = increments(binned, accel_bias, gyro_bias)
         self._covariance = np.array([m.preintMeasCov() for m in measured])
-        self._unwhiten = _upper_root(self._covariance)
         self._force, self._rate = binned.specific_force_s.mean(axis=1), binned.angular_rate_s.mean(axis=1)
         self._accel_bias = accel_bias
 
@@ -83,38 +91,39 @@ class InertialGraph:
         return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
 
     def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
-        """Linearise by GTSAM. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
+        """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
 
-        Errors of scale act like a bias in proportion to the mean force and rate of the interval. (The Jacobian by the
-        left bias contains its walk; that by the right one is the walk alone: their sum is the motion's.)
+        Errors of scale act like a bias in proportion to the mean force and rate of the interval.
         """
-        blocks = np.array([factor.augmentedJacobian() for factor in self._linear_factors(state)])
-        if noise != self.noise:
-            blocks = self._whitening(noise) @ blocks
-        left, right = blocks[:, :, _LEFT], blocks[:, :, _RIGHT]
-        by_bias = left[:, :, 9:15] + right[:, :, 9:15]
-        axes = state.constants.level_axes_s
-        force = (self._force - state.accel_bias_s[:-1]) @ axes[:2].T
-        rate = (self._rate - state.gyro_bias_s[:-1]) @ axes[2]
-        by_force = (by_bias[:, :, 0:3, None] * force[:, None, None, :]).reshape(len(blocks), 15, 6)
-        by_rate = by_bias[:, :, 3:6] * rate[:, None, None]
-        linear = LinearInertial(left, right, np.concatenate([by_force, by_rate], axis=2), -blocks[:, :, -1])
+        n, whitening = len(self._covariance), self._whitening(noise)
+        linear = LinearInertial(np.empty((n, 15, 39)), np.empty((n, 15)))
+        J = np.zeros((min(PIECE, n), 15, 39))
+        for first in range(0, n, PIECE):
+            here = slice(first, min(first + PIECE, n))
+            some, white = J[: here.stop - first], whitening[here]
+            residual = linearize_increments(self._increments, state, here, some[:, :, : _RIGHT.stop])
+            self._put_errors(some, state, here)
+            np.matmul(white, some, out=linear.jacobian[here])
+            np.matmul(white, residual[:, :, None], out=linear.residual[here, :, None])
         return inertial_after_errors(linear, state.constants.as_vector() - self.constants.as_vector())
 
+    def _put_errors(self, J: Array, state: ChainState, here: slice) -> None:
+        """Fill in the columns (n, 15, 9) of J by the errors of scale, from those by the biases."""
+        axes, n = state.constants.level_axes_s, len(J)
+        force = (self._force[here] - state.accel_bias_s[here]) @ axes[:2].T
+        rate = (self._rate[here] - state.gyro_bias_s[here]) @ axes[2]
+        by_force = J[:, _MOTION, 9:12, None] * force[:, None, None, :]
+        J[:, _MOTION, 30:36] = by_force.reshape(n, 9, 6)
+        J[:, _MOTION, 36:39] = J[:, _MOTION, 12:15] * rate[:, None, None]
+
     def _whitening(self, noise: InertialNoise) -> Array:
-        """Matrices (K-1, 15, 15) that take what GTSAM whitened to whitened with `noise`."""
+        """Matrices (K-1, 15, 15) that whiten residuals with `noise`."""
         try:
-            root = np.linalg.cholesky(self._scaled_covariance(noise))
+            root = np.linalg.cholesky(self._covariance if noise == self.noise else self._scaled_covariance(noise))
         except np.linalg.LinAlgError:  # scaling is an approximation, and some covariances have little to spare
             change = min(noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
             root = change * np.linalg.cholesky(self._covariance)
-        return np.asarray(np.linalg.solve(root, self._unwhiten))
-
-    def _linear_factors(self, state: ChainState) -> Iterator[gtsam.GaussianFactor]:
-        tangents = _tangents_from_rest(state)
-        for piece, first in zip(self._pieces, range(0, len(state.t), PIECE), strict=False):
-            linear = piece.linearize(_moved(self._at_rest, [part[first : first + PIECE + 1] for part in tangents]))
-            yield from (linear.at(k) for k in range(linear.size()))
+        return in_left_axes(self._increments, inverse_of_lower(root))
 
     def _scaled_covariance(self, noise: InertialNoise) -> Array:
         """Covariance (K-1, 15, 15) of the factors for densities that are not far from those preintegrated with."""
@@ -124,45 +133,6 @@ class InertialGraph:
         by_force, by_rate = _force_covariance(np.ones(1), T), _rate_covariance(self._force - self._accel_bias, T)
         change = (accel**2 - accel_was**2)[:, None, None] * by_force
         return np.asarray(self._covariance + change + (gyro**2 - gyro_was**2)[:, None, None] * by_rate)
-
-
-def _upper_root(covariance: Array) -> Array:
-    """Upper triangular U (K, n, n) with U @ U.T = covariance (K, n, n): the inverse of what GTSAM whitens with."""
-    return np.asarray(np.linalg.cholesky(covariance[:, ::-1, ::-1])[:, ::-1, ::-1])
-
-
-def _values_at_rest(n_keyframes: int) -> gtsam.Values:
-    values = gtsam.Values()
-    pose, velocity, bias = gtsam.Pose3(), np.zeros(3), gtsam.imuBias.ConstantBias()
-    for k in range(n_keyframes):
-        values.insert(X(k), pose)
-        values.insert(V(k), velocity)
-        values.insert(B(k), bias)
-    return values
-
-
-def _tangents_from_rest(state: ChainState) -> tuple[Array, Array, Array]:
-    """Tangents by which GTSAM's retraction leads from rest at the origin to `state`: (K, 6), (K, 3) and (K, 6)."""
-    turn = so3.log(state.R_ns)
-    angle2 = np.sum(turn**2, axis=1)
-    half = 0.5 * np.sqrt(angle2)
-    small = half < 1e-4
-    share = np.where(
-        small, 1.0 / 12.0, (1.0 - half / np.tan(np.where(small, 1.0, half))) / np.where(small, 1.0, angle2)
-    )
-    sideways = np.cross(turn, state.position_n)
-    # inverse of the left Jacobian of SO(3); Barfoot 2017, eq. 7.76
-    shift = state.position_n - 0.5 * sideways + share[:, None] * np.cross(turn, sideways)
-    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)
-    return np.concatenate([turn, shift], axis=1), state.velocity_n, biases
-
-
-def _moved(at_rest: gtsam.Values, tangents: Sequence[Array]) -> gtsam.Values:
-    delta = gtsam.VectorValues()
-    for first, part in zip((X(0), V(0), B(0)), tangents, strict=True):
-        for key, tangent in enumerate(part, first):
-            delta.insert(key, tangent)
-    return at_rest.retract(delta)
 
 
 def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
@@ -179,22 +149,23 @@ def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Arr
 
 def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
     """Add the normal equations of the inertial factors to the system, in place."""
-    flat = linear.errors.reshape(-1, linear.errors.shape[2])
-    for first in range(0, len(linear.left), PIECE):
-        here = slice(first, min(first + PIECE, len(linear.left)))
-        after = slice(first + 1, here.stop + 1)
-        left, right, errors = linear.left[here], linear.right[here], linear.errors[here]
-        whitened = np.concatenate([left, right, errors, linear.residual[here, :, None]], axis=2)
-        normal = whitened.transpose(0, 2, 1) @ whitened
-        system.diagonal[here, _INERTIAL, _INERTIAL] += normal[:, 0:15, 0:15]
-        system.diagonal[after, _INERTIAL, _INERTIAL] += normal[:, 15:30, 15:30]
-        system.upper[here, _INERTIAL, _INERTIAL] += normal[:, 0:15, 15:30]
-        system.border[here, _INERTIAL, _ERRORS] += normal[:, 0:15, 30:39]
-        system.border[after, _INERTIAL, _ERRORS] += normal[:, 15:30, 30:39]
-        system.rhs[here, _INERTIAL] -= normal[:, 0:15, 39]
-        system.rhs[after, _INERTIAL] -= normal[:, 15:30, 39]
-    system.corner[_ERRORS, _ERRORS] += flat.T @ flat
-    system.rhs_constants[_ERRORS] -= flat.T @ linear.residual.ravel()
+    n = len(linear.residual)
+    corner, rhs_constants = system.corner[_ERRORS, _ERRORS], system.rhs_constants[_ERRORS]
+    buffer = np.empty((min(PIECE, n), 39, 39))
+    for first in range(0, n, PIECE):
+        here = slice(first, min(first + PIECE, n))
+        after, J = slice(first + 1, here.stop + 1), linear.jacobian[here]
+        normal = np.matmul(J.transpose(0, 2, 1), J, out=buffer[: here.stop - first])
+        pull = (linear.residual[here, None, :] @ J)[:, 0]
+        system.diagonal[here, _INERTIAL, _INERTIAL] += normal[:, _LEFT, _LEFT]
+        system.diagonal[after, _INERTIAL, _INERTIAL] += normal[:, _RIGHT, _RIGHT]
+        system.upper[here, _INERTIAL, _INERTIAL] += normal[:, _LEFT, _RIGHT]
+        system.border[here, _INERTIAL, _ERRORS] += normal[:, _LEFT, _BY_ERRORS]
+        system.border[after, _INERTIAL, _ERRORS] += normal[:, _RIGHT, _BY_ERRORS]
+        system.rhs[here, _INERTIAL] -= pull[:, _LEFT]
+        system.rhs[after, _INERTIAL] -= pull[:, _RIGHT]
+        corner += normal[:, _BY_ERRORS, _BY_ERRORS].sum(axis=0)
+        rhs_constants -= pull[:, _BY_ERRORS].sum(axis=0)
 
 
 def empty_system(n_keyframes: int) -> ChainSystem:

@@ -15,11 +15,8 @@ from smoother.estimate.graph.inertial import (
     InertialGraph,
     LinearInertial,
     _force_covariance,
-    _moved,
     _posterior_covariance,
     _root_information,
-    _tangents_from_rest,
-    _values_at_rest,
     add_inertial,
     empty_system,
     inertial_after_errors,
@@ -95,16 +92,6 @@ def test_residuals_weigh_what_gtsam_says_they_weigh(seed: int, piece: int, monke
     factors, linear, values = inertial_factors(measured), linearized(state, binned), values_of(state)
     for k in range(K - 1):
         assert 0.5 * np.sum(linear.residual[k] ** 2) == pytest.approx(factors.at(k).error(values), rel=1e-9)
-
-
-def test_values_moved_from_rest_are_the_state_whatever_its_attitude() -> None:
-    state, _ = drive(0)
-    turns = np.array([[0.0, 0, 0], [1e-7, 0, 0], [0, 3.1, 0], [0.3, -0.2, 2.0], [np.pi - 1e-9, 0, 0]])
-    state = replace(state, R_ns=so3.exp(turns))
-    values = _moved(_values_at_rest(K), _tangents_from_rest(state))
-    for k in range(K):
-        np.testing.assert_allclose(values.atPose3(X(k)).rotation().matrix(), state.R_ns[k], atol=1e-9)
-        np.testing.assert_allclose(values.atPose3(X(k)).translation(), state.position_n[k], atol=1e-7)
 
 
 @pytest.mark.parametrize("ratio", [1.0 / 1.25, 1.25])

@@ -1,0 +1,164 @@
+"""Residuals and Jacobians of GTSAM's CombinedImuFactor for all intervals at once.
+
+What the samples of an interval add up to, and how that changes with the biases, is found once. The residual at any
+state is then a few products of small matrices: for whole sessions cheaper than the way of every single factor and value
+through Python into GTSAM and back, and the same numbers.
+
+Source: GTSAM, TangentPreintegration and CombinedImuFactor; Barfoot 2017, 7.1.5 and 7.3 for the Jacobians.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.graph.imu import BinnedImu
+from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, ChainState
+from smoother.frames import GRAVITY_N
+
+_BIASES = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """What the bins of N intervals of T s, less the biases accel_bias, gyro_bias (3,), add up to.
+
+    turn (N, 3): rotation vector from the left to the right keyframe; shift (N, 2, 3): position m and velocity m/s
+    gained, gravity apart, in the axes of the left one; by_bias (N, 3, 3, 6): slopes of turn, position and velocity.
+    """
+
+    T: float
+    accel_bias: Array
+    gyro_bias: Array
+    turn: Array
+    shift: Array
+    by_bias: Array
+
+
+def increments(binned: BinnedImu, accel_bias: Array, gyro_bias: Array) -> Increments:
+    """Add up the bins about the biases (3,), m/s^2 and rad/s."""
+    n, n_bins, _ = binned.specific_force_s.shape
+    dt, eye = binned.dt, np.eye(3)
+    turn, position, velocity = np.zeros((3, n, 3))
+    of_turn, of_position, of_velocity = np.zeros((3, n, 3, 6))
+    for j in range(n_bins):
+        force, rate = binned.specific_force_s[:, j] - accel_bias, binned.angular_rate_s[:, j] - gyro_bias
+        R, inverse = so3.exp(turn), left_jacobian_inverse(-turn)
+        pushed = np.einsum("nij,nj->ni", R, force)
+        by_turn = -R @ so3.skew(force) @ right_jacobian(turn)
+        of_pushed = by_turn @ of_turn
+        of_pushed[:, :, 0:3] -= R
+        of_position = of_position + dt * of_velocity + 0.5 * dt**2 * of_pushed
+        of_velocity = of_velocity + dt * of_pushed
+        of_turn = (eye - dt * slope_of_inverse(-turn, rate)) @ of_turn
+        of_turn[:, :, 3:6] -= dt * inverse
+        position = position + dt * velocity + 0.5 * dt**2 * pushed
+        velocity = velocity + dt * pushed
+        turn = turn + dt * np.einsum("nij,nj->ni", inverse, rate)
+    shift = np.stack([position, velocity], axis=1)
+    slopes = np.stack([of_turn, of_position, of_velocity], axis=1)
+    return Increments(n_bins * dt, accel_bias, gyro_bias, turn, shift, slopes)
+
+
+def in_left_axes(done: Increments, root: Array) -> Array:
+    """Whitening matrices (N, 15, 15) for residuals, from those of the increments, `root`.
+
+    A residual is in the axes of the right keyframe and of opposite sign in the biases; the covariance of the increments
+    is that of the rotation vector and in the axes of the left one.
+    """
+    dR, out = so3.exp(done.turn), root.copy()
+    out[:, :, ROTATION] = root[:, :, ROTATION] @ left_jacobian_inverse(done.turn).transpose(0, 2, 1)
+    for part in (TRANSLATION, VELOCITY):
+        out[:, :, part] = root[:, :, part] @ dR
+    out[:, :, _BIASES] *= -1.0
+    return np.asarray(out)
+
+
+def linearize_increments(done: Increments, state: ChainState, part: slice, J: Array) -> Array:
+    """Residual (n, 15) of the intervals `part`, not whitened, and in J its Jacobian by left and right keyframe.
+
+    The residual is the logarithm of the predicted keyframe as seen from the right one, and the biases of left minus
+    right one. J (n, 15, 30) is filled where it is not always zero.
+    """
+    after = slice(part.start + 1, part.stop + 1)
+    R_i, R_j, T = state.R_ns[part], state.R_ns[after], done.T
+    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1, dtype=np.float64)[part.start : after.stop]
+    by_bias = done.by_bias[part]
+    change = (by_bias @ (biases[:-1] - np.r_[done.accel_bias, done.gyro_bias])[:, None, :, None])[..., 0]
+    turn, shift = done.turn[part] + change[:, 0], done.shift[part] + change[:, 1:]
+    ahead = np.empty_like(shift)  # of the right keyframe, by gravity and the left one's velocity
+    ahead[:, 0] = state.position_n[part] + T * state.velocity_n[part] + 0.5 * T**2 * GRAVITY_N - state.position_n[after]
+    ahead[:, 1] = state.velocity_n[part] + T * GRAVITY_N - state.velocity_n[after]
+    R_jn, dR = R_j.transpose(0, 2, 1), so3.exp(turn)
+    R_ji = R_jn @ R_i
+    apart = ahead @ R_j + shift @ R_ji.transpose(0, 2, 1)
+    angle = so3.log(R_ji @ dR)
+    inverse, bent = left_jacobian_inverse(angle), slope_of_inverse(angle[:, None], apart)
+    by_turn, by_left = inverse.transpose(0, 2, 1) @ right_jacobian(turn) @ by_bias[:, 0], inverse @ R_ji
+    by_n = inverse @ R_jn
+
+    left, right = J[:, :, :15], J[:, :, 15:]
+    left[:, ROTATION, ROTATION] = by_rotation = (dR @ inverse).transpose(0, 2, 1)
+    left[:, ROTATION, _BIASES], right[:, ROTATION, ROTATION] = by_turn, -inverse
+    for rows, b, gained, seen, slope in zip(
+        (TRANSLATION, VELOCITY),
+        bent.swapaxes(0, 1),
+        shift.swapaxes(0, 1),
+        apart.swapaxes(0, 1),
+        by_bias[:, 1:].swapaxes(0, 1),
+        strict=True,
+    ):
+        left[:, rows, ROTATION] = b @ by_rotation - by_left @ so3.skew(gained)
+        left[:, rows, _BIASES] = b @ by_turn + by_left @ slope
+        right[:, rows, ROTATION] = inverse @ so3.skew(seen) - b @ inverse
+    left[:, TRANSLATION, TRANSLATION], left[:, TRANSLATION, VELOCITY] = by_left, T * by_n
+    left[:, VELOCITY, VELOCITY], right[:, VELOCITY, VELOCITY] = by_n, -by_n
+    right[:, TRANSLATION, TRANSLATION] = -inverse
+    left[:, _BIASES, _BIASES], right[:, _BIASES, _BIASES] = np.eye(6), -np.eye(6)
+    moved = (apart @ inverse.transpose(0, 2, 1)).reshape(-1, 6)
+    return np.concatenate([angle, moved, biases[:-1] - biases[1:]], axis=1)
+
+
+def right_jacobian(turn: Array) -> Array:
+    """Right Jacobian J (..., 3, 3) at turn (..., 3): exp(turn + d) is exp(turn) exp(J d) for small d."""
+    angle2 = np.sum(turn**2, axis=-1)[..., None, None]
+    small = angle2 < 1e-4  # the series is exact to 1e-13 below this
+    safe = np.where(small, 1.0, angle2)
+    angle, W = np.sqrt(safe), so3.skew(turn)
+    a = np.where(small, 0.5 - angle2 / 24.0 + angle2**2 / 720.0, (1.0 - np.cos(angle)) / safe)
+    b = np.where(small, 1.0 / 6.0 - angle2 / 120.0 + angle2**2 / 5040.0, (1.0 - np.sin(angle) / angle) / safe)
+    return np.asarray(np.eye(3) - a * W + b * (W @ W))
+
+
+def left_jacobian_inverse(turn: Array) -> Array:
+    """Inverse (..., 3, 3) of the left Jacobian at turn (..., 3), that of the right one transposed."""
+    c, _ = _of_square(np.sum(turn**2, axis=-1))
+    W = so3.skew(turn)
+    return np.asarray(np.eye(3) - 0.5 * W + c[..., None, None] * (W @ W))
+
+
+def slope_of_inverse(turn: Array, vector: Array) -> Array:
+    """Slope (..., 3, 3) by the turn (..., 3) of `left_jacobian_inverse(turn) @ vector`, both vectors (..., 3)."""
+    angle2, along = np.sum(turn**2, axis=-1), np.sum(turn * vector, axis=-1)
+    c, slope = (value[..., None] for value in _of_square(angle2))
+    outward = turn * along[..., None] - vector * angle2[..., None]
+    scaled = c * vector
+    out = 0.5 * so3.skew(vector) + turn[..., :, None] * scaled[..., None, :]
+    out += (slope * outward - 2.0 * scaled)[..., :, None] * turn[..., None, :]
+    return np.asarray(out + (c * along[..., None])[..., None] * np.eye(3))
+
+
+def _of_square(angle2: Array) -> tuple[Array, Array]:
+    """Factor of W W in the inverse of the left Jacobian, and its slope by the angle over the angle, of its square."""
+    small = angle2 < 0.01  # the series are exact to 1e-13 below this
+    s = np.where(small, angle2, 0.0)
+    c = 1.0 / 12.0 + s / 720.0 + s**2 / 30240.0 + s**3 / 1209600.0
+    slope = 1.0 / 360.0 + s / 7560.0 + s**2 / 201600.0
+    if np.all(small):
+        return c, slope
+    square = np.where(small, 1.0, angle2)
+    half = 0.5 * np.sqrt(square)
+    exact = 1.0 - half / np.tan(half)
+    bend = (0.5 * half / np.sin(half) ** 2 - 0.5 / np.tan(half)) / (2.0 * half)
+    return np.where(small, c, exact / square), np.where(small, slope, bend / square - 2.0 * exact / square**2)
