@@ -112,9 +112,12 @@ class _Averages:
     def __init__(self, imu: ImuSamples) -> None:
         self._t, self._sum, before = imu.t, roomy((len(imu.t), 6)), np.zeros(6)
         for part in pieces(len(imu.t)):
-            both = np.concatenate([imu.specific_force_s[part], imu.angular_rate_s[part]], axis=1)
-            self._sum[part] = before + np.cumsum(both * _steps(imu.t, part)[:, None], axis=0)
-            before = self._sum[part.stop - 1].copy()
+            total, steps = self._sum[part], _steps(imu.t, part)[:, None]  # in place: copies of all would cost as much
+            np.multiply(imu.specific_force_s[part], steps, out=total[:, :3])
+            np.multiply(imu.angular_rate_s[part], steps, out=total[:, 3:])
+            total[0] += before
+            np.cumsum(total, axis=0, out=total)
+            before = total[-1].copy()
             release(imu, self._sum)
 
     def around(self, t: Array, width: float) -> tuple[Array, Array]:
@@ -174,22 +177,28 @@ class _Lines:
 
 def _fit_lines(known: Array, measured: Array) -> _Lines:
     """Lines through measured (..., N, 3) over known (N, p), by least squares with Cauchy weights; stacks at once."""
-    design = np.concatenate([known, np.ones((len(known), 1))], axis=1)
+    design = np.concatenate([known.T, np.ones((1, len(known)))])
+    values = np.ascontiguousarray(np.moveaxis(measured, -1, -2))  # (..., 3, N): what is long comes last, for speed
     weight = np.ones(measured.shape[:-1])
     for _ in range(ROUNDS):
-        weighted = design.T * weight[..., None, :]
+        weighted = weight[..., None, :] * design
         # the pseudo-inverse, because a kart that never turns leaves a slope open
-        lines = np.linalg.pinv(weighted @ design, hermitian=True) @ (weighted @ measured)
-        distance = np.linalg.norm(measured - design @ lines, axis=-1)
-        scale = np.median(distance, axis=-1, keepdims=True) + 1e-9
-        weight = 1.0 / (1.0 + (distance / (2.0 * scale)) ** 2)
+        lines = np.linalg.pinv(weighted @ design.T, hermitian=True) @ (weighted @ measured)
+        squared = _squared_length(values - np.moveaxis(lines, -1, -2) @ design)
+        median = np.median(np.sqrt(squared), axis=-1, keepdims=True)
+        weight = 1.0 / (1.0 + squared / (2.0 * (median + 1e-9)) ** 2)
     total = np.sum(weight, axis=-1)
-    mean = (weight[..., None, :] @ measured) / total[..., None, None]
-    unexplained = np.sum(weight * np.sum((measured - design @ lines) ** 2, axis=-1), axis=-1) / total
-    spread = np.sum(weight * np.sum((measured - mean) ** 2, axis=-1), axis=-1) / total
+    mean = (values @ weight[..., None]) / total[..., None, None]
+    unexplained = np.sum(weight * squared, axis=-1) / total
+    spread = np.sum(weight * _squared_length(values - mean), axis=-1) / total
     # a sensor that always reads the same has nothing to be explained
     share = np.where(spread > STUCK**2, 1.0 - unexplained / np.maximum(spread, STUCK**2), 0.0)
-    return _Lines(lines, share, np.median(distance, axis=-1) / 1.538)  # median of chi(3)
+    return _Lines(lines, share, median[..., 0] / 1.538)  # median of chi(3)
+
+
+def _squared_length(vectors: Array) -> Array:
+    """Squared length (..., N) of vectors (..., 3, N)."""
+    return np.asarray(np.einsum("...in,...in->...n", vectors, vectors))
 
 
 def _level_only(imu: ImuSamples) -> Alignment:

@@ -9,6 +9,7 @@ the graph.
 Sources: Förstner 1979 (variance components); Yang et al. 2002 (IGG III weights).
 """
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -248,8 +249,8 @@ def _nodes(true_t: Array, end: float, lag: float, options: GnssPathOptions) -> A
 
 
 def _thinned(t: Array, gap: float) -> Array:
-    chosen, i = [0], 0
-    while (i := int(np.searchsorted(t, t[i] + gap))) < t.size:
+    times, chosen, i = t.tolist(), [0], 0
+    while (i := bisect_left(times, times[i] + gap, i)) < len(times):
         chosen.append(i)
     return np.asarray(t[chosen])
 
@@ -257,9 +258,9 @@ def _thinned(t: Array, gap: float) -> Array:
 def _first_weights(true_t: Array, position_n: Array, velocity_n: Array) -> Array:
     """Weights (M, 4) to start with: out is what does not fit its neighbours."""
     weight = np.ones((true_t.size, system.GROUPS))
-    position = plausible_positions(true_t, position_n, velocity_n)
-    weight[:, [system.HORIZONTAL_POSITION, system.UP_POSITION]] = position[:, None]
     velocity = plausible_velocities(true_t, velocity_n)
+    position = plausible_positions(true_t, position_n, velocity_n, velocity)
+    weight[:, [system.HORIZONTAL_POSITION, system.UP_POSITION]] = position[:, None]
     weight[:, [system.HORIZONTAL_VELOCITY, system.UP_VELOCITY]] = velocity[:, None]
     return weight
 

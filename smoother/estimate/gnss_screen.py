@@ -24,13 +24,13 @@ MEDIAN_TO_SIGMA = 0.849  # of the length of two normal numbers
 FAST, LONGEST_DELAY = 3.0, 0.6  # m/s from which a lag of velocity shows, s
 
 
-def plausible_positions(t: Array, position_n: Array, velocity_n: Array) -> BoolArray:
+def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velocity: BoolArray) -> BoolArray:
     """Mask (M,) of fixes whose horizontal position fits those around it and the velocity, sent or of the fixes.
 
-    t (M,) s; position_n, velocity_n (M, 3), NaN where unknown.
+    t (M,) s; position_n, velocity_n (M, 3), NaN where unknown; has_velocity (M,), as of :func:`plausible_velocities`.
     """
     good = _near_median(t, position_n[:, :2], 7, ABSURD_DISTANCE, ABSURD_SPEED)
-    sent = np.isfinite(velocity_n[:, :2]).all(axis=1) & plausible_velocities(t, velocity_n)
+    sent = np.isfinite(velocity_n[:, :2]).all(axis=1) & has_velocity
     known = np.isfinite(position_n[:, :2]).all(axis=1) & good
     measured = known & sent
     use_sent = np.count_nonzero(measured) > 0.5 * np.count_nonzero(known)

@@ -53,7 +53,7 @@ class StandstillOptions:
 MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
-ENOUGH = 1 << 20  # samples, evenly taken, to know the usual value
+ENOUGH = 1 << 12  # samples, evenly taken, to know the usual value
 
 
 def session_standstill(session: Session, options: StandstillOptions | None = None) -> BoolArray:
@@ -196,24 +196,32 @@ class _Blocks:
         filled = np.maximum(count, 1.0)
         has = (count > 0.0).astype(np.float64)
         k = _windowed(has, options)
-        between, within = np.zeros(size), np.zeros(size)
-        some = thinned(values, max(1, len(values) // ENOUGH))
-        for axis in range(3):  # one axis at a time, and parts of it: a day of samples is a gigabyte
-            usual = np.median(some[:, axis])  # keeps the sums of squares precise
-            mean, inside = np.zeros(size), np.zeros(size)
-            for part in pieces(len(values)):
-                mean += np.bincount(block[part], values[part, axis] - usual, size)
-                release(values)
-            mean /= filled
-            for part in pieces(len(values)):
-                rest = values[part, axis] - usual - mean[block[part]]
-                inside += np.bincount(block[part], rest**2, size)
-                release(values)
-            between += _windowed(mean**2, options) - _windowed(mean, options) ** 2 / np.maximum(k, 1.0)
-            within += _windowed(inside, options)
+        few = thinned(values, max(1, len(values) // ENOUGH))
+        usual = np.median(few, axis=0)  # keeps the sums of squares precise
+        mean, inside = np.zeros((3, size)), np.zeros((3, size))
+        for part in pieces(len(values)):  # a day of samples is a gigabyte
+            here, first, _ = _firsts(block[part])
+            for axis in range(3):
+                mean[axis, here] += np.add.reduceat(values[part, axis] - usual[axis], first)
+            release(values)
+        mean /= filled
+        for part in pieces(len(values)):
+            here, first, length = _firsts(block[part])
+            for axis in range(3):
+                rest = values[part, axis] - np.repeat(usual[axis] + mean[axis, here], length)
+                inside[axis, here] += np.add.reduceat(rest * rest, first)
+            release(values)
+        between = sum(_windowed(m**2, options) - _windowed(m, options) ** 2 / np.maximum(k, 1.0) for m in mean)
+        within = _windowed(np.sum(inside, axis=0), options)
         freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0), options), 1.0)
         between = np.maximum(between, 0.0) / np.maximum(k - 1.0, 1.0)
         return _Blocks(between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
+
+
+def _firsts(block: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Blocks (C,) that occur in the rising `block` (N,) of some samples, the first sample of each, and their number."""
+    first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
+    return block[first], first, np.diff(first, append=block.size)
 
 
 def _windowed(values: Array, options: StandstillOptions) -> Array:

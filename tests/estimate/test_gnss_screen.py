@@ -14,7 +14,8 @@ JUMPS = ((20.0, 21.0, 30.0), (50.0, 55.0, 20.0), (70.0, 73.0, -12.0), (80.0, 80.
 def screened(lap_fixes: Callable[..., Any], **changes: Any) -> tuple[np.ndarray, np.ndarray]:
     made = lap_fixes(**changes)
     session = made.session
-    good = plausible_positions(session.gnss.t, session.fix_position_n, session.gnss.velocity_n)
+    t, velocity_n = session.gnss.t, session.gnss.velocity_n
+    good = plausible_positions(t, session.fix_position_n, velocity_n, plausible_velocities(t, velocity_n))
     return good, made.is_bad
 
 
@@ -42,7 +43,8 @@ def test_fixes_on_the_other_half_of_the_earth_are_out_even_at_the_start(lap_fixe
     session = lap_fixes(doppler=None).session
     position = session.fix_position_n.copy()
     position[[0, 100, 101]] += 9.0e6
-    good = plausible_positions(session.gnss.t, position, session.gnss.velocity_n)
+    t, velocity_n = session.gnss.t, session.gnss.velocity_n
+    good = plausible_positions(t, position, velocity_n, plausible_velocities(t, velocity_n))
     assert np.flatnonzero(~good).tolist() == [0, 100, 101]
 
 
