@@ -142,14 +142,8 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
 
     if with_covariance:
         covariance, cross = _selected_inverse(levels, root[0])
-        weighted = (influence.reshape(K * n, m) @ constants_covariance).reshape(K, n, m)
-        influence_t = influence.transpose(0, 2, 1)
-        for first in range(0, K, PIECE):
-            here, beside = slice(first, first + PIECE), slice(first, min(first + PIECE, K - 1))
-            after = slice(first + 1, beside.stop + 1)
-            covariance[here] += weighted[here] @ influence_t[here]
-            cross[beside] += weighted[beside] @ influence_t[after]
-        constants_cross = -weighted
+        constants_cross = (influence.reshape(K * n, m) @ -constants_covariance).reshape(K, n, m)
+        _add_constants(covariance, cross, influence, constants_cross)
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
     return ChainSolution(
@@ -188,32 +182,31 @@ def _eliminate_odd(
 ) -> tuple[_Level, Array, float, tuple[Array, Array, Array]]:
     """Eliminate every second node. Returns what is left behind, D^-1 rhs, log det, and the system of the even nodes.
 
-    In pieces whose matrices stay in the processor's cache: each odd node takes part in a dozen small products.
+    In pieces whose matrices stay in the processor's cache, and in the same memory: each odd node takes part in a dozen
+    small products, and fresh memory for them would cost as much as they do.
     """
     (n_nodes, n), n_odd, n_right = diagonal.shape[:2], len(diagonal) // 2, (len(diagonal) - 1) // 2
     level = _Level(np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), n_nodes)
     offset, log_determinant = np.empty((n_odd, *rhs.shape[1:])), 0.0
     even_diagonal, even_rhs, even_upper = diagonal[0::2].copy(), rhs[0::2].copy(), np.empty((n_right, n, n))
-    for first in range(0, n_odd, PIECE):
-        here = slice(first, min(first + PIECE, n_odd))
-        beside = slice(first, min(here.stop, n_right))  # those that have a right neighbour
-        after, n_beside = slice(first + 1, beside.stop + 1), beside.stop - first
-        left = upper[0::2][here]  # A(left even, odd)
-        right = np.zeros_like(left)
-        right[:n_beside] = upper[1::2][beside]  # A(odd, right even)
+    square, wide = np.empty((2, min(PIECE, n_odd), n, n)), np.empty((min(PIECE, n_odd), *rhs.shape[1:]))
+    for here, beside in _pieces(level):
+        n_here, n_beside, after = here.stop - here.start, beside.stop - beside.start, _next(beside)
+        left, right = upper[0::2][here], upper[1::2][beside]  # A(left even, odd), A(odd, right even)
         factor = _cholesky(diagonal[1::2][here])
         log_determinant += _log_determinant(factor)
-        inverse = _inverse_from_cholesky(factor)
-        gains = inverse @ np.concatenate([left.transpose(0, 2, 1), right, rhs[1::2][here]], axis=2)
-        by_left, by_right = left @ gains, right[:n_beside].transpose(0, 2, 1) @ gains[:n_beside, :, n:]
-        even_diagonal[here] -= by_left[:, :, :n]
-        even_upper[beside] = -by_left[:n_beside, :, n : 2 * n]
-        even_rhs[here] -= by_left[:, :, 2 * n :]
-        even_diagonal[after] -= by_right[:, :, :n]
-        even_rhs[after] -= by_right[:, :, n:]
-        level.inverse[here] = inverse
-        level.to_left[here], level.to_right[here] = gains[:, :, :n], gains[:, :, n : 2 * n]
-        offset[here] = gains[:, :, 2 * n :]
+        inverse = _inverse_from_cholesky(factor, level.inverse[here], square[0, :n_here])
+        to_left = np.matmul(inverse, left.transpose(0, 2, 1), out=level.to_left[here])
+        to_right = np.matmul(inverse[:n_beside], right, out=level.to_right[beside])
+        solved = np.matmul(inverse, rhs[1::2][here], out=offset[here])
+        even_diagonal[here] -= np.matmul(left, to_left, out=square[0, :n_here])
+        even_rhs[here] -= np.matmul(left, solved, out=wide[:n_here])
+        across = np.matmul(left[:n_beside], to_right, out=even_upper[beside])
+        np.negative(across, out=across)
+        right_t = right.transpose(0, 2, 1)
+        even_diagonal[after] -= np.matmul(right_t, to_right, out=square[1, :n_beside])
+        even_rhs[after] -= np.matmul(right_t, solved[:n_beside], out=wide[:n_beside])
+    level.to_right[n_right:] = 0.0
     return level, offset, log_determinant, (even_diagonal, even_upper, even_rhs)
 
 
@@ -222,10 +215,12 @@ def _substitute(levels: list[_Level], offsets: list[Array], root: Array) -> Arra
     for level, offset in zip(reversed(levels), reversed(offsets), strict=True):
         fine = np.empty((level.n_nodes, *x.shape[1:]))
         fine[0::2] = x
+        wide = np.empty((min(PIECE, len(offset)), *x.shape[1:]))
         for here, beside in _pieces(level):
-            odd = offset[here] - level.to_left[here] @ x[here]
-            odd[: beside.stop - beside.start] -= level.to_right[beside] @ x[_next(beside)]
-            fine[1::2][here] = odd
+            by_left = np.matmul(level.to_left[here], x[here], out=wide[: here.stop - here.start])
+            odd = np.subtract(offset[here], by_left, out=fine[1::2][here])
+            n_beside = beside.stop - beside.start
+            odd[:n_beside] -= np.matmul(level.to_right[beside], x[_next(beside)], out=wide[:n_beside])
         x = fine
     return x
 
@@ -235,19 +230,37 @@ def _selected_inverse(levels: list[_Level], root: Array) -> tuple[Array, Array]:
     for level in reversed(levels):
         fine, fine_cross = np.empty((level.n_nodes, *P.shape[1:])), np.empty((level.n_nodes - 1, *P.shape[1:]))
         fine[0::2] = P
+        square = np.empty((2, min(PIECE, len(level.inverse)), *P.shape[1:]))
         for here, beside in _pieces(level):
-            n_beside = beside.stop - beside.start
+            n_here, n_beside = here.stop - here.start, beside.stop - beside.start
+            some, product = square[0, :n_here], square[1, :n_here]
             to_left, to_right = level.to_left[here], level.to_right[beside]
-            odd_left = -(to_left @ P[here])
-            odd_left[:n_beside] -= to_right @ cross[beside].transpose(0, 2, 1)
-            odd_right = -(to_left[:n_beside] @ cross[beside] + to_right @ P[_next(beside)])
-            odd = level.inverse[here] - odd_left @ to_left.transpose(0, 2, 1)
-            odd[:n_beside] -= odd_right @ to_right.transpose(0, 2, 1)
-            fine[1::2][here] = 0.5 * (odd + odd.transpose(0, 2, 1))
-            fine_cross[0::2][here] = odd_left.transpose(0, 2, 1)
-            fine_cross[1::2][beside] = odd_right
+            to_left_t, to_right_t = to_left.transpose(0, 2, 1), to_right.transpose(0, 2, 1)
+            np.matmul(P[here], to_left_t, out=some)
+            some[:n_beside] += np.matmul(cross[beside], to_right_t, out=product[:n_beside])
+            left_odd = np.negative(some, out=fine_cross[0::2][here])
+            np.matmul(to_left[:n_beside], cross[beside], out=some[:n_beside])
+            some[:n_beside] += np.matmul(to_right, P[_next(beside)], out=product[:n_beside])
+            odd_right = np.negative(some[:n_beside], out=fine_cross[1::2][beside])
+            odd = np.matmul(to_left, left_odd, out=some)
+            odd[:n_beside] += np.matmul(to_right, odd_right.transpose(0, 2, 1), out=product[:n_beside])
+            np.subtract(level.inverse[here], odd, out=product)
+            np.add(product, product.transpose(0, 2, 1), out=odd)
+            np.multiply(odd, 0.5, out=fine[1::2][here])
         P, cross = fine, fine_cross
     return P, cross
+
+
+def _add_constants(covariance: Array, cross: Array, influence: Array, constants_cross: Array) -> None:
+    """Add to the covariances what the constants bring into them, in place."""
+    influence_t, square = influence.transpose(0, 2, 1), np.empty((min(PIECE, len(influence)), *covariance.shape[1:]))
+    for first in range(0, len(influence), PIECE):
+        here = slice(first, min(first + PIECE, len(influence)))
+        beside = slice(first, min(here.stop, len(cross)))
+        brought = square[: here.stop - first]
+        covariance[here] -= np.matmul(constants_cross[here], influence_t[here], out=brought)
+        brought = square[: beside.stop - first]
+        cross[beside] -= np.matmul(constants_cross[beside], influence_t[_next(beside)], out=brought)
 
 
 def _pieces(level: _Level) -> Iterator[tuple[slice, slice]]:
@@ -273,9 +286,10 @@ def _cholesky(blocks: Array) -> Array:
         raise NotPositiveDefiniteError("the data does not determine every unknown") from error
 
 
-def inverse_of_lower(factor: Array) -> Array:
+def inverse_of_lower(factor: Array, out: Array | None = None) -> Array:
     """Inverses of lower triangular matrices (K, n, n), by forward substitution over the whole stack at once."""
-    inverse = np.zeros_like(factor)
+    inverse = np.empty_like(factor) if out is None else out
+    inverse[...] = 0.0
     for i in range(factor.shape[-1]):
         row = -(factor[:, i, None, :i] @ inverse[:, :i, :])[:, 0, :]
         row[:, i] += 1.0
@@ -283,7 +297,7 @@ def inverse_of_lower(factor: Array) -> Array:
     return inverse
 
 
-def _inverse_from_cholesky(factor: Array) -> Array:
-    """Inverse of `factor @ factor.T`."""
-    inverse = inverse_of_lower(factor)
-    return np.asarray(inverse.transpose(0, 2, 1) @ inverse)
+def _inverse_from_cholesky(factor: Array, out: Array | None = None, of_factor: Array | None = None) -> Array:
+    """Inverse of `factor @ factor.T`; out, of_factor: memory (K, n, n) for it and for that of the factor."""
+    inverse = inverse_of_lower(factor, of_factor)
+    return np.matmul(inverse.transpose(0, 2, 1), inverse, out=out)
