@@ -27,6 +27,7 @@ from smoother.units import STANDARD_GRAVITY
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
 STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
 ROUNDS = 6  # of reweighting
+UNKNOWN = 1e-15  # share of the largest eigenvalue below which one is rounding
 WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
 LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what they explain bends once within WINDOW
 FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
@@ -182,8 +183,7 @@ def _fit_lines(known: Array, measured: Array) -> _Lines:
     weight = np.ones(measured.shape[:-1])
     for _ in range(ROUNDS):
         weighted = weight[..., None, :] * design
-        # the pseudo-inverse, because a kart that never turns leaves a slope open
-        lines = np.linalg.pinv(weighted @ design.T, hermitian=True) @ (weighted @ measured)
+        lines = _least(weighted @ design.T, weighted @ measured)
         squared = _squared_length(values - np.moveaxis(lines, -1, -2) @ design)
         median = np.median(np.sqrt(squared), axis=-1, keepdims=True)
         weight = 1.0 / (1.0 + squared / (2.0 * (median + 1e-9)) ** 2)
@@ -194,6 +194,14 @@ def _fit_lines(known: Array, measured: Array) -> _Lines:
     # a sensor that always reads the same has nothing to be explained
     share = np.where(spread > STUCK**2, 1.0 - unexplained / np.maximum(spread, STUCK**2), 0.0)
     return _Lines(lines, share, median[..., 0] / 1.538)  # median of chi(3)
+
+
+def _least(normal: Array, right: Array) -> Array:
+    """Smallest solution (..., p, 3) of normal equations (..., p, p): a kart that never turns leaves a slope open."""
+    values, vectors = np.linalg.eigh(normal)
+    is_known = values > UNKNOWN * values[..., -1:]
+    inverse = np.where(is_known, 1.0 / np.where(is_known, values, 1.0), 0.0)
+    return np.asarray((vectors * inverse[..., None, :]) @ (np.moveaxis(vectors, -1, -2) @ right))
 
 
 def _squared_length(vectors: Array) -> Array:

@@ -35,57 +35,57 @@ class Chains:
     rhs_constants: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Inverse:
-    """Selected inverse of one matrix: covariance (K, n, n) of its nodes, cross (K-1, n, n) of neighbours."""
-
-    covariance: Array
-    cross: Array
-
-
 def solve_chains(chains: Chains) -> ChainSolution:
     """Return solution and selected covariance, nodes counted chain by chain; chains meet in `cross` by constants only.
 
     Raises NotPositiveDefiniteError when a matrix is not positive definite or a number not finite.
     """
     A, K, n, m = chains.border.shape
+    like = list(chains.like)
     right = np.concatenate([chains.border, chains.rhs[..., None]], axis=3)
     if not (np.isfinite(np.sum(right)) and np.isfinite(np.sum(chains.corner) + np.sum(chains.rhs_constants))):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
-    x, inverses = np.zeros_like(right), []
-    log_determinant = 0.0
-    for c, (diagonal, upper) in enumerate(zip(chains.diagonal, chains.upper, strict=True)):
-        front, back = _factor(diagonal, upper), _factor(diagonal[::-1], upper[::-1].transpose(0, 2, 1))
-        for a in (a for a, like in enumerate(chains.like) if like == c):
-            some = np.flatnonzero(right[a].any(axis=(0, 1)))  # a constant of another chain does not touch this one
-            x[a][..., some] = _substituted(front, right[a][..., some])
-        inverses.append(_selected_inverse(diagonal, front, back))
-        log_determinant += 2.0 * chains.like.count(c) * float(np.sum(np.log(front[:, :, 0])))
-    covariance, cross = np.empty((A, K, n, n)), np.zeros((A, K, n, n))
-    for a, like in enumerate(chains.like):
-        covariance[a], cross[a, :-1] = inverses[like].covariance, inverses[like].cross
+    factor, covariance, cross = _inverted(chains.diagonal, chains.upper)
+    x = np.zeros_like(right)
+    for a, c in enumerate(like):
+        some = np.flatnonzero(right[a].any(axis=(0, 1)))  # a constant of another chain does not touch this one
+        x[a][..., some] = _substituted(factor[c], right[a][..., some])
 
     influence, solution = x[..., :m].reshape(A * K, n, m), x[..., m].reshape(A * K, n)
     inner = right.reshape(A * K * n, m + 1)[:, :m].T @ x.reshape(A * K * n, m + 1)
-    constants_covariance = np.zeros((m, m))
-    if m:
-        root, inverse_root = _roots((chains.corner - inner[:, :m])[:, :, None])
-        constants_covariance = inverse_root[:, :, 0].T @ inverse_root[:, :, 0]
-        log_determinant += 2.0 * float(np.sum(np.log(np.diag(root[:, :, 0]))))
+    _, root = _roots((chains.corner - inner[:, :m])[:, :, None])
+    constants_covariance = root[:, :, 0].T @ root[:, :, 0]
     constants = constants_covariance @ (chains.rhs_constants - inner[:, m])
-    weighted = influence @ constants_covariance
+    weighted = (influence.reshape(A * K * n, m) @ constants_covariance).reshape(A * K, n, m)
     transposed = influence.transpose(0, 2, 1)
-    flat_cross = cross.reshape(A * K, n, n)[:-1]
-    flat_cross += weighted[:-1] @ transposed[1:]
     return ChainSolution(
-        solution - influence @ constants,
+        solution - (influence.reshape(A * K * n, m) @ constants).reshape(A * K, n),
         constants,
-        covariance.reshape(A * K, n, n) + weighted @ transposed,
-        flat_cross,
+        weighted @ transposed + covariance[like].reshape(A * K, n, n),
+        weighted[:-1] @ transposed[1:] + cross[like].reshape(A * K, n, n)[:-1],
         constants_covariance,
         -weighted,
-        log_determinant,
+        2.0 * float(np.sum(np.log(factor[..., 0][like])) - np.sum(np.log(np.einsum("iik->ik", root)))),
     )
+
+
+def _inverted(diagonal: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """Factor (C, K, n, 2 n), covariance of each node (C, K, n, n), and of neighbours (C, K, n, n), at the ends zero."""
+    C, K, n, _ = diagonal.shape
+    diagonal, beside = diagonal.reshape(C * K, n, n), np.zeros((C, K, n, n))
+    beside[:, :-1] = upper
+    upper = beside.reshape(C * K, n, n)[:-1]
+    front, back = _factor(diagonal, upper), _factor(diagonal[::-1], upper[::-1].transpose(0, 2, 1))
+    after, before = _blocks(front), _blocks(back)[:, :, ::-1]
+    _, root = _roots(_product(after) + _product(before) - diagonal.transpose(1, 2, 0))
+    covariance = np.einsum("kim,kjm->mij", root, root)
+    below = np.empty((C * K - 1, n, n))  # of the factor: block (k+1, k)
+    for i in range(n):
+        below[:, :, i] = front[:-1, i, n - i : 2 * n - i]
+    gain = below @ _inverse_triangle(-after).transpose(2, 0, 1)[:-1]
+    cross = np.zeros((C * K, n, n))
+    np.matmul(gain.transpose(0, 2, 1), covariance[1:], out=cross[:-1])
+    return front.reshape(C, K, n, 2 * n), covariance.reshape(C, K, n, n), cross.reshape(C, K, n, n)
 
 
 def _factor(diagonal: Array, upper: Array) -> Array:
@@ -110,21 +110,6 @@ def _substituted(factor: Array, right: Array) -> Array:
     return np.asarray(x.reshape(K, n, q))
 
 
-def _selected_inverse(diagonal: Array, front: Array, back: Array) -> _Inverse:
-    """Covariance of each node and of neighbours, from the factors from the front and from the back."""
-    n = diagonal.shape[1]
-    after, before = _blocks(front), _blocks(back)[:, :, ::-1]
-    information = _product(after) + _product(before) - diagonal.transpose(1, 2, 0)
-    _, inverse_root = _roots(information)
-    P = np.einsum("kim,kjm->mij", inverse_root, inverse_root, optimize=False)
-    below = np.empty((len(diagonal) - 1, n, n))  # of the factor: block (k+1, k)
-    for i in range(n):
-        below[:, :, i] = front[:-1, i, n - i : 2 * n - i]
-    own = _inverse_triangle(after).transpose(2, 0, 1)[:-1]
-    gain = (below @ own).transpose(0, 2, 1)
-    return _Inverse(P, -gain @ P[1:])
-
-
 def _blocks(factor: Array) -> Array:
     """Lower triangles on the diagonal of a factor, (n, n, K)."""
     K, n, _ = factor.shape
@@ -139,7 +124,7 @@ def _product(lower: Array) -> Array:
     out = np.empty_like(lower)
     for i in range(len(lower)):
         for j in range(i + 1):
-            out[i, j] = out[j, i] = np.sum(lower[i, : j + 1] * lower[j, : j + 1], axis=0)
+            out[i, j] = out[j, i] = np.einsum("kn,kn->n", lower[i, : j + 1], lower[j, : j + 1])
     return out
 
 
@@ -147,7 +132,7 @@ def _roots(matrices: Array) -> tuple[Array, Array]:
     """Cholesky factors of matrices (n, n, K), and the inverses of these."""
     lower = np.zeros_like(matrices)
     for j in range(len(matrices)):
-        rest = matrices[j:, j] - np.sum(lower[j:, :j] * lower[j, :j], axis=1)
+        rest = matrices[j:, j] - np.einsum("ikn,kn->in", lower[j:, :j], lower[j, :j])
         if not np.all(rest[0] > 0.0):
             raise NotPositiveDefiniteError("the data does not determine every unknown")
         lower[j:, j] = rest / np.sqrt(rest[0])
@@ -160,5 +145,5 @@ def _inverse_triangle(lower: Array) -> Array:
     for j in range(len(lower)):
         inverse[j, j] = 1.0 / lower[j, j]
         for i in range(j + 1, len(lower)):
-            inverse[i, j] = -np.sum(lower[i, j:i] * inverse[j:i, j], axis=0) / lower[i, i]
+            inverse[i, j] = -np.einsum("kn,kn->n", lower[i, j:i], inverse[j:i, j]) / lower[i, i]
     return inverse

@@ -149,15 +149,17 @@ def design(rows: FixRows, t: Array, fix_times: Array, at: Unknowns) -> Design:
 
     chosen = rows.fix + m * rows.is_velocity
     k, left, right = k[chosen], left[chosen], right[chosen]
-    prediction = _dot(left, at.x[rows.axis, k]) + _dot(right, at.x[rows.axis, k + 1])
+    node, x = rows.axis * t.size + k, at.x.reshape(-1, N_STATE)
+    here, after = x[node], x[node + 1]
+    prediction = _dot(left, here) + _dot(right, after)
     moving = np.flatnonzero(rows.is_velocity)
     fix, axis = rows.fix[moving], rows.axis[moving]
     by_constant = np.zeros((rows.fix.size, N_CONSTANTS))
-    by_constant[moving, 0] -= _dot(bends[0][fix, 1], at.x[axis, k[moving], :N_MOTION])
-    by_constant[moving, 0] -= _dot(bends[1][fix, 1], at.x[axis, k[moving] + 1, :N_MOTION])
+    by_constant[moving, 0] -= _dot(bends[0][fix, 1], here[moving, :N_MOTION])
+    by_constant[moving, 0] -= _dot(bends[1][fix, 1], after[moving, :N_MOTION])
     by_constant[moving, 1 + axis] = 1.0
     prediction[moving] += at.constants[1 + axis]
-    return Design(rows.axis * t.size + k, left, right, by_constant, prediction - rows.value)
+    return Design(node, left, right, by_constant, prediction - rows.value)
 
 
 def solve(rows: Design, information: Array, between: Transitions, prior: PathPrior, at: Unknowns) -> ChainSolution:
@@ -174,15 +176,22 @@ def solve(rows: Design, information: Array, between: Transitions, prior: PathPri
 
 def leverage(rows: Design, prior: PathPrior, solution: ChainSolution) -> Array:
     """Variance of each row's prediction under the solution's covariance, (R,)."""
-    k = rows.node
-    value = _dot((rows.left[:, None, :] @ solution.covariance[k])[:, 0], rows.left)
-    value += _dot((rows.right[:, None, :] @ solution.covariance[k + 1])[:, 0], rows.right)
-    value += 2.0 * _dot((rows.left[:, None, :] @ solution.cross[k])[:, 0], rows.right)
-    by_constant = rows.by_constant[:, prior.is_free]
-    mixed = (rows.left[:, None, :] @ solution.constants_cross[k])[:, 0]
-    mixed += (rows.right[:, None, :] @ solution.constants_cross[k + 1])[:, 0]
-    value += _dot(by_constant, 2.0 * mixed + by_constant @ solution.constants_covariance)
+    k, left, right = rows.node, np.ascontiguousarray(rows.left.T), np.ascontiguousarray(rows.right.T)
+    value = _form(left, solution.covariance, k, left) + _form(right, solution.covariance, k + 1, right)
+    value += 2.0 * _form(left, solution.cross, k, right)
+    some = np.flatnonzero(rows.by_constant.any(axis=1))
+    k, by_constant = k[some], rows.by_constant[some][:, prior.is_free]
+    mixed = (rows.left[some, None, :] @ solution.constants_cross[k])[:, 0]
+    mixed += (rows.right[some, None, :] @ solution.constants_cross[k + 1])[:, 0]
+    value[some] += _dot(by_constant, 2.0 * mixed + by_constant @ solution.constants_covariance)
     return np.asarray(np.maximum(value, 0.0))
+
+
+def _form(left: Array, matrices: Array, k: IntArray, right: Array) -> Array:
+    """`left @ matrices[k] @ right` (R,) of left, right (4, R) and matrices (K, 4, 4), all rows at once."""
+    of_row = np.take(np.ascontiguousarray(matrices.reshape(len(matrices), -1).T), k, axis=1)
+    by_right = np.einsum("ijr,jr->ir", of_row.reshape(N_STATE, N_STATE, -1), right)
+    return np.asarray(np.einsum("ir,ir->r", left, by_right))
 
 
 def prior_residuals(between: Transitions, x: Array) -> Array:
