@@ -135,7 +135,8 @@ class _Averages:
         t = np.clip(t, self._t[0], self._t[-1])
         k = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, self._t.size - 2)
         fraction = ((t - self._t[k]) / (self._t[k + 1] - self._t[k]))[..., None]
-        return np.asarray((1.0 - fraction) * self._sum[k] + fraction * self._sum[k + 1])
+        before, after = np.take(self._sum, k, axis=0), np.take(self._sum, k + 1, axis=0)  # faster than indexing
+        return np.asarray((1.0 - fraction) * before + fraction * after)
 
 
 def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:

@@ -84,7 +84,8 @@ def detect_standstill(
     if len(t) == 0:
         return np.zeros(0, dtype=np.bool_)
     block = np.floor((t - t[0]) / options.block).astype(np.int64)
-    force, rate = _Blocks.of(specific_force, block, options), _Blocks.of(angular_rate, block, options)
+    edges = np.searchsorted(block, np.arange(int(block[-1]) + 2))
+    force, rate = _Blocks.of(specific_force, edges, options), _Blocks.of(angular_rate, edges, options)
     still = _is_steady(force, options.force_floor, options) & _is_steady(rate, options.rate_floor, options)
     if fix_t is None or fix_speed is None:
         still &= _is_quiet(force, options.quiet_force, options) & _is_quiet(rate, options.quiet_rate, options)
@@ -189,10 +190,9 @@ class _Blocks:
     occupied: Array
 
     @staticmethod
-    def of(values: Array, block: IntArray, options: StandstillOptions) -> "_Blocks":
-        """Sum up values (N, 3), of which `block` (N,) says the block of each sample."""
-        size = int(block[-1]) + 1
-        count = np.bincount(block, minlength=size).astype(np.float64)
+    def of(values: Array, edges: IntArray, options: StandstillOptions) -> "_Blocks":
+        """Sum up values (N, 3) of blocks that begin at the rows `edges` (B + 1,), the last one being N."""
+        count, size = np.diff(edges).astype(np.float64), edges.size - 1
         filled = np.maximum(count, 1.0)
         has = (count > 0.0).astype(np.float64)
         k = _windowed(has, options)
@@ -200,13 +200,13 @@ class _Blocks:
         usual = np.median(few, axis=0)  # keeps the sums of squares precise
         mean, inside = np.zeros((3, size)), np.zeros((3, size))
         for part in pieces(len(values)):  # a day of samples is a gigabyte
-            here, first, _ = _firsts(block[part])
+            here, first, _ = _within(edges, part)
             for axis in range(3):
                 mean[axis, here] += np.add.reduceat(values[part, axis] - usual[axis], first)
             release(values)
         mean /= filled
         for part in pieces(len(values)):
-            here, first, length = _firsts(block[part])
+            here, first, length = _within(edges, part)
             for axis in range(3):
                 rest = values[part, axis] - np.repeat(usual[axis] + mean[axis, here], length)
                 inside[axis, here] += np.add.reduceat(rest * rest, first)
@@ -218,10 +218,12 @@ class _Blocks:
         return _Blocks(between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
 
 
-def _firsts(block: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Blocks (C,) that occur in the rising `block` (N,) of some samples, the first sample of each, and their number."""
-    first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-    return block[first], first, np.diff(first, append=block.size)
+def _within(edges: IntArray, part: slice) -> tuple[IntArray, IntArray, IntArray]:
+    """Blocks (C,) that have samples in a part of them, the first such sample of each, in the part, and their number."""
+    edges = np.clip(edges, part.start, part.stop) - part.start
+    length = np.diff(edges)
+    here = np.flatnonzero(length)
+    return here, edges[here], length[here]
 
 
 def _windowed(values: Array, options: StandstillOptions) -> Array:

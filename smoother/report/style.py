@@ -200,7 +200,7 @@ def running_median(t: Array, values: Array, *, seconds: float) -> Array:
     size = round(seconds / float(np.median(np.diff(t)))) if len(t) > 1 else 1
     if size < 2 or not np.isfinite(values).all():
         return values
-    return np.asarray(median_filter(values, min(size, len(t)) | 1, mode="nearest"))
+    return np.asarray(median_filter(values, (min(size, len(t)) - 1) | 1, mode="nearest"))
 
 
 def thinned_path(x: Array, y: Array, *values: Array, step: float) -> list[Array]:
