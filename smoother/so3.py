@@ -21,17 +21,34 @@ def skew(w: Array) -> Array:
     return out
 
 
+def axial(w: Array, identity: Array, cross: Array, outer: Array) -> Array:
+    """Matrix `identity * I + cross * skew(w) + outer * w w^T`, as all functions of a turn are. w : (..., 3).
+
+    identity, cross, outer : (...,). Returns (..., 3, 3).
+    """
+    out = np.asarray((outer[..., None] * w)[..., :, None] * w[..., None, :])
+    x, y, z = (cross * w[..., i] for i in range(3))
+    for i in range(3):
+        out[..., i, i] += identity
+    out[..., 0, 1] -= z
+    out[..., 1, 0] += z
+    out[..., 0, 2] += y
+    out[..., 2, 0] -= y
+    out[..., 1, 2] -= x
+    out[..., 2, 1] += x
+    return out
+
+
 def exp(w: Array) -> Array:
     """Rotation matrix of the rotation vector w : (..., 3) rad. Returns (..., 3, 3). Source: Rodrigues' formula."""
     w = np.asarray(w, dtype=np.float64)
-    angle2 = np.sum(w * w, axis=-1)[..., None, None]
-    angle = np.sqrt(angle2)
+    angle2 = np.sum(w * w, axis=-1)
     small = angle2 < 1e-8  # the series is exact to 1e-17 below this
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / (safe * safe))
-    W = skew(w)
-    return np.asarray(np.eye(3) + a * W + b * (W @ W))
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / safe)
+    return axial(w, 1.0 - b * angle2, a, b)
 
 
 def log(R: Array) -> Array:
@@ -51,6 +68,12 @@ def quaternion_wxyz(R: Array) -> Array:
     """
     R = np.asarray(R, dtype=np.float64)
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    if np.all(trace > 0.0):  # turns of less than 120 deg, whose w is large enough
+        q = np.stack(
+            [1.0 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
+            axis=-1,
+        )
+        return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
     candidates = np.empty((*R.shape[:-2], 4, 4))
     candidates[..., 0, 0] = 1.0 + trace
     candidates[..., 0, 1] = candidates[..., 1, 0] = R[..., 2, 1] - R[..., 1, 2]

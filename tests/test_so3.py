@@ -108,3 +108,20 @@ def test_a_turn_on_the_right_moves_a_rotated_vector_by_minus_R_skew() -> None:
     R, v = random_rotations(1, seed=6)[0], np.array([0.2, -1.3, 0.7])
     J = so3.numerical_jacobian(lambda w: R @ so3.exp(w) @ v, np.zeros(3))
     np.testing.assert_allclose(J, -R @ so3.skew(v), atol=1e-9)
+
+
+def test_an_axial_matrix_is_the_sum_of_its_three_parts() -> None:
+    rng = np.random.default_rng(5)
+    w, (a, b, c) = rng.normal(size=(4, 3)), rng.normal(size=(3, 4))
+    for k, have in enumerate(so3.axial(w, a, b, c)):
+        np.testing.assert_allclose(have, a[k] * np.eye(3) + b[k] * so3.skew(w[k]) + c[k] * np.outer(w[k], w[k]))
+
+
+def test_a_quaternion_does_not_depend_on_what_else_is_in_the_stack() -> None:
+    turns = np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 1.0], [0.0, 2.0, 0.5]])
+    half_a_turn = so3.exp(np.array([[np.pi, 0.0, 0.0]]))
+    alone, together = (
+        so3.quaternion_wxyz(so3.exp(turns)),
+        so3.quaternion_wxyz(np.concatenate([so3.exp(turns), half_a_turn])),
+    )
+    np.testing.assert_allclose(alone, together[:3], atol=1e-15)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.disc import pieces
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import expected_motion
@@ -62,6 +63,7 @@ SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
 USUAL_POSITION_COUNT = 1.0  # residuals; filtered fixes show a tenth of it, so that it is hardly known
 USUAL_VELOCITY_COUNT = 20.0  # Doppler differs by less
 HELD = 1e-4  # m; what is held does not move by a digit
+TOGETHER = 256  # rows whose covariances are worked on together
 USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
 USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
@@ -314,21 +316,29 @@ def _robust(rows: rw.Rows) -> rw.Rows:
 
 def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
     """Variance (N, r) that the solution leaves in the prediction of `rows`."""
-    k = rows.interval
-    P = solution.covariance
-    left, right, constants = rows.left, rows.right, rows.constants
+    out = np.empty(rows.residual.shape)
+    of_left, of_right = _columns(rows.left), _columns(rows.right)
     own = slice(0, ROW_CONSTANTS_SIZE)
-    S, cross = solution.constants_covariance[own, own], solution.constants_cross[:, :, own]
-
-    def quadratic(A: Array, M: Array, B: Array) -> Array:
-        return np.asarray(np.einsum("nri,nri->nr", A @ M, B))
-
-    out = quadratic(left, P[k], left) + quadratic(right, P[k + 1], right)
-    out += 2.0 * quadratic(left, solution.cross[k], right)
-    out += quadratic(constants, np.broadcast_to(S, (len(k), *S.shape)), constants)
-    out += 2.0 * quadratic(left, cross[k], constants)
-    out += 2.0 * quadratic(right, cross[k + 1], constants)
+    P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
+    for part in pieces(len(out), TOGETHER):
+        k, constants = rows.interval[part], rows.constants[part]
+        left, right = rows.left[part, :, of_left], rows.right[part, :, of_right]
+        by_left = left @ P[k, of_left, of_left]
+        by_right = right @ P[k + 1, of_right, of_right] + 2.0 * (left @ solution.cross[k, of_left, of_right])
+        by_constants = left @ cross[k, of_left, own] + right @ cross[k + 1, of_right, own]
+        by_constants = 2.0 * by_constants + constants @ S
+        out[part] = _dot(by_left, left) + _dot(by_right, right) + _dot(by_constants, constants)
     return out
+
+
+def _columns(jacobian: Array) -> slice:
+    """Columns of a Jacobian (N, r, n) that are not all zero, and those between them."""
+    used = np.flatnonzero(np.any(jacobian, axis=(0, 1)))
+    return slice(int(used[0]), int(used[-1]) + 1) if used.size else slice(0, 0)
+
+
+def _dot(one: Array, two: Array) -> Array:
+    return np.asarray(np.einsum("nri,nri->nr", one, two))
 
 
 def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatter) -> Noise:

@@ -17,7 +17,7 @@ from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, ChainState
 from smoother.frames import GRAVITY_N
 
-_BIASES = slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
+_MOTION, _BIASES = slice(ROTATION.start, VELOCITY.stop), slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,81 +61,99 @@ def increments(binned: BinnedImu, accel_bias: Array, gyro_bias: Array) -> Increm
     return Increments(n_bins * dt, accel_bias, gyro_bias, turn, shift, slopes)
 
 
-def in_left_axes(done: Increments, root: Array) -> Array:
-    """Whitening matrices (N, 15, 15) for residuals, from those of the increments, `root`.
+def in_left_axes(done: Increments, root: Array, part: slice) -> Array:
+    """Whitening matrices (n, 15, 15) for residuals of the intervals `part`, from those of the increments, `root`.
 
     A residual is in the axes of the right keyframe and of opposite sign in the biases; the covariance of the increments
     is that of the rotation vector and in the axes of the left one.
     """
-    dR, out = so3.exp(done.turn), root.copy()
-    out[:, :, ROTATION] = root[:, :, ROTATION] @ left_jacobian_inverse(done.turn).transpose(0, 2, 1)
-    for part in (TRANSLATION, VELOCITY):
-        out[:, :, part] = root[:, :, part] @ dR
+    dR, out = so3.exp(done.turn[part]), root.copy()
+    out[:, :, ROTATION] = root[:, :, ROTATION] @ left_jacobian_inverse(done.turn[part]).transpose(0, 2, 1)
+    for columns in (TRANSLATION, VELOCITY):
+        out[:, :, columns] = root[:, :, columns] @ dR
     out[:, :, _BIASES] *= -1.0
     return np.asarray(out)
 
 
-def linearize_increments(done: Increments, state: ChainState, part: slice, J: Array) -> Array:
-    """Residual (n, 15) of the intervals `part`, not whitened, and in J its Jacobian by left and right keyframe.
+@dataclass(frozen=True, eq=False)
+class LinearIncrements:
+    """Residuals (N, 15) of all intervals, not whitened, and the parts of their Jacobians by left and right keyframe.
 
     The residual is the logarithm of the predicted keyframe as seen from the right one, and the biases of left minus
-    right one. J (n, 15, 30) is filled where it is not always zero.
+    right one. Slopes of its turn, position and velocity: by_rotation_left, by_rotation_right (N, 3, 3, 3), by_biases
+    (N, 3, 3, 6); of position and velocity by those of the right keyframe, in its axes, the negative of inverse
+    (N, 3, 3), and by what is seen in axes of the left one and of n, by_left, by_n (N, 3, 3).
     """
-    after = slice(part.start + 1, part.stop + 1)
-    R_i, R_j, T = state.R_ns[part], state.R_ns[after], done.T
-    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1, dtype=np.float64)[part.start : after.stop]
-    by_bias = done.by_bias[part]
-    change = (by_bias @ (biases[:-1] - np.r_[done.accel_bias, done.gyro_bias])[:, None, :, None])[..., 0]
-    turn, shift = done.turn[part] + change[:, 0], done.shift[part] + change[:, 1:]
+
+    T: float
+    residual: Array
+    by_rotation_left: Array
+    by_rotation_right: Array
+    by_biases: Array
+    inverse: Array
+    by_left: Array
+    by_n: Array
+
+    def put(self, J: Array, part: slice) -> None:
+        """Fill in Jacobians (n, 15, 30) of the intervals `part`, where they are not always zero."""
+        left, right, n = J[:, :, :15], J[:, :, 15:], len(J)
+        left[:, _MOTION, ROTATION] = self.by_rotation_left[part].reshape(n, 9, 3)
+        right[:, _MOTION, ROTATION] = self.by_rotation_right[part].reshape(n, 9, 3)
+        left[:, _MOTION, _BIASES] = self.by_biases[part].reshape(n, 9, 6)
+        left[:, TRANSLATION, TRANSLATION] = self.by_left[part]
+        np.negative(self.inverse[part], out=right[:, TRANSLATION, TRANSLATION])
+        left[:, VELOCITY, VELOCITY] = by_n = self.by_n[part]
+        np.multiply(self.T, by_n, out=left[:, TRANSLATION, VELOCITY])
+        np.negative(by_n, out=right[:, VELOCITY, VELOCITY])
+        left[:, _BIASES, _BIASES], right[:, _BIASES, _BIASES] = np.eye(6), -np.eye(6)
+
+
+def linearize_increments(done: Increments, state: ChainState) -> LinearIncrements:
+    """Linearise all intervals at `state`."""
+    R_i, R_j, T = state.R_ns[:-1], state.R_ns[1:], done.T
+    position_n, velocity_n = state.position_n, state.velocity_n
+    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)
+    change = (done.by_bias @ (biases[:-1] - np.r_[done.accel_bias, done.gyro_bias])[:, None, :, None])[..., 0]
+    turn, shift = done.turn + change[:, 0], done.shift + change[:, 1:]
     ahead = np.empty_like(shift)  # of the right keyframe, by gravity and the left one's velocity
-    ahead[:, 0] = state.position_n[part] + T * state.velocity_n[part] + 0.5 * T**2 * GRAVITY_N - state.position_n[after]
-    ahead[:, 1] = state.velocity_n[part] + T * GRAVITY_N - state.velocity_n[after]
+    ahead[:, 0] = position_n[:-1] + T * velocity_n[:-1] + 0.5 * T**2 * GRAVITY_N - position_n[1:]
+    ahead[:, 1] = velocity_n[:-1] + T * GRAVITY_N - velocity_n[1:]
     R_jn, dR = R_j.transpose(0, 2, 1), so3.exp(turn)
     R_ji = R_jn @ R_i
     apart = ahead @ R_j + shift @ R_ji.transpose(0, 2, 1)
     angle = so3.log(R_ji @ dR)
     inverse, bent = left_jacobian_inverse(angle), slope_of_inverse(angle[:, None], apart)
-    by_turn, by_left = inverse.transpose(0, 2, 1) @ right_jacobian(turn) @ by_bias[:, 0], inverse @ R_ji
-    by_n = inverse @ R_jn
+    by_left, moved = inverse @ R_ji, apart @ inverse.transpose(0, 2, 1)
 
-    left, right = J[:, :, :15], J[:, :, 15:]
-    left[:, ROTATION, ROTATION] = by_rotation = (dR @ inverse).transpose(0, 2, 1)
-    left[:, ROTATION, _BIASES], right[:, ROTATION, ROTATION] = by_turn, -inverse
-    for rows, b, gained, seen, slope in zip(
-        (TRANSLATION, VELOCITY),
-        bent.swapaxes(0, 1),
-        shift.swapaxes(0, 1),
-        apart.swapaxes(0, 1),
-        by_bias[:, 1:].swapaxes(0, 1),
-        strict=True,
-    ):
-        left[:, rows, ROTATION] = b @ by_rotation - by_left @ so3.skew(gained)
-        left[:, rows, _BIASES] = b @ by_turn + by_left @ slope
-        right[:, rows, ROTATION] = inverse @ so3.skew(seen) - b @ inverse
-    left[:, TRANSLATION, TRANSLATION], left[:, TRANSLATION, VELOCITY] = by_left, T * by_n
-    left[:, VELOCITY, VELOCITY], right[:, VELOCITY, VELOCITY] = by_n, -by_n
-    right[:, TRANSLATION, TRANSLATION] = -inverse
-    left[:, _BIASES, _BIASES], right[:, _BIASES, _BIASES] = np.eye(6), -np.eye(6)
-    moved = (apart @ inverse.transpose(0, 2, 1)).reshape(-1, 6)
-    return np.concatenate([angle, moved, biases[:-1] - biases[1:]], axis=1)
+    by_left_rotation, by_right_rotation, by_biases = (np.empty((len(R_i), 3, 3, n)) for n in (3, 3, 6))
+    by_left_rotation[:, 0] = rotated = (dR @ inverse).transpose(0, 2, 1)
+    by_left_rotation[:, 1:] = bent @ rotated[:, None] - by_left[:, None] @ so3.skew(shift)
+    by_right_rotation[:, 0] = -inverse
+    by_right_rotation[:, 1:] = inverse[:, None] @ so3.skew(apart) - bent @ inverse[:, None]
+    by_biases[:, 0] = turned = inverse.transpose(0, 2, 1) @ right_jacobian(turn) @ done.by_bias[:, 0]
+    by_biases[:, 1:] = bent @ turned[:, None] + by_left[:, None] @ done.by_bias[:, 1:]
+    residual = np.concatenate([angle, moved.reshape(-1, 6), biases[:-1] - biases[1:]], axis=1)
+    return LinearIncrements(
+        T, residual, by_left_rotation, by_right_rotation, by_biases, inverse, by_left, inverse @ R_jn
+    )
 
 
 def right_jacobian(turn: Array) -> Array:
     """Right Jacobian J (..., 3, 3) at turn (..., 3): exp(turn + d) is exp(turn) exp(J d) for small d."""
-    angle2 = np.sum(turn**2, axis=-1)[..., None, None]
+    angle2 = np.sum(turn**2, axis=-1)
     small = angle2 < 1e-4  # the series is exact to 1e-13 below this
     safe = np.where(small, 1.0, angle2)
-    angle, W = np.sqrt(safe), so3.skew(turn)
+    angle = np.sqrt(safe)
     a = np.where(small, 0.5 - angle2 / 24.0 + angle2**2 / 720.0, (1.0 - np.cos(angle)) / safe)
     b = np.where(small, 1.0 / 6.0 - angle2 / 120.0 + angle2**2 / 5040.0, (1.0 - np.sin(angle) / angle) / safe)
-    return np.asarray(np.eye(3) - a * W + b * (W @ W))
+    return so3.axial(turn, 1.0 - b * angle2, -a, b)
 
 
 def left_jacobian_inverse(turn: Array) -> Array:
     """Inverse (..., 3, 3) of the left Jacobian at turn (..., 3), that of the right one transposed."""
-    c, _ = _of_square(np.sum(turn**2, axis=-1))
-    W = so3.skew(turn)
-    return np.asarray(np.eye(3) - 0.5 * W + c[..., None, None] * (W @ W))
+    angle2 = np.sum(turn**2, axis=-1)
+    c, _ = _of_square(angle2)
+    return so3.axial(turn, 1.0 - c * angle2, np.full_like(c, -0.5), c)
 
 
 def slope_of_inverse(turn: Array, vector: Array) -> Array:

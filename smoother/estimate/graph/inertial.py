@@ -9,6 +9,7 @@ from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, preintegrate, shared_densities
 from smoother.estimate.graph.increments import in_left_axes, increments, linearize_increments
@@ -26,7 +27,7 @@ from smoother.estimate.graph.state import (
 
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, GYRO_ERROR.stop)
-_MOTION = slice(0, 9)  # rows of rotation, position and velocity
+_MOTION, _MOVED = slice(0, 9), slice(3, 9)  # rows of rotation, position and velocity; of the latter two
 _LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 39)  # columns of a factor's Jacobian
 PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
@@ -83,6 +84,7 @@ class InertialGraph:
         self._covariance = np.array([m.preintMeasCov() for m in measured])
         self._force, self._rate = binned.specific_force_s.mean(axis=1), binned.angular_rate_s.mean(axis=1)
         self._accel_bias = accel_bias
+        self._own_whitening = self._whitening(noise)
 
     def serves(self, noise: InertialNoise) -> bool:
         """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
@@ -95,16 +97,15 @@ class InertialGraph:
 
         Errors of scale act like a bias in proportion to the mean force and rate of the interval.
         """
-        n, whitening = len(self._covariance), self._whitening(noise)
+        n, whitening = len(self._covariance), self._whitening_with(noise)
         linear = LinearInertial(np.empty((n, 15, 39)), np.empty((n, 15)))
-        J = np.zeros((min(PIECE, n), 15, 39))
-        for first in range(0, n, PIECE):
-            here = slice(first, min(first + PIECE, n))
-            some, white = J[: here.stop - first], whitening[here]
-            residual = linearize_increments(self._increments, state, here, some[:, :, : _RIGHT.stop])
+        J, bare = np.zeros((min(PIECE, n), 15, 39)), linearize_increments(self._increments, state)
+        for here in pieces(n, PIECE):
+            some, white = J[: here.stop - here.start], whitening[here]
+            bare.put(some[:, :, : _RIGHT.stop], here)
             self._put_errors(some, state, here)
             np.matmul(white, some, out=linear.jacobian[here])
-            np.matmul(white, residual[:, :, None], out=linear.residual[here, :, None])
+            np.matmul(white, bare.residual[here, :, None], out=linear.residual[here, :, None])
         return inertial_after_errors(linear, state.constants.as_vector() - self.constants.as_vector())
 
     def _put_errors(self, J: Array, state: ChainState, here: slice) -> None:
@@ -116,23 +117,29 @@ class InertialGraph:
         J[:, _MOTION, 30:36] = by_force.reshape(n, 9, 6)
         J[:, _MOTION, 36:39] = J[:, _MOTION, 12:15] * rate[:, None, None]
 
-    def _whitening(self, noise: InertialNoise) -> Array:
+    def _whitening_with(self, noise: InertialNoise) -> Array:
         """Matrices (K-1, 15, 15) that whiten residuals with `noise`."""
+        if noise == self.noise:
+            return self._own_whitening
         try:
-            root = np.linalg.cholesky(self._covariance if noise == self.noise else self._scaled_covariance(noise))
+            return self._whitening(noise)
         except np.linalg.LinAlgError:  # scaling is an approximation, and some covariances have little to spare
-            change = min(noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
-            root = change * np.linalg.cholesky(self._covariance)
-        return in_left_axes(self._increments, inverse_of_lower(root))
+            return self._own_whitening / min(noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
 
-    def _scaled_covariance(self, noise: InertialNoise) -> Array:
-        """Covariance (K-1, 15, 15) of the factors for densities that are not far from those preintegrated with."""
-        T = self._binned.n_bins * self._binned.dt
-        accel, gyro = shared_densities(self._binned, noise)
-        accel_was, gyro_was = shared_densities(self._binned, self.noise)
-        by_force, by_rate = _force_covariance(np.ones(1), T), _rate_covariance(self._force - self._accel_bias, T)
-        change = (accel**2 - accel_was**2)[:, None, None] * by_force
-        return np.asarray(self._covariance + change + (gyro**2 - gyro_was**2)[:, None, None] * by_rate)
+    def _whitening(self, noise: InertialNoise) -> Array:
+        """Likewise, by covariances for densities that are not far from those preintegrated with."""
+        was, now = shared_densities(self._binned, self.noise), shared_densities(self._binned, noise)
+        more = [one**2 - two**2 for one, two in zip(now, was, strict=True)]
+        T, out = self._increments.T, np.empty_like(self._covariance)
+        by_force = _force_covariance(np.ones(1), T)
+        for here in pieces(len(out), PIECE):
+            covariance = self._covariance[here]
+            if noise != self.noise:
+                by_rate = _rate_covariance(self._force[here] - self._accel_bias, T)
+                accel, gyro = (value[here, None, None] for value in more)
+                covariance = covariance + accel * by_force + gyro * by_rate
+            out[here] = in_left_axes(self._increments, inverse_of_lower(np.linalg.cholesky(covariance)), here)
+        return out
 
 
 def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
@@ -150,22 +157,22 @@ def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Arr
 def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
     """Add the normal equations of the inertial factors to the system, in place."""
     n = len(linear.residual)
-    corner, rhs_constants = system.corner[_ERRORS, _ERRORS], system.rhs_constants[_ERRORS]
-    buffer = np.empty((min(PIECE, n), 39, 39))
-    for first in range(0, n, PIECE):
-        here = slice(first, min(first + PIECE, n))
-        after, J = slice(first + 1, here.stop + 1), linear.jacobian[here]
-        normal = np.matmul(J.transpose(0, 2, 1), J, out=buffer[: here.stop - first])
+    by_left, by_right = np.empty((min(PIECE, n), 15, 39)), np.empty((min(PIECE, n), 15, 24))
+    for here in pieces(n, PIECE):
+        J, after, some = linear.jacobian[here], slice(here.start + 1, here.stop + 1), slice(0, here.stop - here.start)
+        product = np.matmul(J[:, :, _LEFT].transpose(0, 2, 1), J, out=by_left[some])
+        system.diagonal[here, _INERTIAL, _INERTIAL] += product[:, :, _LEFT]
+        system.upper[here, _INERTIAL, _INERTIAL] += product[:, :, _RIGHT]
+        system.border[here, _INERTIAL, _ERRORS] += product[:, :, _BY_ERRORS]
+        product = np.matmul(J[:, :, _RIGHT].transpose(0, 2, 1), J[:, :, 15:], out=by_right[some])
+        system.diagonal[after, _INERTIAL, _INERTIAL] += product[:, :, :15]
+        system.border[after, _INERTIAL, _ERRORS] += product[:, :, 15:]
         pull = (linear.residual[here, None, :] @ J)[:, 0]
-        system.diagonal[here, _INERTIAL, _INERTIAL] += normal[:, _LEFT, _LEFT]
-        system.diagonal[after, _INERTIAL, _INERTIAL] += normal[:, _RIGHT, _RIGHT]
-        system.upper[here, _INERTIAL, _INERTIAL] += normal[:, _LEFT, _RIGHT]
-        system.border[here, _INERTIAL, _ERRORS] += normal[:, _LEFT, _BY_ERRORS]
-        system.border[after, _INERTIAL, _ERRORS] += normal[:, _RIGHT, _BY_ERRORS]
         system.rhs[here, _INERTIAL] -= pull[:, _LEFT]
         system.rhs[after, _INERTIAL] -= pull[:, _RIGHT]
-        corner += normal[:, _BY_ERRORS, _BY_ERRORS].sum(axis=0)
-        rhs_constants -= pull[:, _BY_ERRORS].sum(axis=0)
+        system.rhs_constants[_ERRORS] -= pull[:, _BY_ERRORS].sum(axis=0)
+        by_errors = J[:, :, _BY_ERRORS].reshape(-1, 9)
+        system.corner[_ERRORS, _ERRORS] += by_errors.T @ by_errors
 
 
 def empty_system(n_keyframes: int) -> ChainSystem:
@@ -215,14 +222,17 @@ def inertial_components(
     """
     at = np.flatnonzero(use)
     root, e = _root_information(state, linear, at), linear.residual[at]
-    C = _posterior_covariance(linear, solution, at)
-    W = root @ _force_covariance(accel[at], state.interval) @ root.transpose(0, 2, 1)
-    force = VarianceComponent(np.einsum("ki,kij,kj->k", e, W, e), np.einsum("kij,kji->k", W, np.eye(15) - C))
-    unwhiten = np.linalg.inv(root)[:, ROTATION, :]
+    by_motion = root[:, :, _MOVED].transpose(0, 2, 1)
+    unwhiten = np.linalg.solve(root.transpose(0, 2, 1), np.eye(15)[:, ROTATION]).transpose(0, 2, 1)
+    of = np.concatenate([by_motion, unwhiten], axis=1)
+    left, weighed = _posterior_covariance(linear, solution, at, of), np.einsum("kri,ki->kr", of, e)
+    V = _force_covariance(accel[at], state.interval)[:, _MOVED, _MOVED]
+    moved, turned = weighed[:, :6], weighed[:, 6:]
+    expected = np.einsum("kij,kji->k", V, by_motion @ by_motion.transpose(0, 2, 1) - left[:, :6, :6])
+    force = VarianceComponent(np.einsum("ki,kij,kj->k", moved, V, moved), expected)
     variance = (gyro[at] ** 2 * state.interval)[:, None]
-    turned = np.einsum("kij,kj->ki", unwhiten, e)
-    left = np.einsum("kri,kri->kr", unwhiten @ C, unwhiten)
-    rate = VarianceComponent(np.sum(turned**2 / variance, axis=1), np.sum(1.0 - left / variance, axis=1))
+    of_rate = np.einsum("kii->ki", left[:, 6:, 6:])
+    rate = VarianceComponent(np.sum(turned**2 / variance, axis=1), np.sum(1.0 - of_rate / variance, axis=1))
     return force, rate
 
 
@@ -266,13 +276,14 @@ def _rate_covariance(force: Array, T: float) -> Array:
     return V
 
 
-def _posterior_covariance(linear: LinearInertial, solution: ChainSolution, at: IntArray) -> Array:
-    """Covariance (N, 15, 15) that the solution leaves in the whitened residuals of the factors `at` (N,)."""
-    left, right, errors = linear.left[at], linear.right[at], linear.errors[at]
+def _posterior_covariance(linear: LinearInertial, solution: ChainSolution, at: IntArray, of: Array) -> Array:
+    """Covariance (N, r, r) that the solution leaves in `of` (N, r, 15) times the residuals of the factors `at` (N,)."""
+    J = of @ linear.jacobian[at]
+    left, right, errors = J[:, :, _LEFT], J[:, :, _RIGHT], J[:, :, _BY_ERRORS]
     S, C = solution.constants_covariance[_ERRORS, _ERRORS], solution.constants_cross[:, _INERTIAL, _ERRORS]
     P_left, P_right, cross = (
-        block[:, _INERTIAL, _INERTIAL]
-        for block in (solution.covariance[at], solution.covariance[at + 1], solution.cross[at])
+        block[k, _INERTIAL, _INERTIAL]
+        for block, k in ((solution.covariance, at), (solution.covariance, at + 1), (solution.cross, at))
     )
     right_t, errors_t = right.transpose(0, 2, 1), errors.transpose(0, 2, 1)
     mixed = left @ cross @ right_t + (left @ C[at] + right @ C[at + 1]) @ errors_t

@@ -246,44 +246,56 @@ def add_rows(system: ChainSystem, rows: Sequence[Rows]) -> None:
             if len(once) > DENSE * n_intervals:
                 layers.append((r, once))
             else:
-                _add_few(system, r, once)
+                _add(system, _whitened(r, once), r.interval[once], r.interval[once] + 1)
     if not layers:
         return
-    stack = np.zeros((n_intervals, sum(r.residual.shape[1] for r, _ in layers), _RESIDUAL + 1))
-    first = 0
-    for r, once in layers:
-        part = slice(first, first + r.residual.shape[1])
-        stack[r.interval[once], part] = _whitened(r, once)
-        first = part.stop
+    stack = np.empty((min(PIECE, n_intervals), sum(r.residual.shape[1] for r, _ in layers), _RESIDUAL + 1))
     for first in range(0, n_intervals, PIECE):
         last = min(first + PIECE, n_intervals)
-        _add(system, stack[first:last], slice(first, last), slice(first + 1, last + 1))
+        _stack(stack, layers, first, last)
+        _add(system, stack[: last - first], slice(first, last), slice(first + 1, last + 1))
 
 
-def _whitened(rows: Rows, use: np.ndarray) -> Array:
+def _stack(stack: Array, layers: Sequence[tuple[Rows, IntArray]], first: int, last: int) -> None:
+    """Lay the rows of the intervals first to last, exclusive, on one another, whitened; zeros where there are none."""
+    begin = 0
+    for r, once in layers:
+        part = slice(begin, begin + r.residual.shape[1])
+        begin = part.stop
+        use = once[slice(*np.searchsorted(r.interval[once], [first, last]))]
+        if len(use) < last - first:
+            stack[:, part] = 0.0
+        stack[r.interval[use] - first, part] = _whitened(r, use)
+
+
+def _whitened(rows: Rows, use: IntArray) -> Array:
     """Jacobians by left, right and constants, and residual, (N, r, 46), of the rows `use` (N,), each over its sigma."""
-    parts = [rows.left[use], rows.right[use], rows.constants[use], rows.residual[use, :, None]]
-    return np.asarray(np.concatenate(parts, axis=2) * np.sqrt(rows.information[use])[:, :, None])
+    out = np.empty((len(use), rows.residual.shape[1], _RESIDUAL + 1))
+    out[:, :, _LEFT], out[:, :, _RIGHT], out[:, :, _CONSTANTS] = rows.left[use], rows.right[use], rows.constants[use]
+    out[:, :, _RESIDUAL] = rows.residual[use]
+    out *= np.sqrt(rows.weight[use, None] / rows.sigma[use] ** 2)[:, :, None]
+    return out
 
 
-def _add_few(system: ChainSystem, rows: Rows, use: np.ndarray) -> None:
-    """Add the rows `use` (N,), no two of which are of one interval."""
-    interval = rows.interval[use]
-    _add(system, _whitened(rows, use), interval, interval + 1)
-
-
-def _add(system: ChainSystem, whitened: Array, left: np.ndarray | slice, right: np.ndarray | slice) -> None:
+def _add(system: ChainSystem, whitened: Array, left: IntArray | slice, right: IntArray | slice) -> None:
     """Add whitened rows (N, r, 46), each between one of the keyframes `left` and the next one, `right`."""
-    normal = whitened.transpose(0, 2, 1) @ whitened
-    system.diagonal[left] += normal[:, _LEFT, _LEFT]
-    system.diagonal[right] += normal[:, _RIGHT, _RIGHT]
-    system.upper[left] += normal[:, _LEFT, _RIGHT]
-    system.border[left, :, _OWN] += normal[:, _LEFT, _CONSTANTS]
-    system.border[right, :, _OWN] += normal[:, _RIGHT, _CONSTANTS]
-    system.rhs[left] -= normal[:, _LEFT, _RESIDUAL]
-    system.rhs[right] -= normal[:, _RIGHT, _RESIDUAL]
-    system.corner[_OWN, _OWN] += normal[:, _CONSTANTS, _CONSTANTS].sum(axis=0)
-    system.rhs_constants[_OWN] -= normal[:, _CONSTANTS, _RESIDUAL].sum(axis=0)
+    n, by_right, own = (
+        KEYFRAME_SIZE,
+        whitened[:, :, KEYFRAME_SIZE:],
+        whitened[:, :, 2 * KEYFRAME_SIZE :].reshape(-1, 10),
+    )
+    product = whitened[:, :, :n].transpose(0, 2, 1) @ whitened
+    system.diagonal[left] += product[:, :, _LEFT]
+    system.upper[left] += product[:, :, _RIGHT]
+    system.border[left, :, _OWN] += product[:, :, _CONSTANTS]
+    system.rhs[left] -= product[:, :, _RESIDUAL]
+    product = by_right[:, :, :n].transpose(0, 2, 1) @ by_right
+    system.diagonal[right] += product[:, :, :n]
+    system.border[right, :, _OWN] += product[:, :, n:-1]
+    system.rhs[right] -= product[:, :, -1]
+    corner = own.T @ own
+    system.corner[_OWN, _OWN] += corner[:-1, :-1]
+    system.rhs_constants[_OWN] -= corner[:-1, -1]
 
 
 def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:

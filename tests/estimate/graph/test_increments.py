@@ -77,27 +77,27 @@ def test_increments_are_gtsam_s(seed: int) -> None:
 def test_residuals_and_jacobians_are_gtsam_s(seed: int, crooked: float) -> None:
     drive = Drive(seed, crooked)
     factors, values, J = inertial_factors(drive.measured), drive.values(), np.zeros((K - 1, 15, 30))
-    residual = linearize_increments(drive.increments(), drive.state, slice(0, K - 1), J)
+    linear = linearize_increments(drive.increments(), drive.state)
+    linear.put(J, slice(0, K - 1))
     for k in range(K - 1):
         factor = factors.at(k)
-        np.testing.assert_allclose(residual[k], factor.unwhitenedError(values), atol=1e-11)
+        np.testing.assert_allclose(linear.residual[k], factor.unwhitenedError(values), atol=1e-11)
         whitened = factor.linearize(values).augmentedJacobian()[:, COLUMNS]
         np.testing.assert_allclose(J[k], np.linalg.solve(factor.noiseModel().R(), whitened), atol=1e-10)
 
 
 def test_a_part_of_the_intervals_is_that_part_of_all() -> None:
     drive, J, some = Drive(0, 0.01), np.zeros((K - 1, 15, 30)), np.zeros((1, 15, 30))
-    residual = linearize_increments(drive.increments(), drive.state, slice(0, K - 1), J)
-    np.testing.assert_array_equal(
-        linearize_increments(drive.increments(), drive.state, slice(1, 2), some), residual[1:2]
-    )
+    linear = linearize_increments(drive.increments(), drive.state)
+    linear.put(J, slice(0, K - 1))
+    linear.put(some, slice(1, 2))
     np.testing.assert_array_equal(some, J[1:2])
 
 
 def test_whitening_belongs_to_the_covariance_that_gtsam_gives_its_residuals() -> None:
     drive = Drive(0, 0.0)
     covariance = np.array([m.preintMeasCov() for m in drive.measured])
-    white = in_left_axes(drive.increments(), inverse_of_lower(np.linalg.cholesky(covariance)))
+    white = in_left_axes(drive.increments(), inverse_of_lower(np.linalg.cholesky(covariance)), slice(0, K - 1))
     for W, measured in zip(white, drive.measured, strict=True):
         np.testing.assert_allclose(W @ measured.residualCovariance() @ W.T, np.eye(15), atol=1e-9)
 

@@ -282,11 +282,12 @@ def test_posterior_covariance_is_that_of_the_dense_one() -> None:
     state, binned = drive(0)
     linear = linearized(state, binned)
     P, solution = random_covariance()
-    some = np.array([0, 2, 3])
-    found = _posterior_covariance(linear, solution, some)
+    some, of = np.array([0, 2, 3]), np.random.default_rng(1).normal(size=(3, 4, INERTIAL))
+    found = _posterior_covariance(linear, solution, some, of)
     jacobians = dense_jacobian(linear).reshape(K - 1, INERTIAL, -1)
     for i, k in enumerate(some):
-        want = jacobians[k] @ P @ jacobians[k].T
+        J = of[i] @ jacobians[k]
+        want = J @ P @ J.T
         np.testing.assert_allclose(found[i], want, atol=1e-9 * np.max(np.abs(want)))
 
 
