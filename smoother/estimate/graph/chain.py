@@ -291,9 +291,11 @@ def inverse_of_lower(factor: Array, out: Array | None = None) -> Array:
     inverse = np.empty_like(factor) if out is None else out
     inverse[...] = 0.0
     for i in range(factor.shape[-1]):
-        row = -(factor[:, i, None, :i] @ inverse[:, :i, :])[:, 0, :]
-        row[:, i] += 1.0
-        inverse[:, i] = row / factor[:, i, i, None]
+        scale = 1.0 / factor[:, i, i]
+        inverse[:, i, i] = scale
+        if i:
+            row = factor[:, i, None, :i] @ inverse[:, :i, :i]
+            np.multiply(row[:, 0], -scale[:, None], out=inverse[:, i, :i])
     return inverse
 
 

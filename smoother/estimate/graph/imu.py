@@ -354,11 +354,12 @@ def dense_path(
     d01, d11 = 6.0 * share * (1.0 - share) / T, share * (3.0 * share - 2.0)
     p_all = np.stack(p_path, axis=1) + h01[:, None] * miss_p[:, None] + (T * h11)[:, None] * miss_v[:, None]
     v_all = np.stack(v_path, axis=1) + d01[:, None] * miss_p[:, None] + d11[:, None] * miss_v[:, None]
-    R_all = np.stack(R_path, axis=1) @ so3.exp(share[:, None] * turn[:, None])
+    R_all = np.stack(R_path[:-1], axis=1)
+    R_all[:, 1:] = R_all[:, 1:] @ so3.exp(share[1:-1, None] * turn[:, None])
     acceleration_n = np.diff(v_all, axis=1) / dt
     return DensePath(
         binned.edges,
-        _flatten(R_all, R_ns[-1]),
+        np.concatenate([R_all.reshape(-1, 3, 3), R_ns[-1:]]),
         _flatten(p_all, position_n[-1]),
         _flatten(v_all, velocity_n[-1]),
         (rate + (turn / T)[:, None, :]).reshape(-1, 3),

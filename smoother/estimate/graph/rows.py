@@ -243,56 +243,81 @@ def add_rows(system: ChainSystem, rows: Sequence[Rows]) -> None:
     layers = []
     for r in rows:
         for once in _without_repeats(r.interval):
+            interval = r.interval[once]
             if len(once) > DENSE * n_intervals:
-                layers.append((r, once))
+                layers.append(_Layer(r, once, interval))
             else:
-                _add(system, _whitened(r, once), r.interval[once], r.interval[once] + 1)
+                whitened = _whiten(r, once, np.empty((len(once), r.residual.shape[1], _RESIDUAL + 1)))
+                _add(system, whitened, interval, interval + 1, _products(len(once)))
     if not layers:
         return
-    stack = np.empty((min(PIECE, n_intervals), sum(r.residual.shape[1] for r, _ in layers), _RESIDUAL + 1))
+    n = min(PIECE, n_intervals)
+    stack, products = np.empty((n, sum(layer.rows.residual.shape[1] for layer in layers), _RESIDUAL + 1)), _products(n)
     for first in range(0, n_intervals, PIECE):
         last = min(first + PIECE, n_intervals)
         _stack(stack, layers, first, last)
-        _add(system, stack[: last - first], slice(first, last), slice(first + 1, last + 1))
+        _add(system, stack[: last - first], slice(first, last), slice(first + 1, last + 1), products)
 
 
-def _stack(stack: Array, layers: Sequence[tuple[Rows, IntArray]], first: int, last: int) -> None:
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Rows `once` (N,), of the intervals `interval` (N,), which rise."""
+
+    rows: Rows
+    once: IntArray
+    interval: IntArray
+
+
+def _stack(stack: Array, layers: Sequence[_Layer], first: int, last: int) -> None:
     """Lay the rows of the intervals first to last, exclusive, on one another, whitened; zeros where there are none."""
     begin = 0
-    for r, once in layers:
-        part = slice(begin, begin + r.residual.shape[1])
+    for layer in layers:
+        part = slice(begin, begin + layer.rows.residual.shape[1])
         begin = part.stop
-        use = once[slice(*np.searchsorted(r.interval[once], [first, last]))]
-        if len(use) < last - first:
+        some = slice(*np.searchsorted(layer.interval, [first, last]).tolist())
+        at, use = layer.interval[some] - first, layer.once[some]
+        if len(at) == last - first:
+            _whiten(layer.rows, use, stack[: last - first, part])
+        else:
             stack[:, part] = 0.0
-        stack[r.interval[use] - first, part] = _whitened(r, use)
+            stack[at, part] = _whiten(layer.rows, use, np.empty((len(at), part.stop - part.start, _RESIDUAL + 1)))
 
 
-def _whitened(rows: Rows, use: IntArray) -> Array:
+def _whiten(rows: Rows, use: IntArray, out: Array) -> Array:
     """Jacobians by left, right and constants, and residual, (N, r, 46), of the rows `use` (N,), each over its sigma."""
-    out = np.empty((len(use), rows.residual.shape[1], _RESIDUAL + 1))
-    out[:, :, _LEFT], out[:, :, _RIGHT], out[:, :, _CONSTANTS] = rows.left[use], rows.right[use], rows.constants[use]
-    out[:, :, _RESIDUAL] = rows.residual[use]
-    out *= np.sqrt(rows.weight[use, None] / rows.sigma[use] ** 2)[:, :, None]
+    ordered = len(use) > 0 and use[-1] - use[0] + 1 == len(use) and bool(np.all(np.diff(use) == 1))
+    chosen = slice(int(use[0]), int(use[-1]) + 1) if ordered else use  # a slice needs no copy
+    share = np.sqrt(rows.weight[chosen, None] / rows.sigma[chosen] ** 2)
+    for columns, jacobian in ((_LEFT, rows.left), (_RIGHT, rows.right), (_CONSTANTS, rows.constants)):
+        np.multiply(jacobian[chosen], share[:, :, None], out=out[:, :, columns])
+    np.multiply(rows.residual[chosen], share, out=out[:, :, _RESIDUAL])
     return out
 
 
-def _add(system: ChainSystem, whitened: Array, left: IntArray | slice, right: IntArray | slice) -> None:
+def _products(n: int) -> tuple[Array, Array]:
+    """Room for products of n intervals: of the left keyframes' columns with all, of the right ones' with the rest."""
+    return np.empty((n, KEYFRAME_SIZE, _RESIDUAL + 1)), np.empty((n, KEYFRAME_SIZE, _RESIDUAL + 1 - KEYFRAME_SIZE))
+
+
+def _add(
+    system: ChainSystem,
+    whitened: Array,
+    left: IntArray | slice,
+    right: IntArray | slice,
+    products: tuple[Array, Array],
+) -> None:
     """Add whitened rows (N, r, 46), each between one of the keyframes `left` and the next one, `right`."""
-    n, by_right, own = (
-        KEYFRAME_SIZE,
-        whitened[:, :, KEYFRAME_SIZE:],
-        whitened[:, :, 2 * KEYFRAME_SIZE :].reshape(-1, 10),
-    )
-    product = whitened[:, :, :n].transpose(0, 2, 1) @ whitened
+    n, others = KEYFRAME_SIZE, whitened[:, :, _RIGHT.start :]
+    product = np.matmul(whitened[:, :, _LEFT].transpose(0, 2, 1), whitened, out=products[0][: len(whitened)])
     system.diagonal[left] += product[:, :, _LEFT]
     system.upper[left] += product[:, :, _RIGHT]
     system.border[left, :, _OWN] += product[:, :, _CONSTANTS]
     system.rhs[left] -= product[:, :, _RESIDUAL]
-    product = by_right[:, :, :n].transpose(0, 2, 1) @ by_right
+    product = np.matmul(others[:, :, :n].transpose(0, 2, 1), others, out=products[1][: len(whitened)])
     system.diagonal[right] += product[:, :, :n]
     system.border[right, :, _OWN] += product[:, :, n:-1]
     system.rhs[right] -= product[:, :, -1]
+    own = others[:, :, n:].reshape(-1, ROW_CONSTANTS_SIZE + 1)
     corner = own.T @ own
     system.corner[_OWN, _OWN] += corner[:-1, :-1]
     system.rhs_constants[_OWN] -= corner[:-1, -1]
