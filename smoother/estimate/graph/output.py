@@ -56,7 +56,9 @@ AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew 
 MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
 SAMPLES = 40  # keyframes whose errors are averaged; they last for seconds or for the session, so that forty will do
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
+PIECE = 256  # keyframes whose covariances stay in the processor's cache
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
+_MOTION = slice(ROTATION.start, VELOCITY.stop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,17 +216,21 @@ def uncertainty_of(solved: Solved) -> Uncertainty:
     turn = _turning(state)
     arm_n, swing_n = R @ arm_s, np.einsum("kij,kj->ki", R, np.cross(turn, arm_s))
     K = len(state.t)
-    # errors in n of (attitude, velocity, position) by the tangent of the keyframe and by the constants
-    J = np.zeros((K, 9, P.shape[1]))
+    # errors in n of (attitude, velocity, position) by rotation, translation and velocity of the keyframe and by the arm
+    J, C = np.zeros((K, 9, 9)), np.zeros((K, 9, 3))
     J[:, 0:3, ROTATION] = R
     J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R, np.eye(3)
     J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
-    C = np.zeros((K, 9, solved.solution.constants_covariance.shape[0]))
-    C[:, 3:6, LEVER_ARM], C[:, 6:9, LEVER_ARM] = R @ so3.skew(turn), R
-    S, cross = solved.solution.constants_covariance, J @ solved.solution.constants_cross @ C.transpose(0, 2, 1)
-    antenna = J @ P @ J.transpose(0, 2, 1) + C @ S @ C.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
-    sigma = np.sqrt(np.einsum("kii->ki", P))
-    return Uncertainty(antenna, sigma[:, ACCEL_BIAS.start : GYRO_BIAS.stop], _track_variance(state, solved.solution))
+    C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
+    S, with_arm = solved.solution.constants_covariance[LEVER_ARM, LEVER_ARM], solved.solution.constants_cross
+    antenna = np.empty((K, 9, 9))
+    for part in pieces(K, PIECE):
+        J_t, C_t = J[part].transpose(0, 2, 1), C[part].transpose(0, 2, 1)
+        cross = J[part] @ with_arm[part, _MOTION, LEVER_ARM] @ C_t
+        antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
+        antenna[part] += cross + cross.transpose(0, 2, 1)
+    sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
+    return Uncertainty(antenna, sigma, _track_variance(state, solved.solution))
 
 
 def _turning(state: ChainState) -> Array:
@@ -284,19 +290,24 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
     covariance (K, 9, 9) and track (K, 2) m^2 of the keyframes; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
     i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
-    share = ((t - at[i]) / (at[i + 1] - at[i]))[:, None, None]
-    covariance = (1.0 - share) * covariance[i] + share * covariance[i + 1]
-    diagonal = np.maximum(np.einsum("nii->ni", covariance), 0.0)
+    later = (t - at[i]) / (at[i + 1] - at[i])
+
+    def between(values: Array) -> Array:
+        """Values (n, ...) at t of values (K, ...) at the keyframes."""
+        before = values[i]
+        share = later.reshape(-1, *[1] * (before.ndim - 1))
+        return np.asarray(before + share * (values[i + 1] - before))
+
+    diagonal = np.maximum(between(np.einsum("kii->ki", covariance)[:, 3:9]), 0.0)
     by_turn = euler_jacobian(R_nb) @ R_nb.transpose(0, 2, 1)
-    attitude = np.einsum("nri,nri->nr", by_turn @ covariance[:, 0:3, 0:3], by_turn)
-    direction = velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]
-    speed = np.einsum("ni,nij,nj->n", direction, covariance[:, 3:5, 3:5], direction)
-    later = share[:, 0, 0]
+    attitude = np.einsum("nri,nri->nr", by_turn @ between(covariance[:, 0:3, 0:3]), by_turn)
+    x, y = (velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]).T
+    speed = x**2 * diagonal[:, 0] + y**2 * diagonal[:, 1] + 2.0 * x * y * between(covariance[:, 3, 4])
     alone = (1.0 - later) ** 2 * track[i, 0] + later**2 * track[i + 1, 0]
     variance = alone + 2.0 * later * (1.0 - later) * track[i, 1]
     return {
-        "position_n": np.sqrt(diagonal[:, 6:9]),
-        "velocity_n": np.sqrt(diagonal[:, 3:6]),
+        "position_n": np.sqrt(diagonal[:, 3:6]),
+        "velocity_n": np.sqrt(diagonal[:, 0:3]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
         "attitude": np.sqrt(np.maximum(attitude, 0.0)),
         "track": np.sqrt(np.maximum(variance, 0.0)),
