@@ -83,16 +83,16 @@ def normalised_sizes(done: Round, n_fixes: int) -> Array:
     group is then scaled to what is usual in it. NaN where not measured.
     """
     rows = done.rows
-    squared = np.full((n_fixes, system.GROUPS), np.nan)
-    squared[rows.fix, rows.group] = 0.0
-    alone = np.isnan(squared[rows.fix, system.HORIZONTAL_VELOCITY]) & (rows.group == system.HORIZONTAL_POSITION)
+    is_measured = np.zeros((n_fixes, system.GROUPS), dtype=np.bool_)
+    is_measured[rows.fix, rows.group] = True
+    alone = ~is_measured[rows.fix, system.HORIZONTAL_VELOCITY] & (rows.group == system.HORIZONTAL_POSITION)
     slack = np.where(alone, UNREMARKABLE_ALONE, UNREMARKABLE[rows.group])
     share = np.minimum(done.weight * done.leverage / done.variance, 0.999)
     expected = done.variance + slack**2 + done.leverage / (1.0 - share)
     left_out = (done.residual / (1.0 - share)) ** 2 / expected
-    np.add.at(squared, (rows.fix, rows.group), left_out)
-    size = np.sqrt(squared)
-    for group in np.unique(rows.group):
+    squared = np.bincount(rows.fix * system.GROUPS + rows.group, left_out, is_measured.size)
+    size = np.where(is_measured, np.sqrt(squared.reshape(is_measured.shape)), np.nan)
+    for group in np.flatnonzero(is_measured.any(axis=0)):
         size[:, group] /= max(float(np.nanquantile(size[:, group], BULK)) / BULK_SIZE[group], 1.0)
     return np.asarray(size)
 
