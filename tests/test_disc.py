@@ -3,6 +3,9 @@
 import errno
 import mmap
 import os
+import platform
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,3 +153,21 @@ def test_arrays_are_found_wherever_they_are_held(hide: Callable[[np.ndarray], ob
     values[:] = 1.0
     release(hide(values))
     assert resident() - before < LARGE
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library decides for itself")
+def test_freed_memory_is_used_again() -> None:
+    # six arrays of 2.4 MB are 3500 pages; without, each round would have the system hand out all of them anew
+    code = """if True:
+        import resource
+        import numpy as np
+        from smoother.disc import reuse_freed_memory
+        reuse_freed_memory()
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(20):
+            arrays = [np.ones(300_000) for _ in range(6)]
+            del arrays
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+    """
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert int(shown) < 2 * 3500

@@ -99,8 +99,10 @@ class Result:
 
 def read(path: Path) -> RawSession:
     """Read a session. Raises SmootherError in one line with file and remedy, also for a folder of results."""
+    from smoother.disc import reuse_freed_memory
     from smoother.session.load import load_raw
 
+    reuse_freed_memory()
     if all((path / name).is_file() for name in (TRAJECTORY, FIXES, SUMMARY)):
         raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
     return load_raw(path)
