@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import shutil
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ STAGING = ".writing-"  # and the number of the process, of a directory whose fil
 
 def load_toml(path: Path, remedy: str = "mend that line") -> dict[str, Any]:
     """Read a TOML file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
+    import tomllib  # most sessions state nothing, and need not wait for it
+
     try:
         return tomllib.loads(_text(path))
     except (ValueError, RecursionError) as error:

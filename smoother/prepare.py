@@ -8,7 +8,6 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.calibration import Calibration, load_calibration
 from smoother.errors import SessionError
-from smoother.fit.ellipsoid import FitError, fit_ellipsoid
 from smoother.frames import Origin
 from smoother.samples import AppliedValue, GnssFixes, Problem, RawSession, Session
 
@@ -76,6 +75,8 @@ def choose_origin(fixes: GnssFixes) -> Origin:
 
 
 def _with_ellipsoid(calibration: Calibration, field: Array, problems: list[Problem]) -> Calibration:
+    from smoother.fit.ellipsoid import FitError, fit_ellipsoid  # a session with a magcalib.txt is rare
+
     try:
         ellipsoid = fit_ellipsoid(field)
     except FitError as error:

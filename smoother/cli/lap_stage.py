@@ -48,21 +48,26 @@ def stated(config: SessionConfig, directory: Path, recording: Path | None = None
 
     Raises SmootherError when a file that is meant is unusable.
     """
-    from smoother.laps.official import load_official
+    tracks = () if config.track is None else _named(config.track, directory)
+    return Stated(tracks, _official(directory / OFFICIAL), () if tracks or recording is None else _own(recording))
+
+
+def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
     from smoother.laps.tracks import named_tracks
 
-    tracks = () if config.track is None else named_tracks(config.track, directory)
-    official = directory / OFFICIAL
-    return Stated(
-        tracks,
-        load_official(official) if official.is_file() else (),
-        () if tracks or recording is None else _own(recording),
-    )
+    return named_tracks(track, directory)
+
+
+def _official(path: Path) -> tuple[float, ...]:
+    if not path.is_file():
+        return ()
+    from smoother.laps.official import load_official
+
+    return load_official(path)
 
 
 def _own(recording: Path) -> tuple[OwnLine, ...]:
     """The lines that the recording, a file or a folder, brings along: those of a VBO."""
-    from smoother.laps.own_lines import OwnLine
     from smoother.session.files import list_files
 
     try:
@@ -71,6 +76,7 @@ def _own(recording: Path) -> tuple[OwnLine, ...]:
         return ()
     if not files or files[0][0] != "vbo":
         return ()
+    from smoother.laps.own_lines import OwnLine
     from smoother.session.vbo import own_lines
 
     orders = own_lines(files[0][1])
@@ -129,16 +135,20 @@ def options_on(smoothed: Trajectory, origin: Origin, say: Stated, drift: Drift |
     """Return the options that follow from what was stated; of several layouts the one that was driven."""
     from smoother.laps.analysis import LapOptions
     from smoother.laps.circuit import find_circuit
-    from smoother.laps.own_lines import trusted_lines
     from smoother.laps.path import plan_path
-    from smoother.laps.tracks import layout_on
     from smoother.samples import Problem
 
-    if not say.tracks and say.own:
+    if not say.tracks and not say.own:
+        return LapOptions(official=say.official, drift=drift)
+    if not say.tracks:
+        from smoother.laps.own_lines import trusted_lines
+
         lines = trusted_lines(say.own, origin, plan_path(analysed_rows(smoothed)))
         said = (lines,) if isinstance(lines, Problem) else ()
         given = None if isinstance(lines, Problem) else lines
         return LapOptions(lines=given, official=say.official, drift=drift, problems=said)
+    from smoother.laps.tracks import layout_on
+
     curve = None
     if len(say.tracks) > 1:
         circuit = find_circuit(plan_path(analysed_rows(smoothed)), None, None, LapOptions().shortest)

@@ -87,9 +87,8 @@ def _regularize_parts(t: Array) -> TimeBase:
 
 
 def _regularize_part(t: Array) -> TimeBase:
-    period = float(np.median(np.diff(t))) if t.size > 1 else np.nan
     if t.size < FEWEST_SAMPLES:
-        return TimeBase(t, period)
+        return TimeBase(t, float(np.median(np.diff(t))) if t.size > 1 else np.nan)
     period = _period(t)
     lag = t - t[0] - period * np.arange(t.size)
     steps = _steps(lag, period)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
-from smoother.session.log_format import MAGIC
 from smoother.session.tables import read_header
 
 Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
@@ -138,6 +137,8 @@ def _role(path: Path) -> Role | None:
         return "log"
     if name.endswith(".toml") or name in ("magcalib.txt", "mag_calib.txt"):
         return None
+    from smoother.session.log_format import MAGIC  # the types beside it are for those who read a log
+
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(MAGIC):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 FEWEST_IMU_SAMPLES = 100
-ENOUGH_SAMPLES = 500_000  # evenly taken, to know the usual size of force and rate
+ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 FEWEST_FIXES_FOR_CLOCK = 32
