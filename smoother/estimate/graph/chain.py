@@ -188,10 +188,17 @@ def _eliminate_odd(
     (n_nodes, n), n_odd, n_right = diagonal.shape[:2], len(diagonal) // 2, (len(diagonal) - 1) // 2
     level = _Level(np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), n_nodes)
     offset, log_determinant = np.empty((n_odd, *rhs.shape[1:])), 0.0
-    even_diagonal, even_rhs, even_upper = diagonal[0::2].copy(), rhs[0::2].copy(), np.empty((n_right, n, n))
+    n_even = n_nodes - n_odd
+    even_diagonal, even_upper, even_rhs = (
+        np.empty((n_even, n, n)),
+        np.empty((n_right, n, n)),
+        np.empty_like(rhs[:n_even]),
+    )
+    even_diagonal[0], even_rhs[0] = diagonal[0], rhs[0]
     square, wide = np.empty((2, min(PIECE, n_odd), n, n)), np.empty((min(PIECE, n_odd), *rhs.shape[1:]))
     for here, beside in _pieces(level):
         n_here, n_beside, after = here.stop - here.start, beside.stop - beside.start, _next(beside)
+        even_diagonal[after], even_rhs[after] = diagonal[0::2][after], rhs[0::2][after]
         left, right = upper[0::2][here], upper[1::2][beside]  # A(left even, odd), A(odd, right even)
         factor = _cholesky(diagonal[1::2][here])
         log_determinant += _log_determinant(factor)

@@ -202,19 +202,25 @@ def _bin_some(
     force, rate, missing = _piecewise_constant(imu, middle, nominal)
     bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_bins - 1)
 
-    rate = rate - gyro_bias
-    step = rate * duration[:, None]
-    turned = np.cumsum(step, axis=0) - step
+    # from here on in rows of x, y and z, which lie in one piece each
+    force_xyz, rate_xyz = np.ascontiguousarray(force.T), np.subtract(rate.T, gyro_bias[:, None], order="C")
+    step = rate_xyz * duration
+    turned = np.cumsum(step, axis=1) - step
     first = np.searchsorted(bin_of, np.arange(n_bins))
-    start = turned - turned[first][bin_of]  # rotation vector since the start of the bin, first order
+    start = turned - turned[:, first][:, bin_of]  # rotation vector since the start of the bin, first order
     half = start + 0.5 * step
-    turned_force = np.cross(half, force - accel_bias)
-    resolved = force + turned_force + 0.5 * np.cross(half, turned_force)
-    coned = step + 0.5 * np.cross(start, step)
+    turned_force = _cross(half, force_xyz - accel_bias[:, None])
+    resolved = force_xyz + turned_force + 0.5 * _cross(half, turned_force)
+    coned = step + 0.5 * _cross(start, step)
 
-    mean_force = np.add.reduceat(resolved * duration[:, None], first, axis=0) / dt
-    mean_rate = np.add.reduceat(coned, first, axis=0) / dt + gyro_bias
+    mean_force = np.add.reduceat(resolved * duration, first, axis=1).T / dt
+    mean_rate = np.add.reduceat(coned, first, axis=1).T / dt + gyro_bias
     return mean_force, mean_rate, np.add.reduceat(missing * duration, first)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products (3, N) of the columns of a and b (3, N)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Array, Array, BoolArray]:
@@ -224,7 +230,7 @@ def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Arra
     span = imu.t[after] - imu.t[before]
     missing = (span > GAP_FACTOR * nominal) & (t < imu.t[after] - nominal)
     missing |= (t > imu.t[-1]) | (t < imu.t[0] - nominal)
-    force, rate = imu.specific_force_s[after], imu.angular_rate_s[after]
+    force, rate = np.take(imu.specific_force_s, after, axis=0), np.take(imu.angular_rate_s, after, axis=0)
     if np.any(missing):
         share = np.clip((t - imu.t[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[missing, None]
         a, b = before[missing], after[missing]

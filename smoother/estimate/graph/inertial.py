@@ -149,8 +149,8 @@ def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> Line
 
 def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Array) -> LinearInertial:
     """Return the factors with the residual that the linear model predicts after a step (K, 18) and (18,)."""
-    moved = np.einsum("kri,ki->kr", linear.left, step[:-1, _INERTIAL])
-    moved += np.einsum("kri,ki->kr", linear.right, step[1:, _INERTIAL])
+    both = np.concatenate([step[:-1, _INERTIAL], step[1:, _INERTIAL]], axis=1)
+    moved = (linear.jacobian[:, :, : _RIGHT.stop] @ both[:, :, None])[:, :, 0]
     return inertial_after_errors(replace(linear, residual=linear.residual + moved), constants_step)
 
 
@@ -220,20 +220,33 @@ def inertial_components(
     tr(W (1 - C)) is expected, C being the covariance that the solution leaves in e. Only white rate, of density gyro
     (K-1,), turns: its part is the rotation alone. Source: Foerstner 1979.
     """
-    at = np.flatnonzero(use)
-    root, e = _root_information(state, linear, at), linear.residual[at]
+    at, T = np.flatnonzero(use), state.interval
+    figures = [
+        _weighed(state, linear, solution, at[part], _force_covariance(accel[at[part]], T), gyro[at[part]] ** 2 * T)
+        for part in (list(pieces(len(at), PIECE)) or [slice(0)])
+    ]
+    force, of_force, rate, of_rate = (np.concatenate(values) for values in zip(*figures, strict=True))
+    return VarianceComponent(force, of_force), VarianceComponent(rate, of_rate)
+
+
+def _weighed(
+    state: ChainState, linear: LinearInertial, solution: ChainSolution, at: IntArray, V: Array, variance: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Squares and redundancies (N,) of force and of rate, of the factors `at` (N,).
+
+    V (N, 15, 15) is what white force does to a factor, variance (N,) rad^2 what white rate does to its turn.
+    """
+    root, V = _root_information(state, linear, at), V[:, _MOVED, _MOVED]
     by_motion = root[:, :, _MOVED].transpose(0, 2, 1)
     unwhiten = np.linalg.solve(root.transpose(0, 2, 1), np.eye(15)[:, ROTATION]).transpose(0, 2, 1)
     of = np.concatenate([by_motion, unwhiten], axis=1)
-    left, weighed = _posterior_covariance(linear, solution, at, of), np.einsum("kri,ki->kr", of, e)
-    V = _force_covariance(accel[at], state.interval)[:, _MOVED, _MOVED]
+    left = _posterior_covariance(linear, solution, at, of)
+    weighed = np.einsum("kri,ki->kr", of, linear.residual[at])
     moved, turned = weighed[:, :6], weighed[:, 6:]
     expected = np.einsum("kij,kji->k", V, by_motion @ by_motion.transpose(0, 2, 1) - left[:, :6, :6])
-    force = VarianceComponent(np.einsum("ki,kij,kj->k", moved, V, moved), expected)
-    variance = (gyro[at] ** 2 * state.interval)[:, None]
-    of_rate = np.einsum("kii->ki", left[:, 6:, 6:])
-    rate = VarianceComponent(np.sum(turned**2 / variance, axis=1), np.sum(1.0 - of_rate / variance, axis=1))
-    return force, rate
+    of_turn = np.einsum("kii->k", left[:, 6:, 6:])
+    squares = np.einsum("ki,kij,kj->k", moved, V, moved)
+    return squares, expected, np.sum(turned**2, axis=1) / variance, 3.0 - of_turn / variance
 
 
 def _root_information(state: ChainState, linear: LinearInertial, at: IntArray) -> Array:

@@ -320,3 +320,10 @@ class TestVarianceComponents:
         force, rate = self.ratios(1.0, 1.5)
         assert force == pytest.approx(1.0, abs=0.1)
         assert rate == pytest.approx(1.5, abs=0.1)
+
+    def test_without_any_interval_nothing_is_answered_for(self) -> None:
+        state, binned = drive(0)
+        _, solution = random_covariance()
+        none, density = np.zeros(K - 1, dtype=bool), np.ones(K - 1)
+        for component in inertial_components(state, linearized(state, binned), solution, density, density, none):
+            assert component.squares == component.redundancy == 0.0
