@@ -15,7 +15,7 @@ from smoother.cli.output import warn
 from smoother.cli.smoothing import smooth
 from smoother.errors import SmootherError
 
-GARBAGE_EVERY = 50_000  # objects made and not freed; Python's own 700 is for programs that start with few
+GARBAGE_EVERY = 100_000  # objects made and not freed; Python's own 700 is for programs that start with few
 
 
 def main() -> None:
