@@ -112,16 +112,14 @@ class ChainFactor:
         return ChainFactor(levels, self._last, keep(self._influence[:: 2**n]), self._constants_covariance)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # numbers that are not finite are reported in the end
 def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None) -> ChainSolution:
     """Solve `system`, and unless told otherwise invert it at and beside the diagonal.
 
     held (m, m): covariance of constants that are known from elsewhere; they do not move.
     Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
-    if not all(np.isfinite(np.sum(part)) for part in vars(system).values()):
-        raise NotPositiveDefiniteError("the system holds a number that is not finite")
-    if not np.all(np.einsum("kii->ki", system.diagonal) > 0.0):
-        raise NotPositiveDefiniteError("an unknown has no information at all")
+    _check(system)
     rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2)
 
     levels, offsets, root, log_determinant = _reduce(system.diagonal, system.upper, rhs)
@@ -139,11 +137,12 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
         constants = constants_covariance @ (system.rhs_constants - inner[:, m])
         log_determinant += 2.0 * float(np.sum(np.log(np.diag(factor))))
         solution = solution - influence @ constants
+    if not np.isfinite(np.sum(solution)):
+        raise NotPositiveDefiniteError("the system holds a number that is not finite")
 
     if with_covariance:
         covariance, cross = _selected_inverse(levels, root[0])
-        constants_cross = (influence.reshape(K * n, m) @ -constants_covariance).reshape(K, n, m)
-        _add_constants(covariance, cross, influence, constants_cross)
+        constants_cross = _add_constants(covariance, cross, influence, constants_covariance)
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
     return ChainSolution(
@@ -156,6 +155,15 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
         log_determinant,
         ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
     )
+
+
+def _check(system: ChainSystem) -> None:
+    """Raise NotPositiveDefiniteError for what elimination might not see; all else leaves no pivot or no solution."""
+    own = np.einsum("kii->ki", system.diagonal)
+    if not all(np.isfinite(np.sum(part)) for part in (own, system.corner, system.rhs, system.rhs_constants)):
+        raise NotPositiveDefiniteError("the system holds a number that is not finite")
+    if not np.all(own > 0.0):
+        raise NotPositiveDefiniteError("an unknown has no information at all")
 
 
 def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array], float]:
@@ -258,16 +266,20 @@ def _selected_inverse(levels: list[_Level], root: Array) -> tuple[Array, Array]:
     return P, cross
 
 
-def _add_constants(covariance: Array, cross: Array, influence: Array, constants_cross: Array) -> None:
-    """Add to the covariances what the constants bring into them, in place."""
-    influence_t, square = influence.transpose(0, 2, 1), np.empty((min(PIECE, len(influence)), *covariance.shape[1:]))
-    for first in range(0, len(influence), PIECE):
-        here = slice(first, min(first + PIECE, len(influence)))
-        beside = slice(first, min(here.stop, len(cross)))
-        brought = square[: here.stop - first]
-        covariance[here] -= np.matmul(constants_cross[here], influence_t[here], out=brought)
-        brought = square[: beside.stop - first]
-        cross[beside] -= np.matmul(constants_cross[beside], influence_t[_next(beside)], out=brought)
+def _add_constants(covariance: Array, cross: Array, influence: Array, constants_covariance: Array) -> Array:
+    """Add to the covariances what the constants bring into them, in place. Returns those with the constants."""
+    (K, n, m), influence_t = influence.shape, influence.transpose(0, 2, 1)
+    with_constants, square = np.empty_like(influence), np.empty((min(PIECE, K), n, n))
+    for first in range(0, K, PIECE):
+        here = slice(first, min(first + PIECE, K))
+        beside = slice(first, min(here.stop, K - 1))
+        some = with_constants[here]
+        flat = (len(some) * n, m)
+        np.matmul(influence[here].reshape(flat), -constants_covariance, out=some.reshape(flat, copy=False))
+        covariance[here] -= np.matmul(some, influence_t[here], out=square[: len(some)])
+        some = some[: beside.stop - first]
+        cross[beside] -= np.matmul(some, influence_t[_next(beside)], out=square[: len(some)])
+    return with_constants
 
 
 def _pieces(level: _Level) -> Iterator[tuple[slice, slice]]:
