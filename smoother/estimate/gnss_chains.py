@@ -12,10 +12,12 @@ Potter 1969 (smoothing as two filters). Owns no model: it sees matrices only.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
 from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSolution, NotPositiveDefiniteError
+from smoother.estimate.lapack import lapack_routines
+
+lapack = lapack_routines()
 
 
 @dataclass(frozen=True, eq=False)
