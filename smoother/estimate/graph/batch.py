@@ -29,7 +29,6 @@ from smoother.estimate.graph.inertial import (
     VarianceComponent,
     add_inertial,
     empty_system,
-    inertial_after_step,
     inertial_components,
 )
 from smoother.estimate.graph.state import (
@@ -138,7 +137,10 @@ class Data:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A linearised, solved graph at `state`: the state itself, its covariances and the rows they came from."""
+    """A linearised, solved graph at `state`: the state itself, its covariances and the rows they came from.
+
+    Residuals of rows are those after the step, those of inertial before it: only some are asked for.
+    """
 
     state: ChainState
     solution: ChainSolution
@@ -211,7 +213,7 @@ class Batch:
         return Solved(
             state.retract(share * solution.x, share * solution.constants),
             solution,
-            inertial_after_step(inertial, solution.x, solution.constants),
+            inertial,
             {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
         )
 
@@ -317,7 +319,7 @@ def _robust(rows: rw.Rows) -> rw.Rows:
 def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
     """Variance (N, r) that the solution leaves in the prediction of `rows`."""
     out = np.empty(rows.residual.shape)
-    of_left, of_right = _columns(rows.left), _columns(rows.right)
+    of_left, of_right = rw.used_columns(rows.left), rw.used_columns(rows.right)
     own = slice(0, ROW_CONSTANTS_SIZE)
     P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
     for part in pieces(len(out), TOGETHER):
@@ -329,12 +331,6 @@ def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
         by_constants = 2.0 * by_constants + constants @ S
         out[part] = _dot(by_left, left) + _dot(by_right, right) + _dot(by_constants, constants)
     return out
-
-
-def _columns(jacobian: Array) -> slice:
-    """Columns of a Jacobian (N, r, n) that are not all zero, and those between them."""
-    used = np.flatnonzero(np.any(jacobian, axis=(0, 1)))
-    return slice(int(used[0]), int(used[-1]) + 1) if used.size else slice(0, 0)
 
 
 def _dot(one: Array, two: Array) -> Array:

@@ -1,7 +1,7 @@
 """The inertial part of the graph: GTSAM's CombinedImuFactor over every interval, linearised into the chain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -28,7 +28,8 @@ from smoother.estimate.graph.state import (
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, GYRO_ERROR.stop)
 _MOTION, _MOVED = slice(0, 9), slice(3, 9)  # rows of rotation, position and velocity; of the latter two
-_LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 39)  # columns of a factor's Jacobian
+_LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 39)  # columns of a factor's Jacobian,
+_RESIDUAL = 39  # and of its residual beside it
 PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
 
@@ -44,12 +45,21 @@ def inertial_factors(measured: Sequence[gtsam.PreintegratedCombinedMeasurements]
 
 @dataclass(frozen=True, eq=False)
 class LinearInertial:
-    """Whitened factors: jacobian (K-1, 15, 39), of which left and right are by the inertial part of the ends and errors
-    by the errors of scale and misalignment; residual (K-1, 15).
+    """Whitened factors (K-1, 15, 40): jacobian (K-1, 15, 39), of which left and right are by the inertial part of the
+    ends and errors by the errors of scale and misalignment, and beside it residual (K-1, 15).
     """
 
-    jacobian: Array
-    residual: Array
+    whitened: Array
+
+    @property
+    def jacobian(self) -> Array:
+        """Jacobian (K-1, 15, 39) by left, right and errors."""
+        return self.whitened[:, :, : _BY_ERRORS.stop]
+
+    @property
+    def residual(self) -> Array:
+        """Residuals (K-1, 15)."""
+        return self.whitened[:, :, _RESIDUAL]
 
     @property
     def left(self) -> Array:
@@ -98,15 +108,15 @@ class InertialGraph:
         Errors of scale act like a bias in proportion to the mean force and rate of the interval.
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
-        linear = LinearInertial(np.empty((n, 15, 39)), np.empty((n, 15)))
-        J, bare = np.zeros((min(PIECE, n), 15, 39)), linearize_increments(self._increments, state)
+        linear, bare = LinearInertial(np.empty((n, 15, 40))), linearize_increments(self._increments, state)
+        J, errors = np.zeros((min(PIECE, n), 15, 40)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
-            some, white = J[: here.stop - here.start], whitening[here]
+            some = J[: here.stop - here.start]
             bare.put(some[:, :, : _RIGHT.stop], here)
             self._put_errors(some, state, here)
-            np.matmul(white, some, out=linear.jacobian[here])
-            np.matmul(white, bare.residual[here, :, None], out=linear.residual[here, :, None])
-        return inertial_after_errors(linear, state.constants.as_vector() - self.constants.as_vector())
+            np.add(bare.residual[here], some[:, :, _BY_ERRORS] @ errors[_ERRORS], out=some[:, :, _RESIDUAL])
+            np.matmul(whitening[here], some, out=linear.whitened[here])
+        return linear
 
     def _put_errors(self, J: Array, state: ChainState, here: slice) -> None:
         """Fill in the columns (n, 15, 9) of J by the errors of scale, from those by the biases."""
@@ -142,37 +152,33 @@ class InertialGraph:
         return out
 
 
-def inertial_after_errors(linear: LinearInertial, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual for sensor errors that differ by `constants_step` (18,)."""
-    return replace(linear, residual=linear.residual + linear.errors @ constants_step[_ERRORS])
-
-
-def inertial_after_step(linear: LinearInertial, step: Array, constants_step: Array) -> LinearInertial:
-    """Return the factors with the residual that the linear model predicts after a step (K, 18) and (18,)."""
-    both = np.concatenate([step[:-1, _INERTIAL], step[1:, _INERTIAL]], axis=1)
-    moved = (linear.jacobian[:, :, : _RIGHT.stop] @ both[:, :, None])[:, :, 0]
-    return inertial_after_errors(replace(linear, residual=linear.residual + moved), constants_step)
+def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:
+    """Residuals (N, 15) of the factors `at` (N,) that the linear model predicts after the step of `solution`."""
+    moved = np.ones((len(at), 40))  # the last one takes the residual as it was
+    moved[:, _LEFT], moved[:, _RIGHT] = solution.x[at, _INERTIAL], solution.x[at + 1, _INERTIAL]
+    moved[:, _BY_ERRORS] = solution.constants[_ERRORS]
+    return np.asarray((linear.whitened[at] @ moved[:, :, None])[:, :, 0])
 
 
 def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
     """Add the normal equations of the inertial factors to the system, in place."""
-    n = len(linear.residual)
-    by_left, by_right = np.empty((min(PIECE, n), 15, 39)), np.empty((min(PIECE, n), 15, 24))
+    n = len(linear.whitened)
+    by_left, by_right = np.empty((min(PIECE, n), 15, 40)), np.empty((min(PIECE, n), 15, 25))
     for here in pieces(n, PIECE):
-        J, after, some = linear.jacobian[here], slice(here.start + 1, here.stop + 1), slice(0, here.stop - here.start)
+        J, after, some = linear.whitened[here], slice(here.start + 1, here.stop + 1), slice(0, here.stop - here.start)
         product = np.matmul(J[:, :, _LEFT].transpose(0, 2, 1), J, out=by_left[some])
         system.diagonal[here, _INERTIAL, _INERTIAL] += product[:, :, _LEFT]
         system.upper[here, _INERTIAL, _INERTIAL] += product[:, :, _RIGHT]
         system.border[here, _INERTIAL, _ERRORS] += product[:, :, _BY_ERRORS]
+        system.rhs[here, _INERTIAL] -= product[:, :, _RESIDUAL]
         product = np.matmul(J[:, :, _RIGHT].transpose(0, 2, 1), J[:, :, 15:], out=by_right[some])
         system.diagonal[after, _INERTIAL, _INERTIAL] += product[:, :, :15]
-        system.border[after, _INERTIAL, _ERRORS] += product[:, :, 15:]
-        pull = (linear.residual[here, None, :] @ J)[:, 0]
-        system.rhs[here, _INERTIAL] -= pull[:, _LEFT]
-        system.rhs[after, _INERTIAL] -= pull[:, _RIGHT]
-        system.rhs_constants[_ERRORS] -= pull[:, _BY_ERRORS].sum(axis=0)
-        by_errors = J[:, :, _BY_ERRORS].reshape(-1, 9)
-        system.corner[_ERRORS, _ERRORS] += by_errors.T @ by_errors
+        system.border[after, _INERTIAL, _ERRORS] += product[:, :, 15:-1]
+        system.rhs[after, _INERTIAL] -= product[:, :, -1]
+        own = J[:, :, _BY_ERRORS.start :].reshape(-1, 10)
+        corner = own.T @ own
+        system.corner[_ERRORS, _ERRORS] += corner[:-1, :-1]
+        system.rhs_constants[_ERRORS] -= corner[:-1, -1]
 
 
 def empty_system(n_keyframes: int) -> ChainSystem:
@@ -214,6 +220,7 @@ def inertial_components(
 ) -> tuple[VarianceComponent, VarianceComponent]:
     """Split the inertial residuals between the noise of force and that of rate, over the intervals `use` (K-1,).
 
+    The residuals are those that the linear model predicts after the step of `solution`.
     White force of density accel (K-1,) moves velocity and position in a known way, V, which is only a part of a
     factor's covariance: a turn by white rate turns the force and moves as well. With S the square-root information over
     the whole covariance, force weighs the whitened residual e by W = S V S': it answers for e' W e, of which
@@ -241,7 +248,7 @@ def _weighed(
     unwhiten = np.linalg.solve(root.transpose(0, 2, 1), np.eye(15)[:, ROTATION]).transpose(0, 2, 1)
     of = np.concatenate([by_motion, unwhiten], axis=1)
     left = _posterior_covariance(linear, solution, at, of)
-    weighed = np.einsum("kri,ki->kr", of, linear.residual[at])
+    weighed = np.einsum("kri,ki->kr", of, inertial_after_step(linear, at, solution))
     moved, turned = weighed[:, :6], weighed[:, 6:]
     expected = np.einsum("kij,kji->k", V, by_motion @ by_motion.transpose(0, 2, 1) - left[:, :6, :6])
     of_turn = np.einsum("kii->k", left[:, 6:, 6:])

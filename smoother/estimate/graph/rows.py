@@ -64,6 +64,12 @@ class Rows:
         """Weight of each component, (N, r): robust weight over variance."""
         return self.weight[:, None] / self.sigma**2
 
+    @property
+    def are_alike(self) -> bool:
+        """Whether Jacobians and sigmas are broadcast, one for all, and all weigh the same."""
+        one_for_all = (values.strides[0] == 0 for values in (self.left, self.right, self.constants, self.sigma))
+        return all(one_for_all) and bool(np.all(self.weight == 1.0))
+
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
@@ -208,10 +214,11 @@ def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows
     """
     phi = np.exp(-state.interval / tau)
     n = len(state.t) - 1
-    left, right, constants = _empty(n, 3)
+    left, right, constants = _empty(1, 3)
     left[:, :, OFFSET], right[:, :, OFFSET] = -phi * np.eye(3), np.eye(3)
     residual = state.offset_n[1:] - phi * state.offset_n[:-1]
     step = np.broadcast_to(sigma * np.sqrt(1.0 - phi**2), residual.shape)
+    left, right, constants = (np.broadcast_to(block, (n, *block.shape[1:])) for block in (left, right, constants))
     steps = Rows("gps_offset", np.arange(n), residual, step, left, right, constants, np.ones(n))
     left, right, constants = _empty(1, 3)
     left[:, :, OFFSET] = np.eye(3)
@@ -242,6 +249,9 @@ def add_rows(system: ChainSystem, rows: Sequence[Rows]) -> None:
     n_intervals = len(system.upper)
     layers = []
     for r in rows:
+        if r.are_alike and len(r.interval) == n_intervals:
+            _add_alike(system, r)
+            continue
         for once in _without_repeats(r.interval):
             interval = r.interval[once]
             if len(once) > DENSE * n_intervals:
@@ -257,6 +267,25 @@ def add_rows(system: ChainSystem, rows: Sequence[Rows]) -> None:
         last = min(first + PIECE, n_intervals)
         _stack(stack, layers, first, last)
         _add(system, stack[: last - first], slice(first, last), slice(first + 1, last + 1), products)
+
+
+def _add_alike(system: ChainSystem, rows: Rows) -> None:
+    """Add rows of all intervals in turn that do not touch the constants, whose products are the same in all of them."""
+    of_left, of_right = used_columns(rows.left), used_columns(rows.right)
+    information = 1.0 / rows.sigma[0, :, None] ** 2
+    left, right = rows.left[0, :, of_left], rows.right[0, :, of_right]
+    system.diagonal[:-1, of_left, of_left] += left.T @ (information * left)
+    system.diagonal[1:, of_right, of_right] += right.T @ (information * right)
+    system.upper[:, of_left, of_right] += left.T @ (information * right)
+    system.rhs[:-1, of_left] -= rows.residual @ (information * left)
+    system.rhs[1:, of_right] -= rows.residual @ (information * right)
+
+
+def used_columns(jacobian: Array) -> slice:
+    """Columns of a Jacobian (N, r, n) that are not all zero, and those between them."""
+    different = jacobian[:1] if jacobian.strides[0] == 0 else jacobian
+    used = np.flatnonzero(np.any(different, axis=(0, 1)))
+    return slice(int(used[0]), int(used[-1]) + 1) if used.size else slice(0, 0)
 
 
 @dataclass(frozen=True, eq=False)

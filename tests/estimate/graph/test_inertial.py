@@ -19,7 +19,6 @@ from smoother.estimate.graph.inertial import (
     _root_information,
     add_inertial,
     empty_system,
-    inertial_after_errors,
     inertial_after_step,
     inertial_components,
     inertial_factors,
@@ -152,7 +151,7 @@ def test_errors_of_scale_move_the_residual_as_predicted() -> None:
         errors = Constants.from_vector(step, state.constants.level_axes_s)
         moved = linearized(state, corrected(binned, errors.accel_matrix, errors.gyro_matrix))
         want = moved.residual - base.residual
-        have = inertial_after_errors(base, step).residual - base.residual
+        have = base.errors @ step[ACCEL_ERROR.start : GYRO_ERROR.stop]
         # an error acts on each bin, the model on their mean; here neighbouring bins differ by 0.6 m/s^2
         assert np.linalg.norm(have - want) < 0.15 * np.linalg.norm(want)
 
@@ -179,11 +178,21 @@ def test_after_a_step_the_residual_is_that_of_the_linear_model() -> None:
     linear = linearized(state, binned)
     rng = np.random.default_rng(3)
     step, constants = rng.normal(size=(K, KEYFRAME_SIZE)), rng.normal(size=CONSTANTS_SIZE)
-    moved = inertial_after_step(linear, step, constants)
+    _, solution = random_covariance()
+    moved = inertial_after_step(linear, ALL[1:], replace(solution, x=step, constants=constants))
     errors = constants[ACCEL_ERROR.start : GYRO_ERROR.stop]
-    for k in range(K - 1):
+    for k, have in zip(ALL[1:], moved, strict=True):
         want = linear.residual[k] + linear.left[k] @ step[k, :INERTIAL] + linear.right[k] @ step[k + 1, :INERTIAL]
-        np.testing.assert_allclose(moved.residual[k], want + linear.errors[k] @ errors, rtol=1e-9)
+        np.testing.assert_allclose(have, want + linear.errors[k] @ errors, rtol=1e-9)
+
+
+def test_away_from_the_errors_that_were_taken_out_the_residual_is_what_their_slopes_say() -> None:
+    state, binned = drive(0)
+    graph, errors = inertial_graph(state, binned), 0.01 * np.random.default_rng(4).normal(size=9)
+    base, step = graph.linearize(state, NOISE), np.zeros(CONSTANTS_SIZE)
+    step[ACCEL_ERROR.start : GYRO_ERROR.stop] = errors
+    moved = graph.linearize(replace(state, constants=state.constants.retract(step)), NOISE)
+    np.testing.assert_allclose(moved.residual, base.residual + base.errors @ errors, rtol=1e-9, atol=1e-9)
 
 
 def dense_jacobian(linear: LinearInertial) -> np.ndarray:
@@ -304,7 +313,7 @@ class TestVarianceComponents:
         solution = replace(solution, **blocks)
         for _ in range(500):
             noise = np.linalg.solve(true_root, rng.normal(size=(K - 1, INERTIAL, 1)))
-            drawn = replace(linear, residual=(root @ noise)[:, :, 0])
+            drawn = LinearInertial(np.concatenate([linear.jacobian, root @ noise], axis=2))
             densities = np.full(K - 1, NOISE.accel), np.full(K - 1, NOISE.gyro)
             components = inertial_components(state, drawn, solution, *densities, np.ones(K - 1, dtype=bool))
             sums += [[c.squares, c.redundancy] for c in components]

@@ -383,6 +383,19 @@ class TestNormalEquations:
         np.testing.assert_allclose(system.rhs, g[:c].reshape(K, n), atol=1e-10)
         np.testing.assert_allclose(system.rhs_constants, g[c:], atol=1e-10)
 
+    def test_rows_with_one_jacobian_for_all_add_what_they_would_add_one_by_one(self) -> None:
+        state, _ = random_state(2, turning=0.1)
+        _, steps = offset_rows(state, np.array([1.0, 2.0, 3.0]), 5.0)
+        assert steps.are_alike
+        one_by_one = replace(steps, left=steps.left.copy(), right=steps.right.copy())
+        assert not one_by_one.are_alike
+        system, want = empty_system(K), empty_system(K)
+        add_rows(system, [steps])
+        add_rows(want, [one_by_one])
+        for name, values in vars(want).items():
+            np.testing.assert_allclose(getattr(system, name), values, atol=1e-12, err_msg=name)
+        assert np.any(system.upper)
+
     def test_no_rows_add_nothing(self) -> None:
         system, rows = empty_system(K), random_rows(3, 0)
         empty = replace(rows, **{name: getattr(rows, name)[:0] for name in vars(rows) if name != "name"})
