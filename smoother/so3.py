@@ -26,23 +26,27 @@ def axial(w: Array, identity: Array, cross: Array, outer: Array) -> Array:
 
     identity, cross, outer : (...,). Returns (..., 3, 3).
     """
-    out = np.asarray((outer[..., None] * w)[..., :, None] * w[..., None, :])
-    x, y, z = (cross * w[..., i] for i in range(3))
+    ahead = w.ndim - 1
+    along = np.ascontiguousarray(w.transpose(ahead, *range(ahead)))  # each component in one piece
+    crossed, scaled, out = cross * along, outer * along, np.empty((3, 3, *along.shape[1:]))
     for i in range(3):
-        out[..., i, i] += identity
-    out[..., 0, 1] -= z
-    out[..., 1, 0] += z
-    out[..., 0, 2] += y
-    out[..., 2, 0] -= y
-    out[..., 1, 2] -= x
-    out[..., 2, 1] += x
-    return out
+        np.add(scaled[i] * along[i], identity, out=out[i, i, ...])
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        product = scaled[i] * along[j]
+        np.add(product, crossed[k], out=out[i, j, ...])
+        np.subtract(product, crossed[k], out=out[j, i, ...])
+    return np.ascontiguousarray(out.transpose(*range(2, ahead + 2), 0, 1))
+
+
+def squared(w: Array) -> Array:
+    """Squared lengths (...,) of w : (..., 3). Component by component: sums over short axes are slow."""
+    return np.asarray(w[..., 0] ** 2 + w[..., 1] ** 2 + w[..., 2] ** 2)
 
 
 def exp(w: Array) -> Array:
     """Rotation matrix of the rotation vector w : (..., 3) rad. Returns (..., 3, 3). Source: Rodrigues' formula."""
     w = np.asarray(w, dtype=np.float64)
-    angle2 = np.sum(w * w, axis=-1)
+    angle2 = squared(w)
     small = angle2 < 1e-8  # the series is exact to 1e-17 below this
     safe = np.where(small, 1.0, angle2)
     angle = np.sqrt(safe)

@@ -343,43 +343,43 @@ def dense_path(
     """
     n, dt = binned.n_bins, binned.dt
     T = n * dt
-    force = binned.specific_force_s - accel_bias[:-1, None, :]
+    force = _ahead(binned.specific_force_s - accel_bias[:-1, None, :])
     rate = binned.angular_rate_s - gyro_bias[:-1, None, :]
-    steps = so3.exp(rate * dt)
-    R, p, v = R_ns[:-1], position_n[:-1], velocity_n[:-1]
-    R_path, p_path, v_path = [R], [p], [v]
+    steps, gravity = _ahead(so3.exp(rate * dt)), GRAVITY_N[:, None]
+    R, p, v = np.empty((n + 1, 3, 3, len(rate))), np.empty((n + 1, 3, len(rate))), np.empty((n + 1, 3, len(rate)))
+    R[0], p[0], v[0] = R_ns[:-1].transpose(1, 2, 0), position_n[:-1].T, velocity_n[:-1].T
     for j in range(n):
-        acceleration = np.einsum("kij,kj->ki", R, force[:, j]) + GRAVITY_N
-        p = p + v * dt + 0.5 * acceleration * dt**2
-        v = v + acceleration * dt
-        R = R @ steps[:, j]
-        R_path.append(R)
-        p_path.append(p)
-        v_path.append(v)
+        acceleration = np.einsum("ijk,jk->ik", R[j], force[j]) + gravity
+        p[j + 1] = p[j] + v[j] * dt + 0.5 * acceleration * dt**2
+        v[j + 1] = v[j] + acceleration * dt
+        np.einsum("ijk,jlk->ilk", R[j], steps[j], out=R[j + 1])
 
-    turn = so3.log(R.transpose(0, 2, 1) @ R_ns[1:])
-    miss_p, miss_v = position_n[1:] - p, velocity_n[1:] - v
-    share = np.arange(n + 1) / n
-    h01, h11 = share**2 * (3.0 - 2.0 * share), share**2 * (share - 1.0)
-    d01, d11 = 6.0 * share * (1.0 - share) / T, share * (3.0 * share - 2.0)
-    p_all = np.stack(p_path, axis=1) + h01[:, None] * miss_p[:, None] + (T * h11)[:, None] * miss_v[:, None]
-    v_all = np.stack(v_path, axis=1) + d01[:, None] * miss_p[:, None] + d11[:, None] * miss_v[:, None]
-    R_all = np.stack(R_path[:-1], axis=1)
-    R_all[:, 1:] = R_all[:, 1:] @ so3.exp(share[1:-1, None] * turn[:, None])
-    acceleration_n = np.diff(v_all, axis=1) / dt
+    turn = so3.log(R[n].transpose(2, 1, 0) @ R_ns[1:])
+    miss_p, miss_v = position_n[1:].T - p[n], velocity_n[1:].T - v[n]
+    share = np.arange(n + 1)[:, None, None] / n
+    p += share**2 * (3.0 - 2.0 * share) * miss_p + T * share**2 * (share - 1.0) * miss_v
+    v += 6.0 * share * (1.0 - share) / T * miss_p + share * (3.0 * share - 2.0) * miss_v
+    spread = _ahead(so3.exp(share[1:-1, 0] * turn[:, None]))
+    R[1:n] = np.einsum("nijk,njlk->nilk", R[1:n], spread)
     return DensePath(
         binned.edges,
-        np.concatenate([R_all.reshape(-1, 3, 3), R_ns[-1:]]),
-        _flatten(p_all, position_n[-1]),
-        _flatten(v_all, velocity_n[-1]),
+        np.concatenate([_behind(R[:n]), R_ns[-1:]]),
+        np.concatenate([_behind(p[:n]), position_n[-1:]]),
+        np.concatenate([_behind(v[:n]), velocity_n[-1:]]),
         (rate + (turn / T)[:, None, :]).reshape(-1, 3),
-        acceleration_n.reshape(-1, 3),
+        _behind(np.diff(v, axis=0) / dt),
     )
 
 
-def _flatten(stack: Array, last: Array) -> Array:
-    """(K-1, n+1, ...) with shared ends -> ((K-1) n + 1, ...)."""
-    return np.concatenate([stack[:, :-1].reshape(-1, *stack.shape[2:]), last[None]])
+def _ahead(values: Array) -> Array:
+    """(K-1, n, ...) -> (n, ..., K-1): intervals side by side, in which products of small matrices are many at once."""
+    return np.ascontiguousarray(values.transpose(*range(1, values.ndim), 0))
+
+
+def _behind(values: Array) -> Array:
+    """(n, ..., K-1) -> ((K-1) n, ...)."""
+    last = values.ndim - 1
+    return np.asarray(values.transpose(last, *range(last)).reshape(-1, *values.shape[1:last]))
 
 
 YAW_JERK_RATE = 20.0  # rad/s^3 rms: how sharply a kart's turning rate bends

@@ -140,7 +140,7 @@ def linearize_increments(done: Increments, state: ChainState) -> LinearIncrement
 
 def right_jacobian(turn: Array) -> Array:
     """Right Jacobian J (..., 3, 3) at turn (..., 3): exp(turn + d) is exp(turn) exp(J d) for small d."""
-    angle2 = np.sum(turn**2, axis=-1)
+    angle2 = so3.squared(turn)
     small = angle2 < 1e-4  # the series is exact to 1e-13 below this
     safe = np.where(small, 1.0, angle2)
     angle = np.sqrt(safe)
@@ -151,7 +151,7 @@ def right_jacobian(turn: Array) -> Array:
 
 def left_jacobian_inverse(turn: Array) -> Array:
     """Inverse (..., 3, 3) of the left Jacobian at turn (..., 3), that of the right one transposed."""
-    angle2 = np.sum(turn**2, axis=-1)
+    angle2 = so3.squared(turn)
     c, _ = _of_square(angle2)
     return so3.axial(turn, 1.0 - c * angle2, np.full_like(c, -0.5), c)
 
