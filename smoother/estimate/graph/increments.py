@@ -39,26 +39,40 @@ class Increments:
 def increments(binned: BinnedImu, accel_bias: Array, gyro_bias: Array) -> Increments:
     """Add up the bins about the biases (3,), m/s^2 and rad/s."""
     n, n_bins, _ = binned.specific_force_s.shape
-    dt, eye = binned.dt, np.eye(3)
-    turn, position, velocity = np.zeros((3, n, 3))
-    of_turn, of_position, of_velocity = np.zeros((3, n, 3, 6))
-    for j in range(n_bins):
-        force, rate = binned.specific_force_s[:, j] - accel_bias, binned.angular_rate_s[:, j] - gyro_bias
-        R, inverse = so3.exp(turn), left_jacobian_inverse(-turn)
-        pushed = np.einsum("nij,nj->ni", R, force)
-        by_turn = -R @ so3.skew(force) @ right_jacobian(turn)
-        of_pushed = by_turn @ of_turn
-        of_pushed[:, :, 0:3] -= R
-        of_position = of_position + dt * of_velocity + 0.5 * dt**2 * of_pushed
-        of_velocity = of_velocity + dt * of_pushed
-        of_turn = (eye - dt * slope_of_inverse(-turn, rate)) @ of_turn
-        of_turn[:, :, 3:6] -= dt * inverse
-        position = position + dt * velocity + 0.5 * dt**2 * pushed
-        velocity = velocity + dt * pushed
-        turn = turn + dt * np.einsum("nij,nj->ni", inverse, rate)
-    shift = np.stack([position, velocity], axis=1)
-    slopes = np.stack([of_turn, of_position, of_velocity], axis=1)
-    return Increments(n_bins * dt, accel_bias, gyro_bias, turn, shift, slopes)
+    dt = binned.dt
+    turn, position, velocity = np.zeros((3, 3, n))
+    of_turn, of_position, of_velocity = np.zeros((3, 3, 6, n))
+    forces, rates = _ahead(binned.specific_force_s - accel_bias), _ahead(binned.angular_rate_s - gyro_bias)
+    for force, rate in zip(forces, rates, strict=True):
+        R, inverse = _ahead(so3.exp(turn.T)), _ahead(left_jacobian_inverse(-turn.T))
+        pushed, turned = _times(R, force), _times(inverse, rate)
+        leant = _times(_ahead(so3.skew(force.T)), _ahead(right_jacobian(turn.T)))
+        of_pushed = -_times(_times(R, leant), of_turn)
+        of_pushed[:, 0:3] -= R
+        of_position += dt * of_velocity + 0.5 * dt**2 * of_pushed
+        of_velocity += dt * of_pushed
+        of_turn -= dt * _times(_ahead(slope_of_inverse(-turn.T, rate.T)), of_turn)
+        of_turn[:, 3:6] -= dt * inverse
+        position += dt * velocity + 0.5 * dt**2 * pushed
+        velocity += dt * pushed
+        turn += dt * turned
+    shift, slopes = np.stack([position, velocity]), np.stack([of_turn, of_position, of_velocity])
+    return Increments(n_bins * dt, accel_bias, gyro_bias, *(_behind(values) for values in (turn, shift, slopes)))
+
+
+def _ahead(values: Array) -> Array:
+    """(N, ...) -> (..., N): intervals side by side, in which products of small matrices are many at once."""
+    return np.ascontiguousarray(np.moveaxis(values, 0, -1))
+
+
+def _behind(values: Array) -> Array:
+    """(..., N) -> (N, ...)."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 0))
+
+
+def _times(one: Array, other: Array) -> Array:
+    """Products of matrices (3, 3, N) with matrices (3, m, N) or vectors (3, N)."""
+    return np.asarray(np.einsum("ijk,j...k->i...k", one, other))
 
 
 def in_left_axes(done: Increments, root: Array, part: slice) -> Array:
