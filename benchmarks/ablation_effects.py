@@ -14,7 +14,7 @@ from smoother.estimate.gnss_offset import OffsetModel
 from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.imu import BinnedImu, DensePath
+from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.samples import ImuSamples, Session
@@ -111,6 +111,10 @@ def _no_share(*_: Any) -> float:
     return 0.0
 
 
+def _as_round(*_: Any) -> Shape:
+    return ROUND
+
+
 def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetModel:
     return usual
 
@@ -180,6 +184,7 @@ EFFECTS = (
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
     Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
+    Effect("noise of each direction its own", patches=((batch, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("reported accuracies", session=_no_reports),

@@ -19,6 +19,7 @@ from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
+    Shape,
     corrected,
     dense_path,
     interval_noise,
@@ -56,6 +57,8 @@ UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
+SHAPE_COUNT = 20.0  # residuals in each direction that say that noise is the same in all of them
+FLATTEST = 0.02  # of the largest variance: the least that any direction has
 SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
 LARGEST_SHARE = 0.95  # something is left where nothing shakes
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
@@ -343,20 +346,23 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatt
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
     """
     state, solution = solved.state, solved.solution
-    accel, gyro = interval_noise(binned, noise.inertial)
+    now = noise.inertial
     good = binned.missing == 0.0
     if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
         good[solved.rows["standstill"].interval] = False
     some = np.zeros_like(good)
     some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
-    force, rate = inertial_components(state, solved.inertial, solution, accel, gyro, some)
+    density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
+    force, rate = inertial_components(state, solved.inertial, solution, density, shape, some)
     new = replace(
-        noise.inertial,
-        accel=_density(force, noise.inertial.accel, scatter.accel),
-        gyro=_density(rate, noise.inertial.gyro, scatter.gyro),
+        now,
+        accel=_density(force, now.accel, scatter.accel),
+        gyro=_density(rate, now.gyro, scatter.gyro),
+        accel_shape=_shape(force, now.accel_shape),
+        gyro_shape=_shape(rate, now.gyro_shape),
     )
     if binned.rough is not None:
-        rough, now = binned.rough[some], noise.inertial
+        rough = binned.rough[some]
         new = replace(
             new,
             accel_share=_share(force, rough[:, 0], now.accel_share),
@@ -397,6 +403,23 @@ def _density(component: VarianceComponent, density: float, scatter: float) -> fl
     squares = component.squares + SCATTER_COUNT * (scatter / density) ** 2
     ratio = math.sqrt(squares / (max(component.redundancy, 0.0) + SCATTER_COUNT)) ** HASTE
     return max(density * float(np.clip(ratio, 1.0 / 2.5, 2.5)), OWN_SCATTER * scatter)
+
+
+def _shape(component: VarianceComponent, shape: Shape) -> Shape:
+    """Shape of the noise from residuals that were given `shape`; SHAPE_COUNT residuals in each direction say round.
+
+    The matrix that takes what was expected of the residuals to what they are, in the axes in which `shape` is round.
+    """
+    root = np.linalg.cholesky(np.array(shape))
+    white = np.linalg.inv(root)
+    squares = component.squares_in + SHAPE_COUNT * white @ white.T
+    redundancy, axes = np.linalg.eigh(component.redundancy_in)
+    to_one = (axes / np.sqrt(np.maximum(redundancy, 0.0) + SHAPE_COUNT)) @ axes.T
+    found = root @ to_one @ squares @ to_one @ root.T
+    variance, axes = np.linalg.eigh(found)
+    found = (axes * np.maximum(variance, FLATTEST * variance[-1])) @ axes.T
+    a, b, c = (found * (3.0 / np.trace(found))).tolist()
+    return tuple(a), tuple(b), tuple(c)
 
 
 def _share(component: VarianceComponent, rough: Array, share: float) -> float:

@@ -102,9 +102,17 @@ def corrected(binned: BinnedImu, accel_error: Array, gyro_error: Array) -> Binne
     )
 
 
+Shape = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+ROUND: Shape = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
 @dataclass(frozen=True)
 class InertialNoise:
-    """Densities of the graph's inertial factors: m/s^2/sqrt(Hz), rad/s/sqrt(Hz), and of the walks of the biases."""
+    """Densities of the graph's inertial factors: m/s^2/sqrt(Hz), rad/s/sqrt(Hz), and of the walks of the biases.
+
+    accel and gyro are means over directions; accel_shape, gyro_shape are covariances (3, 3) in s over their squares, of
+    trace 3: a kart shakes more upwards than it does sideways.
+    """
 
     accel: float
     gyro: float
@@ -112,6 +120,8 @@ class InertialNoise:
     gyro_bias_walk: float  # rad/s/sqrt(s)
     accel_share: float = 0.0  # of the variance at mean vibration: this goes with the vibration, the rest stays
     gyro_share: float = 0.0
+    accel_shape: Shape = ROUND
+    gyro_shape: Shape = ROUND
 
     @property
     def calm(self) -> tuple[float, float]:
@@ -310,8 +320,8 @@ def _biases(accel_bias: Array, gyro_bias: Array, n: int) -> list[gtsam.imuBias.C
 def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(STANDARD_GRAVITY)
     eye = np.eye(3)
-    params.setAccelerometerCovariance(eye * accel**2)
-    params.setGyroscopeCovariance(eye * gyro**2)
+    params.setAccelerometerCovariance(np.array(noise.accel_shape) * accel**2)
+    params.setGyroscopeCovariance(np.array(noise.gyro_shape) * gyro**2)
     params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s^2
     params.setBiasAccCovariance(eye * noise.accel_bias_walk**2)
     params.setBiasOmegaCovariance(eye * noise.gyro_bias_walk**2)

@@ -11,7 +11,7 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, preintegrate, shared_densities
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shared_densities
 from smoother.estimate.graph.increments import in_left_axes, increments, linearize_increments
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
@@ -100,6 +100,8 @@ class InertialGraph:
         """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
         ratios = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
         ratios += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
+        for one, two in ((noise.accel_shape, self.noise.accel_shape), (noise.gyro_shape, self.noise.gyro_shape)):
+            ratios += np.sqrt(np.linalg.eigvals(np.linalg.solve(two, one)).real).tolist()
         return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
 
     def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
@@ -138,18 +140,27 @@ class InertialGraph:
 
     def _whitening(self, noise: InertialNoise) -> Array:
         """Likewise, by covariances for densities that are not far from those preintegrated with."""
-        was, now = shared_densities(self._binned, self.noise), shared_densities(self._binned, noise)
-        more = [one**2 - two**2 for one, two in zip(now, was, strict=True)]
         T, out = self._increments.T, np.empty_like(self._covariance)
-        by_force = _force_covariance(np.ones(1), T)
+        force, rate = self._more_white(noise)
         for here in pieces(len(out), PIECE):
             covariance = self._covariance[here]
             if noise != self.noise:
-                by_rate = _rate_covariance(self._force[here] - self._accel_bias, T)
-                accel, gyro = (value[here, None, None] for value in more)
-                covariance = covariance + accel * by_force + gyro * by_rate
+                more = _force_covariance(force[here], T) + _rate_covariance(
+                    rate[here], self._force[here] - self._accel_bias, T
+                )
+                covariance = covariance + more
             out[here] = in_left_axes(self._increments, inverse_of_lower(np.linalg.cholesky(covariance)), here)
         return out
+
+    def _more_white(self, noise: InertialNoise) -> tuple[Array, Array]:
+        """Spectral densities (K-1, 3, 3) of force and rate by which `noise` exceeds what was preintegrated with."""
+        was, now = shared_densities(self._binned, self.noise), shared_densities(self._binned, noise)
+        shapes = (noise.accel_shape, self.noise.accel_shape), (noise.gyro_shape, self.noise.gyro_shape)
+        force, rate = (
+            np.multiply.outer(one**2, np.array(shape)) - np.multiply.outer(two**2, np.array(before))
+            for one, two, (shape, before) in zip(now, was, shapes, strict=True)
+        )
+        return force, rate
 
 
 def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:
@@ -198,11 +209,14 @@ def empty_system(n_keyframes: int) -> ChainSystem:
 class VarianceComponent:
     """Weighted squared residuals that one source of noise answers for, and how many independent ones they amount to.
 
-    Of each of N intervals (N,), three residuals in each.
+    Of each of N intervals (N,), three residuals in each; and of all of them by direction (3, 3), whitened with the
+    shape that the noise was given: squares_in over redundancy_in is what it lacks, their traces are the sums.
     """
 
     squares_of: Array
     redundancy_of: Array
+    squares_in: Array
+    redundancy_in: Array
 
     @property
     def squares(self) -> float:
@@ -216,44 +230,65 @@ class VarianceComponent:
 
 
 def inertial_components(
-    state: ChainState, linear: LinearInertial, solution: ChainSolution, accel: Array, gyro: Array, use: BoolArray
+    state: ChainState,
+    linear: LinearInertial,
+    solution: ChainSolution,
+    density: tuple[Array, Array],
+    shape: tuple[Shape, Shape],
+    use: BoolArray,
 ) -> tuple[VarianceComponent, VarianceComponent]:
     """Split the inertial residuals between the noise of force and that of rate, over the intervals `use` (K-1,).
 
     The residuals are those that the linear model predicts after the step of `solution`.
-    White force of density accel (K-1,) moves velocity and position in a known way, V, which is only a part of a
+    White force of a density (K-1,) and shape moves velocity and position in a known way, V, which is only a part of a
     factor's covariance: a turn by white rate turns the force and moves as well. With S the square-root information over
     the whole covariance, force weighs the whitened residual e by W = S V S': it answers for e' W e, of which
-    tr(W (1 - C)) is expected, C being the covariance that the solution leaves in e. Only white rate, of density gyro
-    (K-1,), turns: its part is the rotation alone. Source: Foerstner 1979.
+    tr(W (1 - C)) is expected, C being the covariance that the solution leaves in e. Only white rate turns: its part is
+    the rotation alone. Source: Foerstner 1979.
     """
-    at, T = np.flatnonzero(use), state.interval
+    at = np.flatnonzero(use)
     figures = [
-        _weighed(state, linear, solution, at[part], _force_covariance(accel[at[part]], T), gyro[at[part]] ** 2 * T)
+        _weighed(state, linear, solution, at[part], (density[0][at[part]], density[1][at[part]]), shape)
         for part in (list(pieces(len(at), PIECE)) or [slice(0)])
     ]
     force, of_force, rate, of_rate = (np.concatenate(values) for values in zip(*figures, strict=True))
-    return VarianceComponent(force, of_force), VarianceComponent(rate, of_rate)
+    return _component(force, of_force), _component(rate, of_rate)
+
+
+def _component(squares: Array, redundancy: Array) -> VarianceComponent:
+    """Component of intervals with squares and redundancies by direction, (N, 3, 3)."""
+    traces = np.einsum("kii->k", squares), np.einsum("kii->k", redundancy)
+    return VarianceComponent(*traces, squares.sum(axis=0), redundancy.sum(axis=0))
 
 
 def _weighed(
-    state: ChainState, linear: LinearInertial, solution: ChainSolution, at: IntArray, V: Array, variance: Array
+    state: ChainState,
+    linear: LinearInertial,
+    solution: ChainSolution,
+    at: IntArray,
+    density: tuple[Array, Array],
+    shape: tuple[Shape, Shape],
 ) -> tuple[Array, Array, Array, Array]:
-    """Squares and redundancies (N,) of force and of rate, of the factors `at` (N,).
-
-    V (N, 15, 15) is what white force does to a factor, variance (N,) rad^2 what white rate does to its turn.
-    """
-    root, V = _root_information(state, linear, at), V[:, _MOVED, _MOVED]
-    by_motion = root[:, :, _MOVED].transpose(0, 2, 1)
-    unwhiten = np.linalg.solve(root.transpose(0, 2, 1), np.eye(15)[:, ROTATION]).transpose(0, 2, 1)
-    of = np.concatenate([by_motion, unwhiten], axis=1)
+    """Squares and redundancies (N, 3, 3) of force and of rate, of the factors `at` (N,), whitened with the shapes."""
+    root, T = _root_information(state, linear, at), state.interval
+    force, rate = np.linalg.cholesky(np.array(shape))
+    by_motion = force.T @ root[:, :, _MOVED].reshape(-1, 15, 2, 3).transpose(0, 2, 3, 1)
+    unwhiten = np.linalg.solve(root.transpose(0, 2, 1), np.linalg.solve(rate, np.eye(15)[ROTATION]).T)
+    of = np.concatenate([by_motion.reshape(-1, 6, 15), unwhiten.transpose(0, 2, 1)], axis=1)
     left = _posterior_covariance(linear, solution, at, of)
     weighed = np.einsum("kri,ki->kr", of, inertial_after_step(linear, at, solution))
-    moved, turned = weighed[:, :6], weighed[:, 6:]
-    expected = np.einsum("kij,kji->k", V, by_motion @ by_motion.transpose(0, 2, 1) - left[:, :6, :6])
-    of_turn = np.einsum("kii->k", left[:, 6:, 6:])
-    squares = np.einsum("ki,kij,kj->k", moved, V, moved)
-    return squares, expected, np.sum(turned**2, axis=1) / variance, 3.0 - of_turn / variance
+    moved, turned = weighed[:, :6].reshape(-1, 2, 3), weighed[:, 6:] / (density[1] * np.sqrt(T))[:, None]
+    # of position and velocity, from white force of density one
+    together = density[0][:, None, None] ** 2 * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
+    lost = left[:, :6, :6].reshape(-1, 2, 3, 2, 3)
+    expected = np.einsum("kab,kaim,kbjm->kij", together, by_motion, by_motion)
+    expected -= np.einsum("kab,kaibj->kij", together, lost)
+    of_turn = np.eye(3) - left[:, 6:, 6:] / (density[1] ** 2 * T)[:, None, None]
+    return np.einsum("kab,kai,kbj->kij", together, moved, moved), expected, _outer(turned), of_turn
+
+
+def _outer(values: Array) -> Array:
+    return np.asarray(values[:, :, None] * values[:, None, :])
 
 
 def _root_information(state: ChainState, linear: LinearInertial, at: IntArray) -> Array:
@@ -270,27 +305,27 @@ def _root_information(state: ChainState, linear: LinearInertial, at: IntArray) -
     return root
 
 
-def _force_covariance(accel: Array, T: float) -> Array:
-    """Covariance (K, 15, 15) of a factor from white force alone, densities accel (K,), over T s."""
-    q, eye = accel[:, None, None] ** 2, np.eye(3)
-    V = np.zeros((len(accel), 15, 15))
-    V[:, TRANSLATION, TRANSLATION] = q * (T**3 / 3.0) * eye
-    V[:, TRANSLATION, VELOCITY] = V[:, VELOCITY, TRANSLATION] = q * (T**2 / 2.0) * eye
-    V[:, VELOCITY, VELOCITY] = q * T * eye
+def _force_covariance(q: Array, T: float) -> Array:
+    """Covariance (K, 15, 15) of a factor from white force alone, spectral density q (K, 3, 3), over T s."""
+    V = np.zeros((len(q), 15, 15))
+    V[:, TRANSLATION, TRANSLATION] = (T**3 / 3.0) * q
+    V[:, TRANSLATION, VELOCITY] = V[:, VELOCITY, TRANSLATION] = (T**2 / 2.0) * q
+    V[:, VELOCITY, VELOCITY] = T * q
     return V
 
 
-def _rate_covariance(force: Array, T: float) -> Array:
-    """Covariance (K, 15, 15) of a factor from white rate of density one over T s, at a mean force (K, 3).
+def _rate_covariance(q: Array, force: Array, T: float) -> Array:
+    """Covariance (K, 15, 15) of a factor from white rate, spectral density q (K, 3, 3), over T s, at mean force (K, 3).
 
     A turn e leans the force, which accelerates by -[f]x e.
     """
-    lean, eye = -so3.skew(force), np.eye(3)
-    square = lean @ lean.transpose(0, 2, 1)
-    V = np.zeros((len(force), 15, 15))
-    V[:, ROTATION, ROTATION] = T * eye
-    V[:, VELOCITY, ROTATION], V[:, TRANSLATION, ROTATION] = (T**2 / 2.0) * lean, (T**3 / 6.0) * lean
-    V[:, ROTATION, VELOCITY], V[:, ROTATION, TRANSLATION] = -V[:, VELOCITY, ROTATION], -V[:, TRANSLATION, ROTATION]
+    lean = -so3.skew(force)
+    moved, square = lean @ q, lean @ q @ lean.transpose(0, 2, 1)
+    V = np.zeros((len(q), 15, 15))
+    V[:, ROTATION, ROTATION] = T * q
+    V[:, VELOCITY, ROTATION], V[:, TRANSLATION, ROTATION] = (T**2 / 2.0) * moved, (T**3 / 6.0) * moved
+    for part in (VELOCITY, TRANSLATION):
+        V[:, ROTATION, part] = V[:, part, ROTATION].transpose(0, 2, 1)
     V[:, VELOCITY, VELOCITY], V[:, TRANSLATION, TRANSLATION] = (T**3 / 3.0) * square, (T**5 / 20.0) * square
     V[:, TRANSLATION, VELOCITY] = V[:, VELOCITY, TRANSLATION] = (T**4 / 8.0) * square
     return V

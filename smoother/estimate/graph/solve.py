@@ -19,6 +19,7 @@ from smoother.estimate.graph.batch import (
 )
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.heading import heading_from_field
+from smoother.estimate.graph.imu import ROUND
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of
@@ -145,9 +146,9 @@ def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -
     better = update_noise(solved, noise, start.binned, scatter)
     inertial, stated = better.inertial, start.stated
     if stated.accel_noise:
-        inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0)
+        inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0, accel_shape=ROUND)
     if stated.gyro_noise:
-        inertial = replace(inertial, gyro=stated.gyro_noise, gyro_share=0.0)
+        inertial = replace(inertial, gyro=stated.gyro_noise, gyro_share=0.0, gyro_shape=ROUND)
     return replace(better, inertial=inertial)
 
 

@@ -21,6 +21,7 @@ from smoother.estimate.graph.batch import (
     Priors,
     Scatter,
     Solved,
+    _shape,
     _share,
     posterior_variance,
     unseen_offset,
@@ -28,7 +29,7 @@ from smoother.estimate.graph.batch import (
 )
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import expected_motion
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
+from smoother.estimate.graph.imu import ROUND, BinnedImu, InertialNoise, bin_imu, preintegrate
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
@@ -63,8 +64,10 @@ class Problem:
     state: ChainState
 
 
-def problem(seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int = K) -> Problem:
-    """Eight seconds (or K keyframes) from a standstill into a bend, in a box mounted anyhow."""
+def problem(
+    seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int = K, shape: np.ndarray | None = None
+) -> Problem:
+    """Eight seconds (or K keyframes) from a standstill into a bend, in a box mounted anyhow, that shakes by a shape."""
     rng = np.random.default_rng(seed)
     rate_imu = 200.0
     t = np.arange(1, round((K * T + 0.2) * rate_imu) + 1) / rate_imu
@@ -87,7 +90,8 @@ def problem(seed: int = 0, position: float = 0.5, velocity: float = 0.1, K: int 
     )
     force = np.einsum("nji,nj->ni", R_ns, acceleration - GRAVITY_N) + np.array([0.2, -0.1, 0.15])
     rate = np.einsum("nji,nj->ni", R_ns, rate_n) + GYRO_BIAS_MEAN
-    force += noise.inertial.accel * np.sqrt(rate_imu) * rng.normal(size=force.shape)
+    root = np.linalg.cholesky(np.eye(3) if shape is None else shape)
+    force += noise.inertial.accel * np.sqrt(rate_imu) * rng.normal(size=force.shape) @ root.T
     rate += noise.inertial.gyro * np.sqrt(rate_imu) * rng.normal(size=rate.shape)
     keyframes = 0.1 + T * np.arange(K)
     i = np.searchsorted(t, keyframes - 1e-9)
@@ -301,6 +305,11 @@ class TestRobustness:
         assert np.all(solved.rows["gps_velocity"].information == 0.0)
 
 
+def component_of(squares: np.ndarray, redundancy: np.ndarray) -> VarianceComponent:
+    """Component of intervals (N,), the same in all directions."""
+    return VarianceComponent(squares, redundancy, np.eye(3) * squares.sum() / 3.0, np.eye(3) * redundancy.sum() / 3.0)
+
+
 class TestNoise:
     @pytest.mark.parametrize("factor", [1.0 / 3.0, 3.0])
     def test_it_is_found_from_the_residuals_wherever_it_starts(self, factor: float) -> None:
@@ -330,6 +339,33 @@ class TestNoise:
         assert noise.inertial.accel == pytest.approx(p.noise.inertial.accel, rel=0.3)
         assert noise.inertial.gyro == pytest.approx(p.noise.inertial.gyro, rel=0.3)
 
+    @pytest.mark.parametrize("polarised", [False, True])
+    def test_directions_in_which_the_box_shakes_more_are_found(self, polarised: bool) -> None:
+        """A minute in which force shakes four times as much along one direction as across it, or the same in all."""
+        along = np.array([0.6, 0.0, 0.8])
+        shape = np.eye(3) + 15.0 * np.outer(along, along) * polarised
+        shape *= 3.0 / np.trace(shape)
+        p = problem(2, position=0.1, velocity=0.02, K=301, shape=shape)
+        scatter = Scatter(p.noise.inertial.accel, p.noise.inertial.gyro)
+        batch, noise = Batch(p.data, p.binned, p.priors), p.noise
+        state = batch.converge(batch.graph(p.state, noise), p.state, noise, 5)
+        for _ in range(8):
+            solved = batch.step(batch.graph(state, noise), state, noise)
+            state, noise = solved.state, update_noise(solved, noise, p.binned, scatter)
+        found = np.array(noise.inertial.accel_shape)
+        assert np.trace(found) == pytest.approx(3.0)
+        across = (np.trace(found) - along @ found @ along) / 2.0
+        ratio = np.sqrt(along @ found @ along / across)
+        if polarised:
+            assert 2.0 < ratio < 5.0  # 20 residuals of each direction say one
+        else:
+            np.testing.assert_allclose(found, np.eye(3), atol=0.3)  # 150 fixes: a tenth of a variance
+
+    def test_few_residuals_leave_the_noise_round(self) -> None:
+        little = 1e-3 * np.diag([5.0, 1.0, 1.0])
+        found = _shape(VarianceComponent(np.zeros(1), np.zeros(1), little, 1e-3 * np.eye(3)), ROUND)
+        np.testing.assert_allclose(found, np.eye(3), atol=1e-3)
+
     @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
     def test_how_much_of_it_goes_with_vibration_is_found_from_where_the_residuals_are_large(self, share: float) -> None:
         rng = np.random.default_rng(0)
@@ -340,13 +376,13 @@ class TestNoise:
             level = 1.0 + found * (rough - 1.0)
             variance = 2.0 * (1.0 + share * (rough - 1.0)) / level  # density unknown as well
             residual = rng.normal(size=(3, len(rough))) * np.sqrt(variance)
-            component = VarianceComponent(np.sum(residual**2, axis=0), np.full(len(rough), 3.0))
+            component = component_of(np.sum(residual**2, axis=0), np.full(len(rough), 3.0))
             found = _share(component, rough, found)
         assert found == pytest.approx(share, abs=0.05)  # of 6000 residuals
 
     def test_few_residuals_do_not_make_the_noise_follow_the_vibration(self) -> None:
         rough = np.array([0.2, 0.5, 1.0, 2.3])
-        nothing = VarianceComponent(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
+        nothing = component_of(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
         assert _share(nothing, rough, 0.0) < 0.01
 
     def test_change_is_the_largest_relative_difference(self) -> None:
