@@ -3,13 +3,15 @@
     python benchmarks/against_pyins.py --seeds 6 --duration 200
 
 The filter gets everything that the smoother has to find out, as the truth has it: both latencies (each fix is put to
-the time at which it was true), lever arm, mounting, the effective noise densities of force and rate with the engine in
-them, the biases of the start, sizes of their walks, of scale and misalignment, the noise of fixes and Doppler, the
-attitude at the start to half a degree, velocity and position likewise; jumps are taken out of its fixes. It has no
-model of the slow GPS offset, so every session is filtered with several sigmas of a fix, from the white noise alone to
-one that allows for the correlation, and in every column the best of them counts, chosen with the truth; where it
-diverges (inf), it is run again without the states of scale and misalignment. Its estimate at each time knows only what
-came before; the smoother's knows all of the session. That difference is the point of smoothing afterwards.
+the time at which it was true), lever arm, mounting, the effective noise densities of force and rate with the engine
+in them, the biases of the start, sizes of their walks, of scale and misalignment, the noise of fixes and Doppler, the
+attitude at the start to half a degree and the velocity likewise; jumps are taken out of its fixes. Its position
+starts at its first fix, with the sigma of one, as a filter's does: a true one would tell it the slow offset of the
+GPS, which no session contains. It has no model of the slow GPS offset, so every session is filtered with several
+sigmas of a fix, from the white noise alone to one that allows for the correlation, and in every column the best of
+them counts, chosen with the truth; where it diverges (inf), it is run again without the states of scale and
+misalignment. Its estimate at each time knows only what came before; the smoother's knows all of the session. That
+difference is the point of smoothing afterwards.
 """
 
 import argparse
@@ -40,7 +42,7 @@ from smoother.trajectory import EstimateReport, Trajectory
 
 NED_FROM_NWU = np.diag([1.0, -1.0, -1.0])  # and forward, right, down from forward, left, up
 START = 1.0  # s after the first fix: all data are there
-START_SIGMA = {"position_sd": 0.5, "velocity_sd": 0.2, "level_sd": 0.5, "azimuth_sd": 0.5}  # m, m/s, deg, deg
+START_SIGMA = {"velocity_sd": 0.2, "level_sd": 0.5, "azimuth_sd": 0.5}  # m/s, deg, deg
 TIME_STEP = 0.2  # s; the covariance is propagated to every measurement, ten a second, so this is never reached
 RUNAWAY = 1e3  # m/s; a filter that is there has diverged, though it may still count
 LEFT_OF_BIAS = 0.1  # what the filter thinks of the biases after the true ones of the start were taken off
@@ -71,7 +73,7 @@ def fix_sigmas(simulation: Simulation, names: Sequence[str]) -> dict[str, float]
     errors = simulation.scenario.gnss
     if errors.offset_horizontal == 0.0:
         return {"white": errors.white_horizontal}
-    total = float(np.hypot(errors.white_horizontal, errors.offset_horizontal))
+    total = _sigma_of_fix(simulation)
     # N correlated fixes are worth N / (2 tau rate) independent ones
     correlated = total * float(np.sqrt(2.0 * errors.offset_tau * errors.rate))
     return {k: v for k, v in zip(SIGMAS, (errors.white_horizontal, total, correlated), strict=True) if k in names}
@@ -100,6 +102,7 @@ def run_filter(simulation: Simulation, session: Session, fix_sigma: float, *, wi
     pva = _initial(simulation, session, float(before.index[-1]))
     result = filters.run_feedback_filter(
         pva,
+        position_sd=_sigma_of_fix(simulation),
         **START_SIGMA,
         increments=increments,
         gyro_model=models[0],
@@ -147,13 +150,23 @@ def _imu_table(simulation: Simulation, session: Session) -> pd.DataFrame:
 
 
 def _initial(simulation: Simulation, session: Session, t: float) -> pd.Series:
-    """True position of the IMU, velocity and attitude at t."""
+    """Velocity and attitude at t as they are, position of the IMU as far off as the first fix that did not jump."""
     truth = simulation.truth.trajectory(np.array([t]), np.zeros(3), session.origin)
-    lla = np.stack(nwu_to_geodetic(truth.position_n, session.origin), axis=1)[0]
+    first = np.flatnonzero(~np.any(simulation.gnss.jump_n != 0.0, axis=1))[:1]
+    epoch, arm_b = simulation.gnss.position_time[first], simulation.scenario.lever_arm_b
+    antenna = simulation.truth.trajectory(epoch, arm_b, session.origin)
+    error_n = session.fix_position_n[first] - antenna.position_n
+    lla = np.stack(nwu_to_geodetic(truth.position_n + error_n, session.origin), axis=1)[0]
     velocity = NED_FROM_NWU @ truth.velocity_n[0]
     angles = transform.mat_to_rph(NED_FROM_NWU @ truth.R_nb[0] @ NED_FROM_NWU)
     names = ["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"]
     return pd.Series(np.concatenate([lla, velocity, angles]), index=names, name=t)
+
+
+def _sigma_of_fix(simulation: Simulation) -> float:
+    """Sigma of a fix with its slow offset, m per horizontal axis."""
+    errors = simulation.scenario.gnss
+    return float(np.hypot(errors.white_horizontal, errors.offset_horizontal))
 
 
 def _measurements(simulation: Simulation, session: Session, fix_sigma: float) -> list[Any]:
