@@ -24,6 +24,8 @@ CALIBRATED_OFFSET = np.radians(0.7)  # of such a field: 0.36 by the World Magnet
 UNKNOWN_OFFSET = np.pi / 4.0
 USELESS = np.radians(20.0)  # rms of the heading beyond which the field is not worth its factor
 FLOOR = np.radians(2.0)  # currents of the engine and iron of the track; nothing magnetic on a kart is better
+REPEATING = np.radians(0.7)  # what iron and fit leave in every direction of the compass, lap after lap
+DIRECTIONS = 4.0  # cosine and sine of the heading and of its double: hard and soft iron
 FEWEST = 20  # headings; fewer cannot be judged
 SPACING = 1.0  # s between heading factors, since the field's errors last
 LONGEST_MEMORY = 30  # headings
@@ -65,10 +67,10 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     at, (before, after, weight) = _averages(state, step, t, R_ns, (measured, corrected), weight)
     if len(at) < FEWEST:
         return None
-    offset_sigma, field_s = CALIBRATED_OFFSET, before
+    offset_sigma, field_s, fitted = CALIBRATED_OFFSET, before, False
     error = _heading_error(state.R_ns[at], field_s, declination)
     if np.sqrt(np.median(error**2)) > 0.7 * NEEDS_NO_FIT or abs(float(np.median(error))) > 0.5 * NEEDS_NO_FIT:
-        offset_sigma, field_s = UNKNOWN_OFFSET, after
+        offset_sigma, field_s, fitted = UNKNOWN_OFFSET, after, True
         error = _heading_error(state.R_ns[at], field_s, declination)
     rms = float(np.sqrt(np.average(error**2, weights=weight)))
     keep = np.abs(error) < 3.0 * max(rms, FLOOR)
@@ -76,8 +78,17 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
         return None
     # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
-    sigma = float(np.sqrt(FLOOR**2 + beyond))
+    sigma = float(np.sqrt(FLOOR**2 + beyond + (repeating(int(np.count_nonzero(keep))) if fitted else 0.0)))
     return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma)
+
+
+def repeating(count: int) -> float:
+    """Variance rad^2 of each of `count` headings of a fitted field, lest together they know more than there is to know.
+
+    What is left of the iron depends on the heading and comes back in every lap, and the correction was fitted to the
+    attitude that the headings are to tell: more of them do not tell any direction better than to REPEATING.
+    """
+    return float(REPEATING**2 * count / DIRECTIONS)
 
 
 def _memory(error: Array) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.heading import FLOOR, _memory, heading_from_field
+from smoother.estimate.graph.heading import FLOOR, _memory, heading_from_field, repeating
 from smoother.estimate.graph.rows import heading_rows
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.fit.magnetic_model import field_n
@@ -59,7 +59,7 @@ def test_hard_and_soft_iron_are_found_from_laps_in_any_unit(unit: float) -> None
     error = heading_error(state, heading)
     assert abs(np.mean(error)) < 1.0 * DEG
     assert np.std(error) < 1.5 * DEG  # 1 uT against 23 uT of level field is 2.5 deg, averaged over ten readings
-    assert heading.sigma == FLOOR
+    assert heading.sigma == pytest.approx(np.sqrt(FLOOR**2 + repeating(len(heading.interval))))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -100,6 +100,16 @@ def test_sigma_never_claims_more_than_a_kart_s_iron_allows() -> None:
     clean = heading_from_field(readings(state, np.zeros(3), np.eye(3), noise=0.0), state, DECLINATION, INCLINATION)
     assert clean is not None
     assert clean.sigma == FLOOR
+
+
+def test_many_headings_of_a_fitted_field_know_no_more_than_few() -> None:
+    """The correction was fitted to the attitude they are to tell, and what it leaves comes back in every lap."""
+    state = laps()
+    heading = heading_from_field(readings(state), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    # cosine and sine of the heading and of its double
+    assert heading.sigma / np.sqrt(len(heading.interval) / 4.0) > 0.7 * DEG
+    assert repeating(400) == pytest.approx(4.0 * repeating(100))
 
 
 def test_readings_are_averaged_around_their_keyframe_though_the_kart_turns() -> None:
