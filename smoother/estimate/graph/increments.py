@@ -36,6 +36,11 @@ class Increments:
     by_bias: Array
 
 
+# what damaged files hold turns by more than a float has digits for; the solver says so when it meets the numbers
+_quietly = np.errstate(over="ignore", invalid="ignore")
+
+
+@_quietly
 def increments(binned: BinnedImu, accel_bias: Array, gyro_bias: Array) -> Increments:
     """Add up the bins about the biases (3,), m/s^2 and rad/s."""
     n, n_bins, _ = binned.specific_force_s.shape
@@ -122,6 +127,7 @@ class LinearIncrements:
         left[:, _BIASES, _BIASES], right[:, _BIASES, _BIASES] = np.eye(6), -np.eye(6)
 
 
+@_quietly
 def linearize_increments(done: Increments, state: ChainState) -> LinearIncrements:
     """Linearise all intervals at `state`."""
     R_i, R_j, T = state.R_ns[:-1], state.R_ns[1:], done.T
