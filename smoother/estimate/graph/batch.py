@@ -205,7 +205,7 @@ class Batch:
         before: Array | None = None,
         held: Array | None = None,
     ) -> Solved:
-        """One Gauss-Newton step with its covariance; residuals are those the linear model predicts after it.
+        """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
         before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
         held (18, 18) is the covariance of constants that are to stay where they are.

@@ -22,6 +22,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, session_rows
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.imu import BinnedImu, corrected, dense_path, preintegrate
+from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, OFFSET, VELOCITY, ChainState, Constants
 
@@ -188,17 +189,15 @@ class Stream:
         measured = preintegrate(
             _bins(self._binned, span), self._noise.inertial, state.accel_bias_s[span], state.gyro_bias_s[span]
         )
-        graph = gtsam.NonlinearFactorGraph()
         phi = np.exp(-state.interval / self._noise.offset_tau)
         for k, preintegrated in enumerate(measured, first):
-            graph.add(gtsam.CombinedImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), B(k + 1), preintegrated))
             at = gtsam.NavState(gtsam.Rot3(state.R_ns[k]), state.position_n[k], state.velocity_n[k])
             bias = gtsam.imuBias.ConstantBias(state.accel_bias_s[k], state.gyro_bias_s[k])
             predicted = preintegrated.predict(at, bias)
             state.R_ns[k + 1] = predicted.attitude().matrix()
             state.position_n[k + 1], state.velocity_n[k + 1] = predicted.position(), predicted.velocity()
             state.offset_n[k + 1] = phi * state.offset_n[k]
-        return graph
+        return inertial_factors(measured, first)
 
     def _measure(
         self, window: int, new: int, estimate: gtsam.Values, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values

@@ -34,10 +34,12 @@ PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
 
 
-def inertial_factors(measured: Sequence[gtsam.PreintegratedCombinedMeasurements]) -> gtsam.NonlinearFactorGraph:
-    """Return a CombinedImuFactor for each interval between keyframes 0, 1, 2, ..."""
+def inertial_factors(
+    measured: Sequence[gtsam.PreintegratedCombinedMeasurements], first: int = 0
+) -> gtsam.NonlinearFactorGraph:
+    """Return a CombinedImuFactor for each interval between keyframes first, first + 1, ..."""
     graph = gtsam.NonlinearFactorGraph()
-    x, v, b = X(0), V(0), B(0)
+    x, v, b = X(first), V(first), B(first)
     for k, preintegrated in enumerate(measured):
         graph.add(gtsam.CombinedImuFactor(x + k, v + k, x + k + 1, v + k + 1, b + k, b + k + 1, preintegrated))
     return graph
@@ -239,8 +241,10 @@ def inertial_components(
 ) -> tuple[VarianceComponent, VarianceComponent]:
     """Split the inertial residuals between the noise of force and that of rate, over the intervals `use` (K-1,).
 
-    The residuals are those that the linear model predicts after the step of `solution`.
-    White force of a density (K-1,) and shape moves velocity and position in a known way, V, which is only a part of a
+    density: of force, m/s^2/sqrt(Hz), and of rate, rad/s/sqrt(Hz), (K-1,) each; shape: of both, in s. The residuals are
+    those that the linear model predicts after the step of `solution`.
+
+    White force of a density and shape moves velocity and position in a known way, V, which is only a part of a
     factor's covariance: a turn by white rate turns the force and moves as well. With S the square-root information over
     the whole covariance, force weighs the whitened residual e by W = S V S': it answers for e' W e, of which
     tr(W (1 - C)) is expected, C being the covariance that the solution leaves in e. Only white rate turns: its part is
