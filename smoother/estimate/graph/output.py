@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
@@ -54,7 +54,8 @@ from smoother.units import DEG
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew in its own case, which no drive can show
 MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
-SAMPLES = 40  # keyframes whose errors are averaged; they last for seconds or for the session, so that forty will do
+SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
+UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 PIECE = 256  # keyframes whose covariances stay in the processor's cache
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
@@ -99,17 +100,32 @@ def estimated(solved: Solved) -> Estimated:
         uncertainty_of(solved),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
-        np.zeros((3, 3)) if factor is None else _common_attitude(factor, state),
+        np.zeros((3, 3))
+        if factor is None
+        else _common_attitude(factor, solved.solution.covariance[:, ROTATION, ROTATION]),
     )
 
 
-def _common_attitude(factor: ChainFactor, state: ChainState) -> Array:
-    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes over the session."""
-    at = np.repeat(np.linspace(0, len(state.t) - 2, SAMPLES).astype(np.int64), 3)
+def _common_attitude(factor: ChainFactor, attitude: Array) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes over the session.
+
+    attitude (K, 3, 3) rad^2: covariance of each keyframe's own error.
+    """
+    known = _usually_known(attitude[:-1])
+    at = np.repeat(known[np.linspace(0, len(known) - 1, SAMPLES).astype(np.int64)], 3)
     left = np.zeros((len(at), KEYFRAME_SIZE))
     left[:, ROTATION] = np.tile(np.eye(3), (SAMPLES, 1))
     joint = factor.covariance(at, left, np.zeros_like(left), np.zeros((len(at), CONSTANTS_SIZE)))
     return np.asarray(joint.reshape(SAMPLES, 3, SAMPLES, 3).mean(axis=(0, 2)))
+
+
+def _usually_known(attitude: Array) -> IntArray:
+    """Keyframes whose attitude, of covariance (K, 3, 3), is known about as well as most are.
+
+    Before the first sample or in a gap nothing tells it: one such keyframe would outweigh all others in a mean.
+    """
+    variance = np.einsum("kii->k", attitude)
+    return np.flatnonzero(variance <= UNUSUAL * np.median(variance))
 
 
 def build_trajectory(
@@ -250,6 +266,7 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -
         return np.ones(3)
     some = slice(None, None, max(1, len(R_nb) // (10 * SAMPLES)))
     attitude = R_nb[some].transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb[some]
+    attitude = attitude[_usually_known(attitude)]
     common = mounting.R_bs @ found.common_attitude @ mounting.R_bs.T
     mean = np.einsum("kii->i", attitude) / len(attitude)
     return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
