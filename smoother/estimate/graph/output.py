@@ -143,7 +143,7 @@ def build_trajectory(
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
     unseen = unseen_offset(noise, population)
-    keyframes = _keyframes(found, mounting, unseen)
+    keyframes = _keyframes(found, noise, mounting, binned, unseen)
     report = EstimateReport(
         identified=_identified(found, noise, priors, mounting, session, unseen),
         residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
@@ -188,13 +188,10 @@ class _Rows:
         keyframes: Keyframes,
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
-        at, arm_s = found.state.t, found.state.constants.lever_arm_s
-        first = max(int(np.searchsorted(at, t[0] - MARGIN)) - 1, 0)
-        last = min(int(np.searchsorted(at, t[-1] + MARGIN)) + 1, len(at))
-        state = found.state.between(first, last)
-        path = _path(state, binned.between(first, last))
-        motion = motion_at(path, t)
-        rate_s = at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
+        arm_s, keys = found.state.constants.lever_arm_s, _around(found.state, t)
+        state = found.state.between(keys.start, keys.stop)
+        path = _path(state, binned.between(keys.start, keys.stop))
+        motion, rate_s = motion_at(path, t), _rate_at(path, noise, t)
         acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
         R_nb = motion.R_ns @ mounting.R_bs.T
         self.position_n[part] = motion.position_n + motion.R_ns @ arm_s
@@ -202,7 +199,6 @@ class _Rows:
         self.R_nb[part] = R_nb
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, acceleration_n)
         self.angular_rate_b[part] = rate_s @ mounting.R_bs.T
-        keys = slice(first, last)
         covariance, track = keyframes.covariance[keys], found.uncertainty.track[keys]
         for name, values in _sigmas(t, state.t, covariance, track, R_nb, motion.velocity_n).items():
             self.sigmas[name][part] = values
@@ -218,6 +214,17 @@ class _Rows:
 def _path(state: ChainState, binned: BinnedImu) -> DensePath:
     binned = corrected(binned, state.constants.accel_matrix, state.constants.gyro_matrix)
     return dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
+
+
+def _around(state: ChainState, t: Array) -> slice:
+    """Keyframes around times t (n,) s that the path there needs."""
+    first = max(int(np.searchsorted(state.t, t[0] - MARGIN)) - 1, 0)
+    return slice(first, min(int(np.searchsorted(state.t, t[-1] + MARGIN)) + 1, len(state.t)))
+
+
+def _rate_at(path: DensePath, noise: Noise, t: Array) -> Array:
+    """Angular rate (n, 3) rad/s in s at t (n,) s."""
+    return at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
 
 
 def row_times(start: float, end: float, rate: float) -> Array:
@@ -272,11 +279,11 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -
     return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
 
 
-def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Keyframes:
+def _keyframes(found: Estimated, noise: Noise, mounting: FittedMounting, binned: BinnedImu, unseen: Array) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
-    R_nb, covariance = R @ mounting.R_bs.T, roomy(known.antenna.shape)
+    R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, R_nb)
     for part in pieces(len(R), TOGETHER):
         covariance[part] = known.antenna[part]
@@ -285,11 +292,15 @@ def _keyframes(found: Estimated, mounting: FittedMounting, unseen: Array) -> Key
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * mounting.sigma**2) @ R_nb[part].transpose(0, 2, 1)
-        release(covariance, known)
+        keys = _around(state, state.t[part])
+        path = _path(state.between(keys.start, keys.stop), binned.between(keys.start, keys.stop))
+        rate_s = _rate_at(path, noise, state.t[part])
+        velocity_n[part] += np.einsum("kij,kj->ki", R[part], np.cross(rate_s, arm_s))
+        release(covariance, known, binned)
     return Keyframes(
         t=state.t,
         position_n=state.position_n + R @ arm_s,
-        velocity_n=state.velocity_n + np.einsum("kij,kj->ki", R, np.cross(_turning(state), arm_s)),
+        velocity_n=velocity_n,
         R_nb=R_nb,
         covariance=covariance,
         accel_bias_s=state.accel_bias_s,
