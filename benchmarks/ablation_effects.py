@@ -175,7 +175,12 @@ EFFECTS = (
     Effect(
         "scale and misalignment",
         options={"sensor_error_sigma": OFF},
-        patches=((batch, "SENSOR_ERROR", (OFF, OFF)),),
+        patches=((batch, "SENSOR_ERROR", (np.array([OFF, OFF, 0.01]), np.array([OFF, OFF, 1.0]))),),
+    ),
+    Effect(
+        "rectified vibration",
+        options={"rectification_sigma": OFF},
+        patches=((batch, "SENSOR_ERROR", (np.array([1e-3, 1e-3, OFF]), np.array([1.5e-2, 1.5e-2, OFF]))),),
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),

@@ -63,6 +63,7 @@ from smoother.units import DEG
 TICKS = 25.0  # steps a second of stream, in the accuracy runs
 SETTLED = 0.02  # sigmas that the batch smoother's last step may move it by
 STEPS = 12
+NONE = 1e-6  # m/s^2, sigma of what is not there
 LEFT = 0.5  # s of fixes after an outage
 
 
@@ -160,7 +161,8 @@ def told_batch(session: Session, start: LagStart) -> Trajectory:
     """Return what the batch smoother makes of a session with the noise that a live one runs with."""
     options = GraphOptions()
     begun = make_start(session, options)
-    spread = np.full(2, LagOptions().sensor_error)
+    error = LagOptions().sensor_error
+    spread = np.array([error, error, NONE])  # vibration that pushes is for those who have a whole session
     fixes = start.position_sigma, start.velocity_sigma, start.offset_sigma, start.offset_tau
     noise = Noise(start.inertial, *fixes, spread)
     batch, state = Batch(begun.data, begun.binned, begun.priors), near_solution(begun, noise, options.approaches)

@@ -23,7 +23,10 @@ _NAMES = {
     "gyro_noise": "gyroscope noise",
     "gps_offset_sigma": "GPS wander",
     "gps_offset_tau": "GPS wander time",
+    "accel_rectification": "push by shaking",
+    "accel_rectification_by_rate": "push by rocking",
 }
+_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate")  # most boxes show none, and drivers need not ask
 
 
 def show_result(result: Result) -> None:
@@ -35,6 +38,8 @@ def show_result(result: Result) -> None:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
+        if name in _ONLY_IF_SEEN and not identified.observable:
+            continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]
     reasons = "; ".join(result.quality.reasons)

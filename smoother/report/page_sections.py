@@ -391,6 +391,8 @@ _NAMES = {
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",
     "gps_offset_tau": "GPS wander time",
+    "accel_rectification": "push by shaking, by axis of the box",
+    "accel_rectification_by_rate": "push by rocking, by axis of the box",
 }
 
 

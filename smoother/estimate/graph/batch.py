@@ -40,6 +40,7 @@ from smoother.estimate.graph.state import (
     GYRO_ERROR,
     LEVER_ARM,
     POSITION_LATENCY,
+    RECTIFICATION,
     ROTATION,
     ROW_CONSTANTS_SIZE,
     TRANSLATION,
@@ -50,7 +51,9 @@ from smoother.estimate.graph.state import (
 
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
-SENSOR_ERROR = (1e-3, 1.5e-2)  # bounds of scale and misalignment; the data sheet allows 3 % at the worst
+SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
+# bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
+SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
@@ -76,9 +79,10 @@ STILL_TURN = 3e-4  # rad between keyframes, likewise
 class Noise:
     """Everything the graph assumes about noise. Sigmas per axis of n (3,): m for positions, m/s for velocities.
 
-    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (2,) is the spread
-    of the entries of accel_error and gyro_error, scale and misalignment. offset_tau_spread is the sigma of offset_tau's
-    logarithm where the session tells it, infinite where it is the population's.
+    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (3,) is the spread
+    of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
+    offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
+    population's.
     """
 
     inertial: InertialNoise
@@ -108,7 +112,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (18,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (24,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known.
@@ -166,7 +170,7 @@ class Batch:
 
     def bins(self, state: ChainState) -> BinnedImu:
         """Inertial bins with the state's errors of scale and misalignment taken out."""
-        return corrected(self._binned, state.constants.accel_matrix, state.constants.gyro_matrix)
+        return corrected(self._binned, state.constants)
 
     def converge(self, graph: InertialGraph, state: ChainState, noise: Noise, iterations: int) -> ChainState:
         """Gauss-Newton from `state`, at most `iterations` steps, each shortened where the constants swing back."""
@@ -207,8 +211,8 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
-        before (18,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (18, 18) is the covariance of constants that are to stay where they are.
+        before (24,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (24, 24) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
@@ -304,9 +308,10 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (18,) of all constants."""
+    """Prior sigma (24,) of all constants."""
     sigma = priors.constants_sigma.copy()
-    sigma[ACCEL_ERROR], sigma[GYRO_ERROR] = noise.sensor_error
+    for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
+        sigma[part] = spread
     return sigma
 
 
@@ -470,9 +475,9 @@ def _offset_ratio(solved: Solved) -> Array:
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:
-    """Ratio (2,) for the spread of scale and misalignment, six values of force and three of rate."""
+    """Ratio (3,) for the spread of scale and misalignment, six values of force and three of rate; of rectification."""
     out = []
-    for part, sigma in zip((ACCEL_ERROR, GYRO_ERROR), noise.sensor_error, strict=True):
+    for part, sigma in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         chi2 = float(np.sum((solved.state.constants.as_vector()[part] / sigma) ** 2))
         redundancy = (
             part.stop - part.start - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2

@@ -16,6 +16,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
+from smoother.estimate.graph.state import Constants
 from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
@@ -24,6 +25,7 @@ from smoother.units import STANDARD_GRAVITY
 GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
 SLOW = 0.3  # s: what lasts longer may be the kart's motion, and
 NEARBY = 0.2  # s over which vibration is averaged
+ROUGHEST = 5.0  # times the usual power of vibration
 IN_CACHE = 200  # intervals whose samples stay in the processor's cache: 40 s
 TOGETHER = 1 << 13  # intervals whose samples are worked on together; half an hour
 
@@ -93,13 +95,27 @@ def _halved(force: Array, rate: Array, gyro_bias: Array, dt: float) -> tuple[Arr
     )
 
 
-def corrected(binned: BinnedImu, accel_error: Array, gyro_error: Array) -> BinnedImu:
-    """Return the bins with errors (3, 3) of scale and misalignment taken out, to first order."""
+def corrected(binned: BinnedImu, constants: Constants) -> BinnedImu:
+    """Return the bins with scale, misalignment and rectified vibration taken out, to first order."""
+    accel_error, gyro_error = constants.accel_matrix, constants.gyro_matrix
+    rectified = shaken(binned) @ constants.rectification.T
     return replace(
         binned,
-        specific_force_s=binned.specific_force_s - binned.specific_force_s @ accel_error.T,
+        specific_force_s=binned.specific_force_s - binned.specific_force_s @ accel_error.T - rectified[:, None, :],
         angular_rate_s=binned.angular_rate_s - binned.angular_rate_s @ gyro_error.T,
     )
+
+
+def shaken(binned: BinnedImu) -> Array:
+    """Power (K-1, 2) of the vibration of force and of rate beyond the session's mean, over it.
+
+    A sensor of this class turns vibration into a push: its springs and its electronics are not quite symmetric, the
+    bias follows the vibration's power (IEEE Std 1293, vibration rectification). A kerb or a damaged sample shakes by
+    far more than any that could tell how; it counts as ROUGHEST.
+    """
+    if binned.rough is None:
+        return np.zeros((len(binned.missing), 2))
+    return np.asarray(np.minimum(binned.rough, ROUGHEST) - 1.0)
 
 
 Shape = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

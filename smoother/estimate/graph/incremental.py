@@ -104,7 +104,7 @@ class Stream:
         options: IncrementalOptions,
     ) -> None:
         self._data, self._priors, self._noise, self._options = data, priors, noise, options
-        self._binned = corrected(binned, constants.accel_matrix, constants.gyro_matrix)
+        self._binned = corrected(binned, constants)
         self._state = _own_copy(start, constants)
         self._position_at = _interval_of(start, data.t - constants.position_latency)
         self._velocity_at = _interval_of(start, data.t - constants.velocity_latency)

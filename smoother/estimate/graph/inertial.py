@@ -11,13 +11,13 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shared_densities
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shaken, shared_densities
 from smoother.estimate.graph.increments import in_left_axes, increments, linearize_increments
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,
-    GYRO_ERROR,
     KEYFRAME_SIZE,
+    RECTIFICATION,
     ROTATION,
     TRANSLATION,
     VELOCITY,
@@ -26,10 +26,11 @@ from smoother.estimate.graph.state import (
 )
 
 _INERTIAL = slice(0, 15)
-_ERRORS = slice(ACCEL_ERROR.start, GYRO_ERROR.stop)
+_ERRORS = slice(ACCEL_ERROR.start, RECTIFICATION.stop)
 _MOTION, _MOVED = slice(0, 9), slice(3, 9)  # rows of rotation, position and velocity; of the latter two
-_LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 39)  # columns of a factor's Jacobian,
-_RESIDUAL = 39  # and of its residual beside it
+_LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 45)  # columns of a factor's Jacobian,
+_RESIDUAL = 45  # and of its residual beside it
+_WIDTH = _RESIDUAL + 1
 PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
 
@@ -47,15 +48,15 @@ def inertial_factors(
 
 @dataclass(frozen=True, eq=False)
 class LinearInertial:
-    """Whitened factors (K-1, 15, 40): jacobian (K-1, 15, 39), of which left and right are by the inertial part of the
-    ends and errors by the errors of scale and misalignment, and beside it residual (K-1, 15).
+    """Whitened factors (K-1, 15, 46): jacobian (K-1, 15, 45), of which left and right are by the inertial part of the
+    ends and errors by scale, misalignment and rectification, and beside it residual (K-1, 15).
     """
 
     whitened: Array
 
     @property
     def jacobian(self) -> Array:
-        """Jacobian (K-1, 15, 39) by left, right and errors."""
+        """Jacobian (K-1, 15, 45) by left, right and errors."""
         return self.whitened[:, :, : _BY_ERRORS.stop]
 
     @property
@@ -75,7 +76,7 @@ class LinearInertial:
 
     @property
     def errors(self) -> Array:
-        """Jacobian (K-1, 15, 9) by the errors of scale and misalignment."""
+        """Jacobian (K-1, 15, 15) by scale, misalignment and rectification."""
         return self.jacobian[:, :, _BY_ERRORS]
 
 
@@ -95,6 +96,7 @@ class InertialGraph:
         self._increments = increments(binned, accel_bias, gyro_bias)
         self._covariance = np.array([m.preintMeasCov() for m in measured])
         self._force, self._rate = binned.specific_force_s.mean(axis=1), binned.angular_rate_s.mean(axis=1)
+        self._shaken = shaken(binned)
         self._accel_bias = accel_bias
         self._own_whitening = self._whitening(noise)
 
@@ -109,11 +111,12 @@ class InertialGraph:
     def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
         """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
 
-        Errors of scale act like a bias in proportion to the mean force and rate of the interval.
+        Errors of scale act like a bias in proportion to the mean force and rate of the interval, rectification to the
+        power of its vibration.
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
-        linear, bare = LinearInertial(np.empty((n, 15, 40))), linearize_increments(self._increments, state)
-        J, errors = np.zeros((min(PIECE, n), 15, 40)), state.constants.as_vector() - self.constants.as_vector()
+        linear, bare = LinearInertial(np.empty((n, 15, _WIDTH))), linearize_increments(self._increments, state)
+        J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]
             bare.put(some[:, :, : _RIGHT.stop], here)
@@ -123,13 +126,15 @@ class InertialGraph:
         return linear
 
     def _put_errors(self, J: Array, state: ChainState, here: slice) -> None:
-        """Fill in the columns (n, 15, 9) of J by the errors of scale, from those by the biases."""
+        """Fill in the columns (n, 15, 15) of J by scale, misalignment and rectification, from those by the biases."""
         axes, n = state.constants.level_axes_s, len(J)
         force = (self._force[here] - state.accel_bias_s[here]) @ axes[:2].T
         rate = (self._rate[here] - state.gyro_bias_s[here]) @ axes[2]
         by_force = J[:, _MOTION, 9:12, None] * force[:, None, None, :]
         J[:, _MOTION, 30:36] = by_force.reshape(n, 9, 6)
         J[:, _MOTION, 36:39] = J[:, _MOTION, 12:15] * rate[:, None, None]
+        rectified = J[:, _MOTION, 9:12, None] * self._shaken[here, None, None, :]
+        J[:, _MOTION, 39:45] = rectified.reshape(n, 9, 6)
 
     def _whitening_with(self, noise: InertialNoise) -> Array:
         """Matrices (K-1, 15, 15) that whiten residuals with `noise`."""
@@ -167,7 +172,7 @@ class InertialGraph:
 
 def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:
     """Residuals (N, 15) of the factors `at` (N,) that the linear model predicts after the step of `solution`."""
-    moved = np.ones((len(at), 40))  # the last one takes the residual as it was
+    moved = np.ones((len(at), _WIDTH))  # the last one takes the residual as it was
     moved[:, _LEFT], moved[:, _RIGHT] = solution.x[at, _INERTIAL], solution.x[at + 1, _INERTIAL]
     moved[:, _BY_ERRORS] = solution.constants[_ERRORS]
     return np.asarray((linear.whitened[at] @ moved[:, :, None])[:, :, 0])
@@ -176,7 +181,7 @@ def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSol
 def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
     """Add the normal equations of the inertial factors to the system, in place."""
     n = len(linear.whitened)
-    by_left, by_right = np.empty((min(PIECE, n), 15, 40)), np.empty((min(PIECE, n), 15, 25))
+    by_left, by_right = np.empty((min(PIECE, n), 15, _WIDTH)), np.empty((min(PIECE, n), 15, _WIDTH - 15))
     for here in pieces(n, PIECE):
         J, after, some = linear.whitened[here], slice(here.start + 1, here.stop + 1), slice(0, here.stop - here.start)
         product = np.matmul(J[:, :, _LEFT].transpose(0, 2, 1), J, out=by_left[some])
@@ -188,7 +193,7 @@ def add_inertial(system: ChainSystem, linear: LinearInertial) -> None:
         system.diagonal[after, _INERTIAL, _INERTIAL] += product[:, :, :15]
         system.border[after, _INERTIAL, _ERRORS] += product[:, :, 15:-1]
         system.rhs[after, _INERTIAL] -= product[:, :, -1]
-        own = J[:, :, _BY_ERRORS.start :].reshape(-1, 10)
+        own = J[:, :, _BY_ERRORS.start :].reshape(-1, _WIDTH - _BY_ERRORS.start)
         corner = own.T @ own
         system.corner[_ERRORS, _ERRORS] += corner[:-1, :-1]
         system.rhs_constants[_ERRORS] -= corner[:-1, -1]

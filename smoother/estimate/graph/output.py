@@ -32,6 +32,7 @@ from smoother.estimate.graph.state import (
     KEYFRAME_SIZE,
     LEVER_ARM,
     OFFSET,
+    RECTIFICATION,
     ROTATION,
     TRANSLATION,
     VELOCITY,
@@ -212,7 +213,7 @@ class _Rows:
 
 
 def _path(state: ChainState, binned: BinnedImu) -> DensePath:
-    binned = corrected(binned, state.constants.accel_matrix, state.constants.gyro_matrix)
+    binned = corrected(binned, state.constants)
     return dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
 
 
@@ -423,6 +424,11 @@ def _identified(
         mounting.is_observable,
         source,
     )
+    pushed, spread = found.state.constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
+    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, spread, strict=True):
+        seen = bool(np.min(own) < OBSERVABLE * noise.sensor_error[-1])
+        source = "identified" if seen else "default"
+        out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
     inertial = noise.inertial
     out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)

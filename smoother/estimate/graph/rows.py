@@ -236,7 +236,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (18,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (24,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -362,7 +362,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (18,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (24,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])

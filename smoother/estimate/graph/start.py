@@ -32,7 +32,7 @@ class GraphOptions:
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
     doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
-    limit, not the spread.
+    limit, not the spread. rectification: of vibration, m/s^2, to begin with.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. rounds: of solving and identifying.
     """
@@ -48,6 +48,7 @@ class GraphOptions:
     lever_arm_sigma: float = 0.5
     doppler_bias_sigma: float = 0.03
     sensor_error_sigma: float = 0.01
+    rectification_sigma: float = 0.1
     latency_sigma: float = 0.25
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
@@ -207,7 +208,7 @@ def _first_noise(
         path.velocity_sigma,
         offset.sigma,
         offset.tau,
-        np.full(2, options.sensor_error_sigma),
+        np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
         offset.tau_spread,
     )
 

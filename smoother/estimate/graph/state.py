@@ -19,8 +19,8 @@ KEYFRAME_SIZE = 18
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
 DOPPLER_BIAS = slice(6, 9)
 ROW_CONSTANTS_SIZE = 9
-ACCEL_ERROR, GYRO_ERROR = slice(9, 15), slice(15, 18)
-CONSTANTS_SIZE = 18
+ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(9, 15), slice(15, 18), slice(18, 24)
+CONSTANTS_SIZE = 24
 
 
 def _no_bias() -> Array:
@@ -28,6 +28,10 @@ def _no_bias() -> Array:
 
 
 def _no_accel_error() -> Array:
+    return np.zeros((3, 2))
+
+
+def _no_rectification() -> Array:
     return np.zeros((3, 2))
 
 
@@ -40,7 +44,8 @@ class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
     IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
     receiver's velocity; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along
-    each of the two level axes; gyro_error (3,), likewise of the rate about up.
+    each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by which
+    force grows where the vibration of force or of rate has twice its usual power.
 
     level_axes_s (3, 3), not estimated: rows are those axes in s, two level ones and up. A scale multiplies what is felt
     across gravity and turned about it. Along gravity it is a bias; a kart's rates of roll and pitch are mostly noise,
@@ -54,6 +59,7 @@ class Constants:
     doppler_bias_n: Array = field(default_factory=_no_bias)
     accel_error: Array = field(default_factory=_no_accel_error)
     gyro_error: Array = field(default_factory=_no_bias)
+    rectification: Array = field(default_factory=_no_rectification)
     level_axes_s: Array = field(default_factory=_s_is_level)
 
     @property
@@ -69,7 +75,7 @@ class Constants:
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
         latencies, offset = np.array([self.position_latency, self.velocity_latency]), np.array([self.heading_offset])
-        errors = [self.accel_error.ravel(), self.gyro_error]
+        errors = [self.accel_error.ravel(), self.gyro_error, self.rectification.ravel()]
         return np.concatenate([latencies, self.lever_arm_s, offset, self.doppler_bias_n, *errors])
 
     @staticmethod
@@ -83,6 +89,7 @@ class Constants:
             np.array(x[DOPPLER_BIAS]),
             x[ACCEL_ERROR].reshape(3, 2),
             np.array(x[GYRO_ERROR]),
+            x[RECTIFICATION].reshape(3, 2),
             level_axes_s,
         )
 

@@ -86,7 +86,7 @@ def problem(
         np.full(3, velocity),
         np.full(3, TINY),
         T,
-        np.full(2, TINY),
+        np.full(3, TINY),
     )
     force = np.einsum("nji,nj->ni", R_ns, acceleration - GRAVITY_N) + np.array([0.2, -0.1, 0.15])
     rate = np.einsum("nji,nj->ni", R_ns, rate_n) + GYRO_BIAS_MEAN

@@ -63,7 +63,7 @@ def drive(outlier: float = 0.0, duration: float = 40.0) -> Drive:
         np.full(3, 0.15),
         np.array([2.0, 2.0, 3.0]),
         60.0,
-        np.full(2, FROZEN),
+        np.full(3, FROZEN),
     )
     force = np.einsum("nji,nj->ni", R_ns, np.gradient(v, t, axis=0) - GRAVITY_N) + np.array([0.2, -0.1, 0.15])
     rate = np.einsum("nji,nj->ni", R_ns, rate_n) + GYRO_BIAS

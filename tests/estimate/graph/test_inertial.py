@@ -28,6 +28,7 @@ from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
     GYRO_ERROR,
     KEYFRAME_SIZE,
+    RECTIFICATION,
     TRANSLATION,
     VELOCITY,
     ChainState,
@@ -48,7 +49,8 @@ def drive(seed: int, crooked: float = 0.01) -> tuple[ChainState, BinnedImu]:
     t = T * np.arange(K)
     force = rng.normal(size=(K - 1, N_BINS, 3)) * 2.0 + [1.0, 3.0, 9.8]
     rate = rng.normal(size=(K - 1, N_BINS, 3)) * 0.2 + [0.1, -0.2, 0.8]
-    binned = BinnedImu(t, T / N_BINS, force, rate, np.zeros(K - 1))
+    rough = np.array([[0.4, 1.2], [1.6, 0.5], [0.7, 2.0], [1.3, 0.3]])
+    binned = BinnedImu(t, T / N_BINS, force, rate, np.zeros(K - 1), rough)
     accel_bias = 0.2 * rng.normal(size=3) + 0.01 * rng.normal(size=(K, 3))
     gyro_bias = 0.05 * rng.normal(size=3) + 0.002 * rng.normal(size=(K, 3))
     state = gtsam.NavState(gtsam.Rot3(so3.exp(rng.normal(size=3))), 10.0 * rng.normal(size=3), 5.0 * rng.normal(size=3))
@@ -151,13 +153,13 @@ def test_errors_of_scale_move_the_residual_as_predicted() -> None:
         binned, specific_force_s=calmed(binned.specific_force_s), angular_rate_s=calmed(binned.angular_rate_s)
     )
     base = linearized(state, binned)
-    for part in (ACCEL_ERROR, GYRO_ERROR):
+    for part in (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION):
         step = np.zeros(CONSTANTS_SIZE)
         step[part] = 0.01 * rng.normal(size=part.stop - part.start)
         errors = Constants.from_vector(step, state.constants.level_axes_s)
-        moved = linearized(state, corrected(binned, errors.accel_matrix, errors.gyro_matrix))
+        moved = linearized(state, corrected(binned, errors))
         want = moved.residual - base.residual
-        have = base.errors @ step[ACCEL_ERROR.start : GYRO_ERROR.stop]
+        have = base.errors @ step[ACCEL_ERROR.start : RECTIFICATION.stop]
         # an error acts on each bin, the model on their mean; here neighbouring bins differ by 0.6 m/s^2
         assert np.linalg.norm(have - want) < 0.15 * np.linalg.norm(want)
 
@@ -165,13 +167,16 @@ def test_errors_of_scale_move_the_residual_as_predicted() -> None:
 def test_taking_sensor_errors_out_undoes_them_to_second_order() -> None:
     _, binned = drive(0)
     rng = np.random.default_rng(2)
-    accel_error, gyro_error = 0.02 * rng.normal(size=(2, 3, 3))
+    axes_s = so3.exp(rng.normal(size=3))
+    errors = Constants(0.0, 0.0, np.zeros(3), level_axes_s=axes_s, rectification=rng.normal(size=(3, 2)))
+    errors = replace(errors, accel_error=0.02 * rng.normal(size=(3, 2)), gyro_error=0.02 * rng.normal(size=3))
+    pushed = np.array([[-0.6, 0.2], [0.6, -0.5], [-0.3, 1.0], [0.3, -0.7]]) @ errors.rectification.T
     wrong = replace(
         binned,
-        specific_force_s=binned.specific_force_s @ (np.eye(3) + accel_error).T,
-        angular_rate_s=binned.angular_rate_s @ (np.eye(3) + gyro_error).T,
+        specific_force_s=binned.specific_force_s @ (np.eye(3) + errors.accel_matrix).T + pushed[:, None],
+        angular_rate_s=binned.angular_rate_s @ (np.eye(3) + errors.gyro_matrix).T,
     )
-    mended = corrected(wrong, accel_error, gyro_error)
+    mended = corrected(wrong, errors)
     np.testing.assert_allclose(mended.specific_force_s, binned.specific_force_s, atol=12.0 * 3.0 * 0.06**2)
     np.testing.assert_allclose(mended.angular_rate_s, binned.angular_rate_s, atol=1.5 * 3.0 * 0.06**2)
     assert np.max(np.abs(wrong.specific_force_s - binned.specific_force_s)) > 10.0 * np.max(
@@ -186,7 +191,7 @@ def test_after_a_step_the_residual_is_that_of_the_linear_model() -> None:
     step, constants = rng.normal(size=(K, KEYFRAME_SIZE)), rng.normal(size=CONSTANTS_SIZE)
     _, solution = random_covariance()
     moved = inertial_after_step(linear, ALL[1:], replace(solution, x=step, constants=constants))
-    errors = constants[ACCEL_ERROR.start : GYRO_ERROR.stop]
+    errors = constants[ACCEL_ERROR.start : RECTIFICATION.stop]
     for k, have in zip(ALL[1:], moved, strict=True):
         want = linear.residual[k] + linear.left[k] @ step[k, :INERTIAL] + linear.right[k] @ step[k + 1, :INERTIAL]
         np.testing.assert_allclose(have, want + linear.errors[k] @ errors, rtol=1e-9)
@@ -194,9 +199,9 @@ def test_after_a_step_the_residual_is_that_of_the_linear_model() -> None:
 
 def test_away_from_the_errors_that_were_taken_out_the_residual_is_what_their_slopes_say() -> None:
     state, binned = drive(0)
-    graph, errors = inertial_graph(state, binned), 0.01 * np.random.default_rng(4).normal(size=9)
+    graph, errors = inertial_graph(state, binned), 0.01 * np.random.default_rng(4).normal(size=15)
     base, step = graph.linearize(state, NOISE), np.zeros(CONSTANTS_SIZE)
-    step[ACCEL_ERROR.start : GYRO_ERROR.stop] = errors
+    step[ACCEL_ERROR.start : RECTIFICATION.stop] = errors
     moved = graph.linearize(replace(state, constants=state.constants.retract(step)), NOISE)
     np.testing.assert_allclose(moved.residual, base.residual + base.errors @ errors, rtol=1e-9, atol=1e-9)
 
@@ -207,7 +212,7 @@ def dense_jacobian(linear: LinearInertial) -> np.ndarray:
     for k in range(K - 1):
         J[k, :, k * n : k * n + INERTIAL] = linear.left[k]
         J[k, :, (k + 1) * n : (k + 1) * n + INERTIAL] = linear.right[k]
-        J[k, :, K * n + ACCEL_ERROR.start : K * n + GYRO_ERROR.stop] = linear.errors[k]
+        J[k, :, K * n + ACCEL_ERROR.start : K * n + RECTIFICATION.stop] = linear.errors[k]
     return J.reshape((K - 1) * INERTIAL, -1)
 
 

@@ -9,6 +9,7 @@ import pytest
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
 from smoother.estimate.baseline.baseline import ThesisBaseline
+from smoother.estimate.graph import batch
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import wrap_angle
 from smoother.prepare import prepare
@@ -419,3 +420,37 @@ class TestKart:
         normalised = (error / getattr(sigmas, name))[driving]
         # a session of two minutes holds some twenty independent errors: its rms is known to a fifth
         assert 0.6 < np.sqrt(np.mean(normalised**2)) < 1.6
+
+
+def shaken(session: Session, push: np.ndarray) -> Session:
+    """The session as if an engine of 31 Hz shook it, whose vibration's power swells and fades, and pushes by as much.
+
+    push (3,) m/s^2 in s: where the vibration has twice its usual power.
+    """
+    assert session.imu is not None
+    imu, power = session.imu, 1.0 + 0.8 * np.sin(2.0 * np.pi * session.imu.t / 7.0)
+    shake = 5.0 * np.sqrt(power) * np.sin(2.0 * np.pi * 31.0 * imu.t)
+    force = imu.specific_force_s + shake[:, None] + (power - 1.0)[:, None] * push
+    return replace(session, imu=replace(imu, specific_force_s=force))
+
+
+def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    push = np.array([0.5, -0.3, 0.4])
+    simulation = simulate_preset("kart", 5, duration=150.0, imu_accel_tone=0.0)
+    session = shaken(prepare(simulation.raw), push)
+    found = smoothed(simulation, session)
+    value = found.trajectory.report.identified["accel_rectification"]
+    assert value.observable
+    error = np.asarray(value.value) - push
+    assert np.all(np.abs(error) < 3.0 * np.asarray(value.sigma))
+    assert np.all(np.abs(error) < 0.2)
+    monkeypatch.setattr(batch, "SENSOR_ERROR", (np.array([1e-3, 1e-3, 1e-6]), np.array([1.5e-2, 1.5e-2, 1e-6])))
+    without = smoothed(simulation, session, GraphOptions(rectification_sigma=1e-6))
+    rms = [np.sqrt(np.mean(s.euler_error[s.trajectory.t > 20.0] ** 2)) for s in (found, without)]
+    assert rms[0] < 0.95 * rms[1]
+
+
+def test_where_no_vibration_pushes_none_is_claimed() -> None:
+    value = kart().trajectory.report.identified["accel_rectification"]
+    assert not value.observable
+    assert np.max(np.abs(value.value)) < 0.1

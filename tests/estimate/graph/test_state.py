@@ -30,7 +30,7 @@ def random_constants() -> Constants:
             st.ROW_CONSTANTS_SIZE,
             (st.POSITION_LATENCY, st.VELOCITY_LATENCY, st.LEVER_ARM, st.HEADING_OFFSET, st.DOPPLER_BIAS),
         ),
-        (st.CONSTANTS_SIZE, (slice(0, st.ROW_CONSTANTS_SIZE), st.ACCEL_ERROR, st.GYRO_ERROR)),
+        (st.CONSTANTS_SIZE, (slice(0, st.ROW_CONSTANTS_SIZE), st.ACCEL_ERROR, st.GYRO_ERROR, st.RECTIFICATION)),
     ],
 )
 def test_the_parts_of_a_tangent_fill_it_without_overlap(size: int, parts: tuple[slice, ...]) -> None:
@@ -48,6 +48,7 @@ def test_each_constant_sits_where_its_name_says() -> None:
     np.testing.assert_array_equal(constants.doppler_bias_n, vector[st.DOPPLER_BIAS])
     np.testing.assert_array_equal(constants.accel_error.ravel(), vector[st.ACCEL_ERROR])
     np.testing.assert_array_equal(constants.gyro_error.ravel(), vector[st.GYRO_ERROR])
+    np.testing.assert_array_equal(constants.rectification.ravel(), vector[st.RECTIFICATION])
 
 
 def test_errors_of_scale_act_across_gravity_and_about_it_only() -> None:
