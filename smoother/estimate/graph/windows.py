@@ -16,7 +16,7 @@ from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
-from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.output import Estimated, Uncertainty, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
@@ -27,7 +27,6 @@ from smoother.samples import Problem, Session
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
 OVERLAP = 120.0  # s to either side: twice what the GPS offset remembers, which makes the seams
-CONVERGED = 0.01  # rad; the constants do not move, so that this is soon reached
 BLEND = 20.0  # s over which the states of one window give way to those of the next
 FIXES = ("gps_position", "gps_velocity")
 STATES = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
@@ -99,7 +98,7 @@ def _solve_piece(
     state = near_solution(part, noise, options.approaches)
     batch = Batch(_with_level_heading(session, part, state), part.binned, start.priors)
     graph = batch.graph(state, noise)
-    state = batch.approach(graph, state, noise, CONVERGED, 2 * options.approaches)
+    state = batch.approach(graph, state, noise, NEAR, 2 * options.approaches)
     solved = batch.step(graph, state, noise, held=held)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved)
