@@ -200,7 +200,7 @@ def _holds_text(value: Any) -> bool:
 
 def _lever_arm(value: Any) -> Array:
     arm = _array(value, (3,))
-    if np.linalg.norm(arm) > LONGEST_LEVER_ARM:
+    if np.max(np.abs(arm)) > LONGEST_LEVER_ARM or np.linalg.norm(arm) > LONGEST_LEVER_ARM:  # the square may overflow
         raise ValueError(f"is longer than {LONGEST_LEVER_ARM:.0f} m; it is in metres, from the IMU to the antenna")
     return arm
 
@@ -208,7 +208,8 @@ def _lever_arm(value: Any) -> Array:
 def _rotation(value: Any) -> Array:
     """The rotation nearest to the matrix as written (polar decomposition), if it is near one at all."""
     matrix = _array(value, (3, 3))
-    if np.max(np.abs(matrix @ matrix.T - np.eye(3))) > ROTATION_TOLERANCE:
+    largest = np.max(np.abs(matrix))  # the product of wild numbers overflows
+    if largest > 1.0 + ROTATION_TOLERANCE or np.max(np.abs(matrix @ matrix.T - np.eye(3))) > ROTATION_TOLERANCE:
         raise ValueError("is no rotation: its rows must have length 1 and stand at right angles")
     if np.linalg.det(matrix) < 0.0:
         raise ValueError("mirrors: its determinant is -1; turn one row or column round")
