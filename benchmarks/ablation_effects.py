@@ -17,6 +17,7 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
 from smoother.samples import ImuSamples, Session
 from smoother.trajectory import Trajectory
 
@@ -111,6 +112,13 @@ def _no_share(*_: Any) -> float:
     return 0.0
 
 
+def _bounds_without(*parts: slice) -> tuple[Array, Array]:
+    """Bounds of the spreads of sensor errors that leave nothing to find of those at `parts` of the constants."""
+    off = np.array([part in parts for part in batch.SENSOR_ERRORS])
+    low, high = (np.where(off, OFF, bound) for bound in batch.SENSOR_ERROR)
+    return low, high
+
+
 def _as_round(*_: Any) -> Shape:
     return ROUND
 
@@ -175,12 +183,12 @@ EFFECTS = (
     Effect(
         "scale and misalignment",
         options={"sensor_error_sigma": OFF},
-        patches=((batch, "SENSOR_ERROR", (np.array([OFF, OFF, 0.01]), np.array([OFF, OFF, 1.0]))),),
+        patches=((batch, "SENSOR_ERROR", _bounds_without(ACCEL_ERROR, GYRO_ERROR)),),
     ),
     Effect(
         "rectified vibration",
         options={"rectification_sigma": OFF},
-        patches=((batch, "SENSOR_ERROR", (np.array([1e-3, 1e-3, OFF]), np.array([1.5e-2, 1.5e-2, OFF]))),),
+        patches=((batch, "SENSOR_ERROR", _bounds_without(RECTIFICATION)),),
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),

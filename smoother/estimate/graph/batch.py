@@ -169,7 +169,7 @@ class Batch:
         return InertialGraph(self.bins(state), noise.inertial, *biases, state.constants)
 
     def bins(self, state: ChainState) -> BinnedImu:
-        """Inertial bins with the state's errors of scale and misalignment taken out."""
+        """Inertial bins with the state's errors of scale and misalignment and rectified vibration taken out."""
         return corrected(self._binned, state.constants)
 
     def converge(self, graph: InertialGraph, state: ChainState, noise: Noise, iterations: int) -> ChainState:

@@ -9,7 +9,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.graph.batch import Noise, Priors, Solved, unseen_offset
+from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, Solved, unseen_offset
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
 from smoother.estimate.graph.imu import (
     JERK_RATE,
@@ -424,9 +424,10 @@ def _identified(
         mounting.is_observable,
         source,
     )
-    pushed, spread = found.state.constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
-    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, spread, strict=True):
-        seen = bool(np.min(own) < OBSERVABLE * noise.sensor_error[-1])
+    pushed, sigmas = found.state.constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
+    beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]
+    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, sigmas, strict=True):
+        seen = bool(np.min(own) < OBSERVABLE * beforehand)
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
     inertial = noise.inertial
