@@ -65,11 +65,16 @@ FLATTEST = 0.02  # of the largest variance: the least that any direction has
 SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
 LARGEST_SHARE = 0.95  # something is left where nothing shakes
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
+# Squares of a fix over what is expected of them, beyond which they do not say how much fixes scatter, but that this one
+# was a jump. Half of all real ones have 0.4-0.7 of what is expected of a half, and one in a hundred twice as much.
+LARGEST_SQUARE = 1.0
 USUAL_POSITION_COUNT = 1.0  # residuals; filtered fixes show a tenth of it, so that it is hardly known
 USUAL_VELOCITY_COUNT = 20.0  # Doppler differs by less
 HELD = 1e-4  # m; what is held does not move by a digit
 TOGETHER = 256  # rows whose covariances are worked on together
-USUAL_POSITION = np.array([0.2, 0.2, 0.4])  # m, faster than 20 s; receivers walked beside RTK show 0.2-0.5
+# m that one fix scatters against the next. Receivers filter: four walked beside RTK and two on karts show 0.01-0.03,
+# and all else of the 0.2-0.5 m that is faster than 20 s goes on from fix to fix. Others may not.
+USUAL_POSITION = np.array([0.05, 0.05, 0.1])
 USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
@@ -373,7 +378,9 @@ def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatt
             accel_share=_share(force, rough[:, 0], now.accel_share),
             gyro_share=_share(rate, rough[:, 1], now.gyro_share),
         )
-    white = _row_sigma(solved.rows["gps_position"], solution, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT)
+    white = _row_sigma(
+        solved.rows["gps_position"], solution, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT, LARGEST_SQUARE
+    )
     velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
     return replace(
         noise,
@@ -444,23 +451,39 @@ def _share(component: VarianceComponent, rough: Array, share: float) -> float:
     return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
 
 
-def _row_sigma(rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array, count: float) -> Array:
+def _row_sigma(
+    rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array, count: float, largest: float = math.inf
+) -> Array:
     """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
 
     What is usual for receivers, (3,), counts as much as `count` residuals, lest a handful of fixes look perfect.
+    largest: how many times what is expected of its squares a row may contribute; what noise itself loses by that is
+    put back. Source: Huber 1981, 5.2 (scale, Proposal 2).
     """
     information = rows.information
     left = rows.weight[:, None] - posterior_variance(rows, solution) * information
     known = information > 0.0
     out = sigma.copy()
     for group in ([0, 1], [2]):
-        if np.any(known[:, group]):
-            squares = float(np.sum(rows.residual[:, group] ** 2 * information[:, group]))
-            redundancy = max(float(np.sum(left[:, group][known[:, group]])), 0.0)
+        use = np.flatnonzero(np.any(known[:, group], axis=1))
+        if use.size:
+            squares = np.sum((rows.residual[use] ** 2 * information[use])[:, group], axis=1)
+            expected = np.sum(np.where(known[use], np.maximum(left[use], 0.0), 0.0)[:, group], axis=1)
+            if math.isfinite(largest):
+                squares = np.minimum(squares, largest * expected) / bounded_mean(len(group), largest)
             first = group[0]
-            variance = (sigma[first] ** 2 * squares + count * usual[first] ** 2) / (redundancy + count)
+            found = sigma[first] ** 2 * float(np.sum(squares))
+            variance = (found + count * usual[first] ** 2) / (float(np.sum(expected)) + count)
             out[group] = np.clip(np.sqrt(variance), sigma[first] / 3.0, 3.0 * sigma[first])
     return out
+
+
+def bounded_mean(n: int, largest: float) -> float:
+    """Mean of the mean square of n standard normals, 1 or 2, where it is bounded by `largest`."""
+    if n == 2:
+        return 1.0 - math.exp(-largest)
+    inside, density = math.erf(math.sqrt(0.5 * largest)), math.exp(-0.5 * largest) / math.sqrt(2.0 * math.pi)
+    return inside - 2.0 * math.sqrt(largest) * density + largest * (1.0 - inside)
 
 
 def _offset_ratio(solved: Solved) -> Array:
