@@ -97,6 +97,11 @@ class Keyframes:
     unseen_offset: Array | None = None
 
 
+BOX_ON_WHEEL = (
+    "box_on_wheel"  # the problem of a box that turns with the steering wheel, whose attitude is not the kart's
+)
+
+
 @dataclass(frozen=True, eq=False)
 class EstimateReport:
     """What an estimator found out besides the trajectory, for summary.json and the figures."""

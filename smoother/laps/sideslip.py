@@ -10,7 +10,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.laps.path import PlanPath
-from smoother.trajectory import Trajectory
+from smoother.trajectory import BOX_ON_WHEEL, Trajectory
 from smoother.units import DEG
 
 MOVING = 5.0  # m/s, above which a heading can be compared with a course
@@ -44,6 +44,8 @@ def why_hidden(trajectory: Trajectory, path: PlanPath) -> str:
         return "no motion sensor could be used"
     if trajectory.sigmas is None:
         return "the estimator gave no sigmas"
+    if any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems):
+        return "the box turns with the steering wheel, and the nose of the kart is not known"
     if mounting is not None and not mounting.observable:
         return "how the box sits in the kart could not be found out"
     moving = path.speed > MOVING

@@ -13,6 +13,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin, geodetic_to_nwu, rotation_from_euler
 from smoother.laps.results import FixPath
 from smoother.laps.sigma import Drift
+from smoother.samples import Problem
 from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 from smoother.units import DEG
 
@@ -95,7 +96,11 @@ def _trajectory(rows: dict[str, Array], document: dict[str, Any], own: Origin, o
             np.stack([rows[f"sigma_{name}_deg"] * DEG for name in ("roll", "pitch", "yaw")], axis=1),
             rows["sigma_track_m"],
         ),
-        report=EstimateReport(identified=_identified(document), mode=str(document.get("mode", "full"))),
+        report=EstimateReport(
+            identified=_identified(document),
+            problems=tuple(Problem(str(p["code"]), str(p["text"])) for p in document.get("problems") or ()),
+            mode=str(document.get("mode", "full")),
+        ),
     )
 
 

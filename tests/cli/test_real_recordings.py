@@ -20,6 +20,7 @@ NAMES = [
     "car_comma2k19",
     "bicycle_neo6m",
 ]
+ON_THE_WHEEL = ("kart_adria_first_half", "kart_lignano_racebox")
 GPS_ONLY = ("bicycle_neo6m", "kart_massafinalese_racechrono")
 
 
@@ -60,6 +61,8 @@ def test_a_real_recording_ends_well_and_stays_with_its_fixes(name: str, data_dir
     assert summary["mode"] == ("gps-only" if name in GPS_ONLY else "full")
     if name in GPS_ONLY:
         assert any("GPS alone" in problem["text"] for problem in summary["problems"])
+    codes = {problem["code"] for problem in summary["problems"]}
+    assert ("box_on_wheel" in codes) == (name in ON_THE_WHEEL)
     latency = summary["identified"]["gps_position_latency"]["value"]
     distance, allowed = distance_to_fixes(session / "smoothed", latency)
     assert distance.size > 1000

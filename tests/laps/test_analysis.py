@@ -20,7 +20,8 @@ from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.laps.statistics import expected_minimum, least_without_luck
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
-from smoother.trajectory import EstimateReport, Trajectory
+from smoother.samples import Problem
+from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Trajectory
 
 Made = Callable[..., Trajectory]
 Fixes = Callable[..., FixPath]
@@ -241,6 +242,9 @@ def test_a_slide_has_its_sigma_and_is_counted_outwards_in_either_direction(drive
     hidden = analyse(unsure, fixes(unsure))
     assert "only sure to" in hidden.no_sideslip
     assert all(np.isnan(corner.slide).all() for corner in hidden.corners)
+    report = EstimateReport(problems=(Problem(BOX_ON_WHEEL, "turns"),))
+    steered = Trajectory(**{**vars(slid), "report": report})
+    assert "steering wheel" in analyse(steered, fixes(steered)).no_sideslip
     alone = Trajectory(**{**vars(driven), "report": EstimateReport(mode="gps-only")})
     assert "no motion sensor" in analyse(alone, fixes(alone)).no_sideslip
 

@@ -14,9 +14,15 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.state import ChainState
+from smoother.fit.running import gaussian_mean
+from smoother.trajectory import Keyframes
+from smoother.units import DEG
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
+SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
+SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
+STEERED = 0.6  # least correlation of that with slip
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +61,27 @@ def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
         sigma = np.array([fit[1] for fit in fits])
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def turns_with_the_wheel(keyframes: Keyframes) -> bool:
+    """Whether the box sits on the steering wheel, and roll, pitch, yaw and sideslip are the wheel's, not the kart's.
+
+    A wheel turned to the left turns the box to the left about the column, which leans to the driver: the box leans to
+    the left as well, by much and at once. A kart in the same bend turns its nose to the left and leans to the right.
+    """
+    level = np.hypot(keyframes.velocity_n[:, 0], keyframes.velocity_n[:, 1])
+    driving = level > 1.5 * MIN_SPEED
+    if np.count_nonzero(driving) < MIN_KEYFRAMES:
+        return False
+    velocity_b = np.einsum("kji,kj->ki", keyframes.R_nb[:, :2], keyframes.velocity_n[:, :2])
+    width = 0.5 * SWING_SPAN / float(keyframes.t[1] - keyframes.t[0])
+    lean, slip = (
+        (values - gaussian_mean(values, width))[driving]
+        for values in (keyframes.R_nb[:, 2, 1], np.unwrap(np.arctan2(velocity_b[:, 1], velocity_b[:, 0])))
+    )
+    unsure = np.median(np.einsum("kii->ki", keyframes.covariance[driving, 0:3, 0:3])[:, :2])
+    swing = float(np.std(lean))
+    return bool(swing > SWING and swing**2 > 2.0 * unsure and np.corrcoef(lean, slip)[0, 1] > STEERED)
 
 
 def _intercept(design: Array, angle: Array, memory: int) -> tuple[float, float]:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.mounting import fit_mounting
+from smoother.estimate.graph.mounting import fit_mounting, turns_with_the_wheel
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
+from smoother.trajectory import Keyframes
 from smoother.units import DEG
 
 K, INTERVAL = 1500, 0.2
@@ -96,3 +97,36 @@ def test_a_kart_that_hardly_moved_keeps_the_rough_mounting_and_says_so() -> None
     assert not found.is_observable
     np.testing.assert_array_equal(found.R_bs, R_bs)
     assert np.all(found.sigma > 40.0 * DEG)
+
+
+def keyframes_of_drive(wheel: float, lean: float, unsure: float, column: float = 50.0 * DEG) -> Keyframes:
+    """A kart that slides and leans outwards, seen by a box on a column that leans back by `column` rad.
+
+    wheel: rms rad of how hands move it about where the bend needs it; lean: rad of roll, rms; unsure: sigma rad.
+    """
+    state = state_of_drive(np.eye(3), slip=0.4 * DEG, lean=0.05 * DEG, noise=0.0)
+    rng = np.random.default_rng(5)
+    quick = np.convolve(rng.normal(size=K), [0.25, 0.5, 0.25], mode="same") / np.sqrt(0.375)
+    axis = np.array([-np.sin(column), 0.0, np.cos(column)])
+    R_nb = state.R_ns @ so3.exp(quick[:, None] * wheel * axis) @ so3.exp(rng.normal(size=(K, 1)) * [lean, 0.0, 0.0])
+    covariance = np.tile(np.diag([unsure**2] * 9), (K, 1, 1))
+    zeros = np.zeros((K, 3))
+    return Keyframes(state.t, zeros, state.velocity_n, R_nb, covariance, zeros, zeros, zeros, zeros)
+
+
+@pytest.mark.parametrize("column", [30.0 * DEG, 60.0 * DEG])
+def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> None:
+    assert turns_with_the_wheel(keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 1.0 * DEG, column))
+
+
+@pytest.mark.parametrize(
+    ("wheel", "lean", "unsure"),
+    [
+        (0.0, 0.5 * DEG, 0.5 * DEG),  # a box in the floor
+        (2.0 * DEG, 0.5 * DEG, 0.5 * DEG),  # a chassis that twists
+        (0.0, 6.0 * DEG, 1.0 * DEG),  # a loose box rocks, but does not turn
+        (10.0 * DEG, 0.5 * DEG, 9.0 * DEG),  # an attitude that is not known
+    ],
+)
+def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, unsure: float) -> None:
+    assert not turns_with_the_wheel(keyframes_of_drive(wheel, lean, unsure))
