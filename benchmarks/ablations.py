@@ -88,7 +88,7 @@ def _loose_plug(session: Session, seed: int) -> Session:
 
 
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
-# plug that works loose
+# plug that works loose, a box on the steering wheel whose accelerometer is late
 WORLDS = {
     "white": World("white"),
     "kart": World("kart"),
@@ -97,6 +97,7 @@ WORLDS = {
     "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
     "kart, poor sky at times": World("kart", {}, _poor_sky),
     "kart, no samples at times": World("kart", {}, _loose_plug),
+    "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
 }
 
 

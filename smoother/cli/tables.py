@@ -21,12 +21,14 @@ _NAMES = {
     "R_bs": "box in the kart",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
+    "accel_delay": "accelerometer delay",
     "gps_offset_sigma": "GPS wander",
     "gps_offset_tau": "GPS wander time",
     "accel_rectification": "push by shaking",
     "accel_rectification_by_rate": "push by rocking",
 }
-_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate")  # most boxes show none, and drivers need not ask
+# most boxes show none, and drivers need not ask
+_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
 
 
 def show_result(result: Result) -> None:

@@ -36,10 +36,13 @@ class Window:
 
 
 def identify(window: Window) -> LagStart | str:
-    """Return where and with which values a stream over the window begins, or why it cannot."""
+    """Return where and with which values a stream over the window begins, or why it cannot.
+
+    Those of samples as they come: the stream does not wait for a force that is late.
+    """
     session = Session("live", window.fixes, window.origin, window.imu)
     try:
-        trajectory = GraphSmoother(replace(GraphOptions(), rate=OUTPUT_RATE)).estimate(session)
+        trajectory = GraphSmoother(replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)).estimate(session)
     except (SmootherError, ValueError, np.linalg.LinAlgError) as error:
         return str(error)
     report, keyframes = trajectory.report, trajectory.report.keyframes

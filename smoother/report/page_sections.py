@@ -387,6 +387,7 @@ _NAMES = {
     "R_bs": "box in the kart: roll, pitch, yaw",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
+    "accel_delay": "accelerometer behind gyroscope",
     "gps_position_noise": "GPS position noise: north, west, up",
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",

@@ -37,7 +37,8 @@ class Motion:
     """How the kart is driven. SI; accelerations in units of g where the name says so.
 
     driving False leaves the kart standing on the grid for the whole session. standstill: seconds at rest before the
-    start, None is a rolling start. Figures are those of rental to racing karts with slicks.
+    start, None is a rolling start. Figures are those of rental to racing karts with slicks. With `steering` the
+    attitude of the truth is still the kart's; that of the box is its mounting, turned by the wheel.
     """
 
     driving: bool = True
@@ -60,6 +61,9 @@ class Motion:
     slip_lead: float = 0.12  # s by which the nose turns in before the path
     roll_per_acceleration: float = 0.0015  # rad per m/s^2: 1.5 deg at 1.75 g, a stiff frame on soft tyres
     pitch_per_acceleration: float = 0.0012  # rad per m/s^2
+    steering: float = 0.0  # rad, one sigma of the angle of a steering wheel that carries the box; 0: it is on the frame
+    steering_length: float = 0.15  # s between independent values of it: turning of up to 3 Hz
+    column: float = 40.0 * DEG  # by which the wheel's column rises from the level towards the driver
     roughness: float = 0.25 * DEG  # rad, roll and pitch of the asphalt, one sigma
     roughness_length: float = 6.0  # m
     kerb_height: float = 0.012  # m, mean height of a kerb hit; 0 for none

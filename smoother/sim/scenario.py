@@ -66,7 +66,8 @@ class ImuErrors:
     bias_walk: per sqrt(s). tone: amplitude per axis of the engine's fundamental while driving, before the filter;
     `harmonics` are the amplitudes of the engine orders 1, 2, .. relative to it. anti_alias_hz None: no filter.
     jitter: one sigma of the stamps; they stay in order as a logger's do. clock_offset, clock_drift: of the session's
-    clock, which stamps fixes too (drift 50e-6 is 50 ppm). latency: delay of the samples against their stamps.
+    clock, which stamps fixes too (drift 50e-6 is 50 ppm). latency: delay of the samples against their stamps;
+    accel_delay: that of the force beyond the rate's, as of a slower filter; vibration, of any phase, has none.
     """
 
     rate: float = 200.0  # Hz
@@ -90,6 +91,7 @@ class ImuErrors:
     clock_drift: float = 0.0
     jitter: float = 0.0  # s
     latency: float = 0.0  # s
+    accel_delay: float = 0.0  # s
     gaps: tuple[Interval, ...] = ()
 
     def __post_init__(self) -> None:

@@ -10,8 +10,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 from pygeomag import GeoMag, calculate_decimal_year
+from scipy.interpolate import BSpline
 from scipy.signal import butter, lfilter
 
+from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import GnssFixes, RawImu, RawMag
@@ -50,17 +52,40 @@ class SimulatedGnss:
     jump_n: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Wheel:
+    """A steering wheel with the box on it: angle, a spline over true time (rad over s), about axis_b (3,), unit."""
+
+    angle: BSpline
+    axis_b: Array
+
+    def on_it(self, time: Array, force_b: Array, rate_b: Array) -> tuple[Array, Array]:
+        """Force and rate, each (N, 3), at true times (N,) s in axes that are turned with the wheel."""
+        R = so3.exp(self.angle(time)[:, None] * self.axis_b)
+        own = self.angle(time, nu=1)[:, None] * self.axis_b
+        return np.einsum("nji,nj->ni", R, force_b), np.einsum("nji,nj->ni", R, rate_b) + own
+
+
 def simulate_imu(
-    truth: Truth, errors: ImuErrors, R_bs: Array, duration: float, rng: np.random.Generator
+    truth: Truth,
+    errors: ImuErrors,
+    R_bs: Array,
+    duration: float,
+    rng: np.random.Generator,
+    wheel: Wheel | None = None,
 ) -> SimulatedImu:
     """Return inertial samples: means over the interval that ends at the (true) time of each.
 
     Noise has the standard deviation density * sqrt(rate), which is its density within the band that sampling leaves.
     Vibration is a tone sampled at that time, after gain and phase of the anti-alias filter, so it folds as it must.
+    R_bs is the mounting of a box that does not turn, or turns with `wheel`, whose angle is 0.
     """
     noise_rng, walk_rng, tone_rng, clock_rng = rng.spawn(4)
     time = np.arange(1, int(np.floor(duration * errors.rate + 1e-9)) + 1) / errors.rate
-    accel_s, gyro_s = (mean_b @ R_bs for mean_b in mean_motion(truth, time - errors.latency, 1.0 / errors.rate))
+    at, interval = time - errors.latency, 1.0 / errors.rate
+    accel_s, gyro_s = (mean_b @ R_bs for mean_b in mean_motion(truth, at, interval, wheel))
+    if errors.accel_delay != 0.0:
+        accel_s = mean_motion(truth, at - errors.accel_delay, interval, wheel)[0] @ R_bs
     accel_bias = errors.accel_bias + _walk(errors.accel_bias_walk, errors.rate, len(time), walk_rng)
     gyro_bias = errors.gyro_bias + _walk(errors.gyro_bias_walk, errors.rate, len(time), walk_rng)
     vibration = _vibration(truth, errors, time - errors.latency, tone_rng)
@@ -75,8 +100,11 @@ def simulate_imu(
     return SimulatedImu(raw, time[kept], accel_bias[kept], gyro_bias[kept])
 
 
-def mean_motion(truth: Truth, end: Array, interval: float) -> tuple[Array, Array]:
-    """Mean specific force and angular rate in b, each (N, 3), over `interval` s before the true times end (N,)."""
+def mean_motion(truth: Truth, end: Array, interval: float, wheel: Wheel | None = None) -> tuple[Array, Array]:
+    """Mean specific force and angular rate in b, each (N, 3), over `interval` s before the true times end (N,).
+
+    On a wheel, in axes that are b where its angle is 0.
+    """
     pieces = int(np.ceil(interval / _LONGEST_PIECE))
     half = 0.5 * interval / pieces
     middles = -interval + half * (2.0 * np.arange(pieces) + 1.0)
@@ -86,8 +114,11 @@ def mean_motion(truth: Truth, end: Array, interval: float) -> tuple[Array, Array
     for i in range(0, len(end), rows):
         chunk = end[i : i + rows, None] + nodes
         states = truth.at(truth.clock.to_session(chunk.ravel()))
-        force[i : i + rows] = states.specific_force_b.reshape(*chunk.shape, 3).mean(axis=1)
-        rate[i : i + rows] = states.angular_rate_b.reshape(*chunk.shape, 3).mean(axis=1)
+        values = states.specific_force_b, states.angular_rate_b
+        if wheel is not None:
+            values = wheel.on_it(chunk.ravel(), *values)
+        for out, value in zip((force, rate), values, strict=True):
+            out[i : i + rows] = value.reshape(*chunk.shape, 3).mean(axis=1)
     return force, rate
 
 
@@ -252,13 +283,20 @@ def earth_field_n(origin: Origin, unix_s: float) -> Array:
 
 
 def simulate_mag(
-    truth: Truth, errors: MagErrors, field_n: Array, R_bs: Array, duration: float, rng: np.random.Generator
+    truth: Truth,
+    errors: MagErrors,
+    field_n: Array,
+    R_bs: Array,
+    duration: float,
+    rng: np.random.Generator,
+    wheel: Wheel | None = None,
 ) -> RawMag:
     """Return readings in microtesla; they are instantaneous and stamped without delay."""
     time = np.arange(1, int(np.floor(duration * errors.rate + 1e-9)) + 1) / errors.rate
     session_time = truth.clock.to_session(time)
     strength = float(np.linalg.norm(field_n))
-    field_s = truth.at(session_time).R_nb.swapaxes(1, 2) @ field_n @ R_bs
+    field_b = truth.at(session_time).R_nb.swapaxes(1, 2) @ field_n
+    field_s = (field_b if wheel is None else wheel.on_it(time, field_b, field_b)[0]) @ R_bs
     # current follows throttle and rpm; 0..1 over the session
     load = truth.running(session_time) * truth.throttle(session_time) * truth.engine_rpm(session_time)
     load = load / max(float(np.max(load)), 1e-9)

@@ -11,12 +11,13 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import RawSession
-from smoother.sim.motion import drive
+from smoother.sim.motion import MARGIN, Motion, drive, wander
 from smoother.sim.presets import draw_scenario
 from smoother.sim.scenario import Scenario, with_changes
 from smoother.sim.sensors import (
     SimulatedGnss,
     SimulatedImu,
+    Wheel,
     earth_field_n,
     simulate_gnss,
     simulate_imu,
@@ -57,17 +58,19 @@ class Simulation:
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
     """Return the session of a scenario. Motion and each sensor draw from streams of their own."""
-    motion_rng, imu_rng, gnss_rng, mag_rng = rng.spawn(4)
+    motion_rng, imu_rng, gnss_rng, mag_rng, wheel_rng = rng.spawn(5)
     imu_errors, mag_errors = scenario.imu, scenario.mag
     clock = Clock() if imu_errors is None else Clock(imu_errors.clock_offset, imu_errors.clock_drift)
     truth = drive(TRACKS[scenario.track], scenario.motion, scenario.duration, motion_rng, clock)
     field_n = _field_n(scenario)
-    imu = None if imu_errors is None else simulate_imu(truth, imu_errors, scenario.R_bs, scenario.duration, imu_rng)
-    gnss = simulate_gnss(truth, scenario.gnss, scenario.lever_arm_b, scenario.duration, scenario.start_unix, gnss_rng)
+    R_bs, duration = scenario.R_bs, scenario.duration
+    wheel = _wheel(scenario.motion, duration, wheel_rng)
+    imu = None if imu_errors is None else simulate_imu(truth, imu_errors, R_bs, duration, imu_rng, wheel)
+    gnss = simulate_gnss(truth, scenario.gnss, scenario.lever_arm_b, duration, scenario.start_unix, gnss_rng)
     mag, calibration = None, None
     if mag_errors is not None:
         reading_rng, calibration_rng = mag_rng.spawn(2)
-        mag = simulate_mag(truth, mag_errors, field_n, scenario.R_bs, scenario.duration, reading_rng)
+        mag = simulate_mag(truth, mag_errors, field_n, R_bs, duration, reading_rng, wheel)
         calibration = simulate_mag_calibration(mag_errors, field_n, calibration_rng)
     raw = RawSession(
         name=f"{scenario.name}-{scenario.track}",
@@ -79,6 +82,14 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
         unix_at_zero=scenario.start_unix - clock.offset,
     )
     return Simulation(raw, truth, scenario, field_n, imu, gnss)
+
+
+def _wheel(motion: Motion, duration: float, rng: np.random.Generator) -> Wheel | None:
+    """The steering wheel with the box on it; None for a box on the frame."""
+    if motion.steering == 0.0:
+        return None
+    angle = wander(-MARGIN, duration + MARGIN, motion.steering_length, rng, motion.steering)
+    return Wheel(angle, np.array([-np.cos(motion.column), 0.0, np.sin(motion.column)]))
 
 
 def simulate_preset(

@@ -5,9 +5,10 @@ import pytest
 from scipy.signal import periodogram
 
 from smoother import so3
-from smoother.sim.motion import Motion, drive
+from smoother.sim.motion import Motion, drive, wander
 from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErrors, NmeaRounding
 from smoother.sim.sensors import (
+    Wheel,
     earth_field_n,
     filter_response,
     mean_motion,
@@ -66,6 +67,36 @@ def test_latency_delays_the_samples_against_their_stamps(truth):
     late = simulate_imu(truth, ImuErrors(latency=0.02), EYE, 60.0, rng())
     prompt = simulate_imu(truth, ImuErrors(), EYE, 60.0, rng())
     np.testing.assert_allclose(values(late)[0][4:], values(prompt)[0][:-4], atol=1e-9)
+
+
+def test_a_delay_of_the_accelerometer_leaves_the_rate_alone(truth):
+    late = simulate_imu(truth, ImuErrors(accel_delay=0.02, accel_noise=0.1), EYE, 60.0, rng())
+    prompt = simulate_imu(truth, ImuErrors(), EYE, 60.0, rng())
+    noise = values(simulate_imu(truth, ImuErrors(accel_noise=0.1), EYE, 60.0, rng()))[0] - values(prompt)[0]
+    np.testing.assert_allclose((values(late)[0] - noise)[4:], values(prompt)[0][:-4], atol=1e-9)
+    np.testing.assert_array_equal(values(late)[1], values(prompt)[1])
+
+
+def test_a_box_on_the_wheel_turns_with_it_and_feels_the_kart_in_its_axes(truth):
+    wheel = Wheel(wander(-5.0, 65.0, 0.15, rng(), 10.0 * DEG), np.array([-0.6, 0.0, 0.8]))
+    R_bs = so3.exp(np.array([0.4, -1.0, 2.0]))
+    force, rate = values(simulate_imu(truth, ImuErrors(rate=1000.0), R_bs, 60.0, rng(), wheel))
+    still_force, still_rate = values(simulate_imu(truth, ImuErrors(rate=1000.0), EYE, 60.0, rng()))
+    t = np.arange(1, len(force) + 1) / 1000.0 - 0.0005  # the middles of the intervals
+    turned = so3.exp(wheel.angle(t)[:, None] * wheel.axis_b) @ R_bs
+    assert 5.0 * DEG < np.std(wheel.angle(t)) < 15.0 * DEG
+    # within an interval of 1 ms the box turns by 3 mrad
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", turned, force), still_force, atol=1e-3)
+    own = wheel.angle(t, nu=1)[:, None] * wheel.axis_b
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", turned, rate) - own, still_rate, atol=1e-3)
+
+
+def test_a_magnetometer_on_the_wheel_turns_with_it(parked):
+    wheel = Wheel(wander(-5.0, 65.0, 0.15, rng(), 10.0 * DEG), np.array([-0.6, 0.0, 0.8]))
+    still, turned = (simulate_mag(parked, MagErrors(), FIELD_N, EYE, 60.0, rng(), w).field for w in (None, wheel))
+    np.testing.assert_allclose(turned @ wheel.axis_b, still @ wheel.axis_b, atol=1e-9)
+    across = np.cross(still[0], wheel.axis_b)
+    assert np.std(turned @ across) > 0.05 * (across @ across)  # as sin(10 deg)
 
 
 def test_samples_are_resolved_in_the_axes_of_the_box(truth):

@@ -1,6 +1,7 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    fixes alone -> align -> first guess -> solve and identify the noise, in turns -> magnetometer -> mounting -> output
+    force in step with rate -> fixes alone -> align -> first guess -> solve and identify the noise, in turns
+    -> magnetometer -> mounting -> output
 
 When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
@@ -21,7 +22,10 @@ from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
+from smoother.estimate.in_step import identified as identified_delay
+from smoother.estimate.in_step import in_step
 from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
+from smoother.fit.force_delay import UNSEEN
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Trajectory
 
@@ -47,6 +51,7 @@ class GraphSmoother:
         """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified.
 
         Where the clock of the session is far off, `rate` and latencies are in true seconds, times are the session's.
+        Where the force is late behind the rate (`accel_delay`), latencies are those against the rate.
         """
         scale = clock_scale(session)
         if scale == 1.0:
@@ -77,6 +82,7 @@ class GraphSmoother:
     def _from_graph(self, session: Session, watch: "Stopwatch") -> Trajectory:
         options = self.options
         with watch("align"):
+            session, delay = in_step(session) if options.in_step else (session, UNSEEN)
             start = make_start(session, options)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
@@ -97,8 +103,14 @@ class GraphSmoother:
                 options.rate,
                 np.array(options.offset_sigma) * start.receiver,
             )
-            problems = (*trajectory.report.problems, *solution.problems, *_of_the_box(trajectory))
-        report: EstimateReport = replace(trajectory.report, timings=watch.seconds, problems=problems)
+            told = trajectory.report
+            problems = (*told.problems, *solution.problems, *_of_the_box(trajectory))
+        report: EstimateReport = replace(
+            told,
+            identified={**told.identified, "accel_delay": identified_delay(delay)},
+            timings=watch.seconds,
+            problems=problems,
+        )
         return replace(trajectory, report=report)
 
 

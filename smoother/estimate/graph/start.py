@@ -34,11 +34,13 @@ class GraphOptions:
     doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
     limit, not the spread. rectification: of vibration, m/s^2, to begin with.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
-    what receivers do. rounds: of solving and identifying.
+    what receivers do. in_step: a force that is late behind the rate is taken to its time. rounds: of solving and
+    identifying.
     """
 
     rate: float = 50.0
     solver: str = "batch"
+    in_step: bool = True
     keyframe_interval: float = 0.2
     bin_interval: float = 0.02
     accel_bias_sigma: float = 0.5
