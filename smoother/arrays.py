@@ -46,6 +46,19 @@ def is_increasing(t: Array) -> bool:
     return all(np.all(np.diff(t[i : i + _TOGETHER + 1]) > 0.0) for i in range(0, t.size, _TOGETHER))
 
 
+def median(values: Array) -> float:
+    """Return what `np.median` gives of values (N,), N > 0; of some thousands in a fifth of the time.
+
+    Numpy looks for both middle ones of an even number at once, and only one at a time is looked for quickly.
+    """
+    middle = values.size // 2
+    parted = np.partition(values, middle)  # what is not a number stands last
+    if np.isnan(parted[middle:].max()):
+        return np.nan
+    upper = float(parted[middle])
+    return upper if values.size % 2 else 0.5 * (float(parted[:middle].max()) + upper)
+
+
 def _check_shape(array: npt.NDArray[Any], shape: Sequence[int | None], name: str) -> None:
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smoother.arrays import frozen, frozen_int, require_increasing
+from smoother.arrays import frozen, frozen_int, median, require_increasing
 
 
 def test_frozen_array_is_float64_contiguous_and_read_only() -> None:
@@ -59,3 +59,22 @@ def test_times_must_be_finite_and_strictly_increasing() -> None:
     for bad in (np.nan, np.inf):
         with pytest.raises(ValueError, match="not finite"):
             require_increasing(np.array([0.0, bad]), "t")
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 10, 4_001, 30_000])
+def test_the_median_is_that_of_numpy_to_the_last_bit(size: int) -> None:
+    rng = np.random.default_rng(size)
+    for values in (rng.normal(size=size), np.round(rng.normal(size=size), 1), np.full(size, 0.1)):
+        given = values.copy()
+        assert median(given) == np.median(values)
+        np.testing.assert_array_equal(given, values)
+
+
+def test_there_is_no_median_where_a_value_is_not_known() -> None:
+    values = np.arange(5_000.0)
+    for unknown in ([17], np.arange(2_400, 5_000), np.arange(5_000)):
+        some = values.copy()
+        some[unknown] = np.nan
+        assert np.isnan(median(some))
+    assert median(np.array([1.0, 2.0, np.inf, np.inf, np.inf])) == np.inf
+    assert median(np.append(values, np.inf)) == np.median(np.append(values, np.inf))

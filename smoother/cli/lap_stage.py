@@ -127,7 +127,9 @@ def analysed_rows(smoothed: Trajectory) -> Trajectory:
     """Return the rows that the analysis is made of: no more than it needs."""
     import numpy as np
 
-    rate = 1.0 / float(np.median(np.diff(smoothed.t))) if len(smoothed) > 1 else USUAL_RATE
+    from smoother.arrays import median
+
+    rate = 1.0 / median(np.diff(smoothed.t)) if len(smoothed) > 1 else USUAL_RATE
     return smoothed.every(max(1, int(rate / USUAL_RATE + 0.01)))
 
 

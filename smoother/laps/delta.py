@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.fit.running import local_polynomial
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
@@ -49,7 +49,7 @@ def row_values(trajectory: Trajectory, path: PlanPath) -> Timed:
 
 
 def _smoothed(values: Array, t: Array) -> Array:
-    window = 2 * round(0.5 * SMOOTHED_OVER / float(np.median(np.diff(t)))) + 1
+    window = 2 * round(0.5 * SMOOTHED_OVER / median(np.diff(t))) + 1
     if window < 3 or len(values) < window:
         return values
     return local_polynomial(values, window, 1)

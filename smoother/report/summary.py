@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 import smoother
+from smoother.arrays import median
 from smoother.estimate.quality import Quality
 from smoother.samples import Problem, Session
 from smoother.trajectory import Trajectory
@@ -103,4 +104,4 @@ def _median_sigmas(estimate: Trajectory) -> Document | None:
 
 def _median(values: np.ndarray) -> float:
     known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else float("nan")
+    return median(known) if known.size else float("nan")

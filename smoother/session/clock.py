@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, is_increasing
+from smoother.arrays import Array, BoolArray, IntArray, is_increasing, median
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.session.rows import counted
@@ -147,14 +147,14 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
 def _period(t: Array) -> float:
     """Sampling period: the median over windows, not misled by bursts, nor by lost samples where they are plain."""
     interval = np.diff(t)
-    typical = np.median(interval)
+    typical = median(interval)
     multiple = np.round(interval / typical)
     long = multiple > 1.0
     whole = np.abs(interval / typical - multiple) < WHOLE
     plain = np.mean(long) < LOSSY_SHARE and np.count_nonzero(long & whole) > 0.5 * np.count_nonzero(long)
     number = np.concatenate([[0.0], np.cumsum(np.maximum(multiple, 1.0) if plain else np.ones(interval.size))])
     window = min(PERIOD_WINDOW, t.size // 4)
-    return float(np.median((t[window:] - t[:-window]) / (number[window:] - number[:-window])))
+    return median((t[window:] - t[:-window]) / (number[window:] - number[:-window]))
 
 
 def _is_irregular(lag: Array, period: float) -> bool:
@@ -180,7 +180,7 @@ def _roughness(lag: Array) -> Array:
 def _steps(lag: Array, period: float) -> IntArray:
     """Sample numbers at which the lag (N,) steps up for good: where samples were lost. Ascending."""
     found: set[int] = set()
-    arrives_in_bursts = np.median(np.diff(lag)) < -BURST_HASTE * period
+    arrives_in_bursts = median(np.diff(lag)) < -BURST_HASTE * period
     for window in STEP_WINDOWS[-1:] if arrives_in_bursts else STEP_WINDOWS:
         rest = lag - _step_heights(lag, np.array(sorted(found), dtype=np.int64))
         found.update(_steps_at_scale(rest, window, period))
@@ -206,7 +206,7 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
     height = (total[2 * window :] - 2.0 * total[window:-window] + total[: -2 * window]) / window
     if height.max() <= SMALLEST_STEP * period:
         return []
-    noise = 1.4826 * float(np.median(np.abs(height - np.median(height))))
+    noise = 1.4826 * median(np.abs(height - median(height)))
     high = height > max(SMALLEST_STEP * period, STEP_SIGMAS * noise)
     if window == 1:
         starts = np.flatnonzero(high)  # neighbours are steps of their own

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.config import SessionConfig
 from smoother.disc import kept, release, settle, thinned
 from smoother.errors import SessionError
@@ -143,10 +143,10 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     if period * SLOWEST_IMU > 1.0:
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f})"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
-    force = float(np.median(np.linalg.norm(thinned(imu.accel, step), axis=1))) * imu.accel_scale
+    force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
         yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
-    rate = float(np.median(np.linalg.norm(thinned(imu.gyro, step), axis=1))) * imu.gyro_scale
+    rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
     if rate > PLAUSIBLE_RATE:
         yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
 
