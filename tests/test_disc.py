@@ -16,6 +16,8 @@ import pytest
 from smoother import disc
 from smoother.disc import LARGE, Growing, Shelf, contents, kept, pieces, release, roomy, settle, thinned
 
+LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
+
 
 def resident() -> int:
     """Bytes of this process in memory."""
@@ -171,3 +173,27 @@ def test_freed_memory_is_used_again() -> None:
     """
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert int(shown) < 2 * 3500
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library does as it does")
+@pytest.mark.skipif(
+    not LARGE_PAGES.is_file() or "[never]" in LARGE_PAGES.read_text(encoding="ascii"), reason="a system of small pages"
+)
+def test_small_arrays_lie_in_large_pages() -> None:
+    # 80 arrays of 0.5 MB are 10000 pages of 4 kB, but 20 of 2 MB
+    code = """if True:
+        import resource
+        from pathlib import Path
+        import numpy as np
+        from smoother.disc import reuse_freed_memory
+        pages = lambda: int(Path("/proc/self/statm").read_text().split()[1])
+        before = pages()
+        reuse_freed_memory()
+        taken, faults = pages() - before, resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        arrays = [np.ones(65_536) for _ in range(80)]
+        print(taken, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults)
+    """
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    taken, faults = map(int, shown.split())
+    assert taken < 2000  # 8 MB; memory that is not needed yet is not in use
+    assert faults < 5000
