@@ -20,7 +20,7 @@ TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten
 SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
 LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
 SAMPLES = 40  # pairs of positions per lag
-TOGETHER = 160  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
+TOGETHER = 240  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,17 +140,19 @@ def time_covariances(errors: JointPosition, groups: Sequence[Crossed]) -> list[A
 def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> Iterator[Array]:
     """Yield the covariance (m, m) m^2 of positions at t (m,) s along direction_n (m, 3), for each of several groups.
 
-    Groups are asked for together: a question costs more than its size does.
+    Groups are asked for together: a question costs more than its size does. What several of them hold, as the crossings
+    of the lap that all others are compared with, is asked for once.
     """
     ends = np.cumsum([len(group) for group in t])
     last = 0
     while last < len(t):
         first, before = last, ends[last] - len(t[last])
         last = max(first + 1, int(np.searchsorted(ends, before + TOGETHER, side="right")))
-        whole = errors.covariance(np.concatenate(t[first:last]), np.concatenate(direction_n[first:last]))
-        starts = ends[first:last] - before - [len(group) for group in t[first:last]]
-        for i, group in zip(starts, t[first:last], strict=True):
-            yield whole[i : i + len(group), i : i + len(group)]
+        asked = np.column_stack([np.concatenate(t[first:last]), np.concatenate(direction_n[first:last])])
+        once, place = np.unique(asked, axis=0, return_inverse=True)
+        whole = errors.covariance(once[:, 0], once[:, 1:])
+        for of_group in np.split(place, (ends[first : last - 1] - before)):
+            yield whole[np.ix_(of_group, of_group)]
 
 
 def sigma_of(covariance: Array, weights: Array) -> Array:

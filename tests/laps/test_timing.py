@@ -172,6 +172,23 @@ def test_groups_asked_for_together_get_their_own_covariances() -> None:
         np.testing.assert_allclose(group, model.covariance(times, direction), rtol=1e-12)
 
 
+def test_positions_that_several_groups_hold_are_asked_for_once() -> None:
+    model = OffsetModel(np.array([0.0, 1e4]), np.array([0.1, 0.1]), 2.0, 60.0)
+    asked: list[int] = []
+
+    class Counting:
+        def covariance(self, t: np.ndarray, direction_n: np.ndarray) -> np.ndarray:
+            asked.append(len(t))
+            return model.covariance(t, direction_n)
+
+    shared, rng = np.linspace(5.0, 65.0, 30), np.random.default_rng(4)
+    t = [np.concatenate([100.0 * k + np.sort(rng.uniform(0.0, 60.0, 10)), shared]) for k in range(1, 5)]
+    directions = [np.tile([0.6, 0.8, 0.0], (40, 1)) for _ in t]
+    for group, times, direction in zip(covariances(Counting(), t, directions), t, directions, strict=True):
+        np.testing.assert_allclose(group, model.covariance(times, direction), rtol=1e-12)
+    assert asked == [4 * 10 + 30]
+
+
 def test_drift_needs_increasing_lags() -> None:
     with pytest.raises(ValueError, match="increasing"):
         Drift(np.array([0.0, 2.0, 1.0]), np.zeros(3), 1.0)
