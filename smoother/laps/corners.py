@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.laps.delta import GRID, SURE
 from smoother.laps.path import PlanPath, interpolated
 from smoother.laps.reference import Curve
@@ -206,10 +206,11 @@ def _speed_sigma(traces: Traces, trajectory: Trajectory, inside: BoolArray) -> A
     out = np.full(len(traces.t), np.nan)
     if trajectory.sigmas is None:
         return out
-    for lap, t in enumerate(traces.t[:, inside]):
-        known = np.isfinite(t)
+    t = traces.t[:, inside]
+    sigma = interpolated(t, trajectory.t, trajectory.sigmas.speed)
+    for lap, known in enumerate(np.isfinite(t)):
         if known.any():
-            out[lap] = float(np.sqrt(np.mean(interpolated(t[known], trajectory.t, trajectory.sigmas.speed) ** 2)))
+            out[lap] = float(np.sqrt(np.mean(sigma[lap, known] ** 2)))
     return out
 
 
@@ -219,6 +220,7 @@ def _braking(traces: Traces, trajectory: Trajectory, start: float, apex: float) 
     point, sigma = np.full(len(traces.t), np.nan), np.full(len(traces.t), np.nan)
     if part.size < 2:
         return point, sigma
+    laps, places = [], []
     for lap in range(len(traces.t)):
         braking = traces.zone[lap, part] == -1
         edges = np.flatnonzero(np.diff(np.concatenate([[0], braking.astype(np.int8), [0]])))
@@ -231,21 +233,27 @@ def _braking(traces: Traces, trajectory: Trajectory, start: float, apex: float) 
         earliest = max(0, first - round(EARLY / GRID))
         while first > earliest and traces.zone[lap, first - 1] == -1:
             first -= 1  # this lap braked before the place where laps are usually fastest
-        point[lap] = float(traces.distance[first])
-        sigma[lap] = _braking_sigma(traces, trajectory, lap, first)
+        laps.append(lap)
+        places.append(first)
+    if laps:
+        point[laps] = traces.distance[places]
+        sigma[laps] = _braking_sigma(traces, trajectory, np.array(laps), np.array(places))
     return point, sigma
 
 
-def _braking_sigma(traces: Traces, trajectory: Trajectory, lap: int, index: int) -> float:
-    """Position of the kart, and how far it goes while the acceleration cannot be told from the threshold."""
-    speed = float(traces.speed[lap, index])
-    later = min(index + round(4.0 / GRID), len(traces.distance) - 1)
-    change = traces.longitudinal[lap, later] - traces.longitudinal[lap, index]
-    seconds = traces.t[lap, later] - traces.t[lap, index]
-    jerk = max(LEAST_JERK, abs(float(change / seconds))) if seconds > 0.0 else LEAST_JERK
-    place = (
-        0.0
-        if trajectory.sigmas is None
-        else float(interpolated(traces.t[lap, index], trajectory.t, trajectory.sigmas.track))
-    )
-    return float(np.sqrt(place**2 + (speed * ACCELERATION_SIGMA / jerk) ** 2 + GRID**2 / 12.0))
+def _braking_sigma(traces: Traces, trajectory: Trajectory, laps: IntArray, places: IntArray) -> Array:
+    """Position of the kart, and how far it goes while the acceleration cannot be told from the threshold, (K,) m.
+
+    laps, places (K,): index of a lap, and of the place where it began to brake.
+    """
+    later = np.minimum(places + round(4.0 / GRID), len(traces.distance) - 1)
+    change = traces.longitudinal[laps, later] - traces.longitudinal[laps, places]
+    seconds = traces.t[laps, later] - traces.t[laps, places]
+    lasts = seconds > 0.0
+    jerk = np.full(len(laps), LEAST_JERK)
+    jerk[lasts] = np.fmax(LEAST_JERK, np.abs(change[lasts] / seconds[lasts]))
+    track = np.zeros(len(laps))
+    if trajectory.sigmas is not None:
+        track = interpolated(traces.t[laps, places], trajectory.t, trajectory.sigmas.track)
+    late = traces.speed[laps, places] * ACCELERATION_SIGMA / jerk
+    return np.asarray(np.sqrt(track**2 + late**2 + GRID**2 / 12.0))

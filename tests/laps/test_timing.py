@@ -164,7 +164,7 @@ def test_a_trajectory_without_sigmas_gives_times_without_sigmas(circle: Trajecto
 def test_groups_asked_for_together_get_their_own_covariances() -> None:
     model = OffsetModel(np.array([0.0, 900.0]), np.array([0.1, 0.4]), 2.0, 60.0)
     rng = np.random.default_rng(3)
-    sizes = (3, 1, 200, 90, 40, 5)  # one is larger than what is asked for together, others share a question
+    sizes = (3, 1, 300, 90, 40, 5)  # one is larger than what is asked for together, others share a question
     t = [np.sort(rng.uniform(0.0, 900.0, size)) for size in sizes]
     directions = [rng.normal(size=(size, 3)) for size in sizes]
     assert list(covariances(model, [], [])) == []
