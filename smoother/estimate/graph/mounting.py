@@ -15,6 +15,7 @@ from smoother.arrays import Array
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.state import ChainState
 from smoother.fit.running import gaussian_mean
+from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes
 from smoother.units import DEG
 
@@ -63,25 +64,26 @@ def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
 
 
-def turns_with_the_wheel(keyframes: Keyframes) -> bool:
-    """Whether the box sits on the steering wheel, and roll, pitch, yaw and sideslip are the wheel's, not the kart's.
+def swing_on_the_wheel(keyframes: Keyframes) -> Array | None:
+    """How far a box on the steering wheel stands off the kart, (3,) rad rms about the axes of b; None for other boxes.
 
     A wheel turned to the left turns the box to the left about the column, which leans to the driver: the box leans to
     the left as well, by much and at once. A kart in the same bend turns its nose to the left and leans to the right.
+    What the kart itself leans and slides is in these figures too, and little beside the wheel.
     """
     level = np.hypot(keyframes.velocity_n[:, 0], keyframes.velocity_n[:, 1])
     driving = level > 1.5 * MIN_SPEED
     if np.count_nonzero(driving) < MIN_KEYFRAMES:
-        return False
+        return None
     velocity_b = np.einsum("kji,kj->ki", keyframes.R_nb[:, :2], keyframes.velocity_n[:, :2])
+    lean, slip = keyframes.R_nb[:, 2, 1], np.unwrap(np.arctan2(velocity_b[:, 1], velocity_b[:, 0]))
     width = 0.5 * SWING_SPAN / float(keyframes.t[1] - keyframes.t[0])
-    lean, slip = (
-        (values - gaussian_mean(values, width))[driving]
-        for values in (keyframes.R_nb[:, 2, 1], np.unwrap(np.arctan2(velocity_b[:, 1], velocity_b[:, 0])))
-    )
-    unsure = np.median(np.einsum("kii->ki", keyframes.covariance[driving, 0:3, 0:3])[:, :2])
-    swing = float(np.std(lean))
-    return bool(swing > SWING and swing**2 > 2.0 * unsure and np.corrcoef(lean, slip)[0, 1] > STEERED)
+    quick_lean, quick_slip = ((values - gaussian_mean(values, width))[driving] for values in (lean, slip))
+    unsure = float(np.median(np.einsum("kii->ki", keyframes.covariance[driving, 0:3, 0:3])[:, :2]))
+    swing = float(np.std(quick_lean))
+    if swing < SWING or swing**2 < 2.0 * unsure or np.corrcoef(quick_lean, quick_slip)[0, 1] < STEERED:
+        return None
+    return np.array([np.std(lean[driving]), 0.0, np.std(wrap_angle(slip[driving]))])
 
 
 def _intercept(design: Array, angle: Array, memory: int) -> tuple[float, float]:

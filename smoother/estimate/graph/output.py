@@ -23,7 +23,7 @@ from smoother.estimate.graph.imu import (
     motion_at,
 )
 from smoother.estimate.graph.joint import ChainJoint
-from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -39,8 +39,9 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.frames import euler_jacobian
-from smoother.samples import Session
+from smoother.samples import Problem, Session
 from smoother.trajectory import (
+    BOX_ON_WHEEL,
     EstimateReport,
     FixResiduals,
     Identified,
@@ -60,6 +61,10 @@ UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving d
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 PIECE = 256  # keyframes whose covariances stay in the processor's cache
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
+ON_WHEEL = (
+    "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
+    "position, speed, lap times and accelerations along the path are not affected"
+)
 _MOTION = slice(ROTATION.start, VELOCITY.stop)
 
 
@@ -145,11 +150,15 @@ def build_trajectory(
     """
     unseen = unseen_offset(noise, population)
     keyframes = _keyframes(found, noise, mounting, binned, unseen)
+    swing = swing_on_the_wheel(keyframes)
+    if swing is not None:
+        _widen(keyframes, swing)
     report = EstimateReport(
         identified=_identified(found, noise, priors, mounting, session, unseen),
         residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
         fixes=_fix_residuals(found.rows["gps_position"]),
         keyframes=keyframes,
+        problems=() if swing is None else (Problem(BOX_ON_WHEEL, ON_WHEEL),),
         mode="full",
     )
     joint = None if found.joint is None else found.joint(unseen)
@@ -311,6 +320,14 @@ def _keyframes(found: Estimated, noise: Noise, mounting: FittedMounting, binned:
         gps_offset_n=state.offset_n,
         unseen_offset=unseen,
     )
+
+
+def _widen(keyframes: Keyframes, swing: Array) -> None:
+    """Add what the box stands off the kart, (3,) rad rms about the axes of b, to the errors of the kart's attitude."""
+    for part in pieces(len(keyframes.t), TOGETHER):
+        R_nb = keyframes.R_nb[part]
+        keyframes.covariance[part, 0:3, 0:3] += (R_nb * swing**2) @ R_nb.transpose(0, 2, 1)
+        release(keyframes)
 
 
 def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, velocity_n: Array) -> dict[str, Array]:

@@ -16,7 +16,7 @@ from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.mounting import FittedMounting, fit_mounting, turns_with_the_wheel
+from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start
@@ -27,7 +27,7 @@ from smoother.estimate.in_step import in_step
 from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
-from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Trajectory
+from smoother.trajectory import EstimateReport, Trajectory
 
 __all__ = ["GraphOptions", "GraphSmoother"]
 
@@ -104,7 +104,7 @@ class GraphSmoother:
                 np.array(options.offset_sigma) * start.receiver,
             )
             told = trajectory.report
-            problems = (*told.problems, *solution.problems, *_of_the_box(trajectory))
+            problems = told.problems + solution.problems
         report: EstimateReport = replace(
             told,
             identified={**told.identified, "accel_delay": identified_delay(delay)},
@@ -112,18 +112,6 @@ class GraphSmoother:
             problems=problems,
         )
         return replace(trajectory, report=report)
-
-
-def _of_the_box(trajectory: Trajectory) -> tuple[Problem, ...]:
-    """What people should know of where the box sits."""
-    keyframes = trajectory.report.keyframes
-    if keyframes is None or not turns_with_the_wheel(keyframes):
-        return ()
-    text = (
-        "the box turns with the steering wheel: roll, pitch, yaw and accelerations in the box's axes are the wheel's; "
-        "position, speed, lap times and accelerations along the path are not affected"
-    )
-    return (Problem(BOX_ON_WHEEL, text),)
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.mounting import fit_mounting, turns_with_the_wheel
+from smoother.estimate.graph.mounting import fit_mounting, swing_on_the_wheel
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
@@ -116,7 +116,12 @@ def keyframes_of_drive(wheel: float, lean: float, unsure: float, column: float =
 
 @pytest.mark.parametrize("column", [30.0 * DEG, 60.0 * DEG])
 def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> None:
-    assert turns_with_the_wheel(keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 1.0 * DEG, column))
+    swing = swing_on_the_wheel(keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 1.0 * DEG, column))
+    assert swing is not None
+    roll, pitch, yaw = swing / DEG
+    assert roll == pytest.approx(10.0 * np.sin(column), rel=0.15)
+    assert pitch == 0.0
+    assert 10.0 * np.cos(column) < yaw < 10.0 * np.cos(column) + 2.0  # the kart slides as well
 
 
 @pytest.mark.parametrize(
@@ -129,4 +134,4 @@ def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> N
     ],
 )
 def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, unsure: float) -> None:
-    assert not turns_with_the_wheel(keyframes_of_drive(wheel, lean, unsure))
+    assert swing_on_the_wheel(keyframes_of_drive(wheel, lean, unsure)) is None

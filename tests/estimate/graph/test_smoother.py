@@ -11,12 +11,12 @@ from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
 from smoother.estimate.baseline.baseline import ThesisBaseline
 from smoother.estimate.graph import batch
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
-from smoother.frames import wrap_angle
+from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, MagSamples, Session
 from smoother.sim.scenario import Interval, Jump
 from smoother.sim.simulation import Simulation, simulate_preset
-from smoother.trajectory import Trajectory
+from smoother.trajectory import BOX_ON_WHEEL, Trajectory
 from smoother.units import DEG
 
 WHITE_SEEDS = (0, 1, 2)
@@ -455,3 +455,19 @@ def test_where_no_vibration_pushes_none_is_claimed() -> None:
     value = kart().trajectory.report.identified["accel_rectification"]
     assert not value.observable
     assert np.max(np.abs(value.value)) < 0.1
+
+
+def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure_as_the_wheel_makes_them() -> None:
+    changes = {"motion_standstill": None, "motion_steering": 10.0 * DEG}
+    simulation = simulate_preset("kart", 1, duration=100.0, **changes)
+    found = GraphSmoother().estimate(prepare(simulation.raw))
+    assert [problem.code for problem in found.report.problems] == [BOX_ON_WHEEL]
+    assert found.sigmas is not None
+    driving, true = found.speed > 5.0, simulation.truth.at(found.t).R_nb
+    for i, wheel_turns_it in enumerate((True, False, True)):
+        error = wrap_angle(euler_from_rotation(found.R_nb)[i] - euler_from_rotation(true)[i])[driving]
+        sigma = found.sigmas.attitude[driving, i]
+        assert (np.median(sigma) > 5.0 * DEG) == wheel_turns_it
+        # 100 s of a hand on the wheel, which has another place each 0.15 s: 2 % at one sigma, 1 % at two
+        assert np.mean(np.abs(error) < sigma) == pytest.approx(0.68, abs=0.06 if wheel_turns_it else 0.25)
+        assert np.mean(np.abs(error) < 2.0 * sigma) == pytest.approx(0.955, abs=0.03 if wheel_turns_it else 0.05)
