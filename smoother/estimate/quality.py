@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
@@ -81,7 +81,7 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     measures = {"top_speed_mps": float(np.nanmax(estimate.speed, initial=0.0)), **_distances(session, estimate, limits)}
     if estimate.sigmas is not None:
         sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
-        measures["median_sigma_horizontal_m"] = float(np.median(sigma))
+        measures["median_sigma_horizontal_m"] = median(sigma)
     release(estimate)
     reasons = [] if finite else ["some rows have no position or velocity"]
     measures |= _attitude_measures(estimate, limits)
@@ -105,7 +105,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
         sigma = np.fmax(sigma, np.max(between_rows(estimate.sigmas.position_n, place)[:, :2], axis=1))
     far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
     return {
-        "median_fix_distance_m": float(np.median(distance)),
+        "median_fix_distance_m": median(distance),
         "far_fix_share": float(np.mean(far)),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
@@ -172,7 +172,7 @@ def _thinned(estimate: Trajectory) -> Trajectory:
     """Ten rows a second: more tell no more about attitude."""
     if len(estimate) < 2:
         return estimate
-    return estimate.every(max(1, round(ROW / float(np.median(np.diff(estimate.t))))))
+    return estimate.every(max(1, round(ROW / median(np.diff(estimate.t)))))
 
 
 def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:

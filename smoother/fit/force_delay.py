@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 
 BANDS = ((0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0))  # Hz: octaves, of turning that is faster than bends
 FASTEST = 50.0  # Hz; six samples to the shortest period. More are averaged
@@ -108,7 +108,7 @@ def band_delays(t: Array, specific_force_s: Array, angular_rate_s: Array) -> lis
     """
     if len(t) < FEWEST_BLOCKS * BLOCK:
         return []
-    period = float(np.median(np.diff(t)))
+    period = median(np.diff(t))
     busy = _busiest(angular_rate_s, round(LONGEST / period))
     each = max(1, round(1.0 / (FASTEST * period)))
     force, rate = _thinned(specific_force_s[busy], each), _thinned(angular_rate_s[busy], each)

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.graph.state import Constants
 from smoother.fit.running import gaussian_mean
@@ -159,7 +159,7 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
     Source: Savage 1998, coning and sculling, second order.
     """
     n_intervals = len(t) - 1
-    dt, nominal = (t[-1] - t[0]) / (n_intervals * n_bins), float(np.median(np.diff(imu.t)))
+    dt, nominal = (t[-1] - t[0]) / (n_intervals * n_bins), median(np.diff(imu.t))
     out = BinnedImu(
         t,
         float(dt),
