@@ -147,6 +147,12 @@ HARD = (
     Hard("box slips by 4 deg", "right, or code 3", damage=turned_after(MIDDLE, np.array([0.0, 4.0 * DEG, 0.0]))),
     Hard("box turns by 6 deg", "right, or code 3", damage=turned_after(MIDDLE, np.array([0.0, 0.0, 6.0 * DEG]))),
     Hard("box turned over", "right, or code 3", damage=turned_after(MIDDLE, np.array([np.pi, 0.0, 0.0]))),
+    Hard("box on the wheel", "right: roll and yaw as unsure as the wheel makes them", {"motion_steering": 10.0 * DEG}),
+    Hard(
+        "the same, accelerometer 50 ms late",
+        "right: the delay is taken out",
+        {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05},
+    ),
     Hard("IMU gap of 30 s", "right; GPS carries it", {"imu_gaps": (Interval(MIDDLE, 30.0),)}),
     Hard("GPS outage of 60 s", "right: sigma grows", {"gnss_outages": (Interval(MIDDLE - 30.0, 60.0),)}),
     Hard(

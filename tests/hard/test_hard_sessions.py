@@ -28,6 +28,7 @@ def catalogue() -> ModuleType:
     "name",
     [
         *("no standstill", "wrong start heading", "GPS outage of 60 s", "wrong hemisphere once"),
+        "the same, accelerometer 50 ms late",
     ],
 )
 def test_what_can_be_mended_is_right(name: str, catalogue: ModuleType) -> None:
