@@ -6,8 +6,10 @@ What runs there is :func:`smoother.batch.attempt.attempt`: a process of its own 
 
 from __future__ import annotations
 
+import gc
 import logging
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from smoother.batch.attempt import COMMAND, attempt
@@ -59,9 +61,24 @@ def connect(address: str) -> Client:
     except ImportError as error:
         raise UsageError(f"--scheduler needs Dask: {INSTALL}") from error
     try:
-        return Client(address, timeout=PATIENCE, set_as_default=False)
+        with _no_garbage_collected():
+            return Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers there ({one_line(str(error))})") from error
+
+
+@contextmanager
+def _no_garbage_collected() -> Iterator[None]:
+    """Keep the collector off: a client that failed before is closed by it, for which it needs the lock that a new one
+    holds while it starts, and both would wait for ever.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _outcome(future: Future[Any]) -> Outcome:

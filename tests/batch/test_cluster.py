@@ -1,5 +1,6 @@
 """The same on a Dask cluster: a scheduler and two workers on this machine, as other programs run them."""
 
+import gc
 import json
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from batch_stand_in import STAND_IN, MakeTask, starts
 
-from smoother.batch.cluster import run_on_cluster
+from smoother.batch.cluster import connect, run_on_cluster
 from smoother.batch.record import finished
 from smoother.errors import UsageError
 
@@ -91,6 +92,23 @@ def test_sessions_that_wait_are_given_back_when_a_batch_stops(cluster: Cluster, 
     begun = sum(starts(task) for task in tasks)
     time.sleep(1.5)
     assert sum(starts(task) for task in tasks) == begun < 9
+
+
+def test_a_client_that_failed_is_not_taken_apart_while_the_next_one_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask takes one lock for both, and would wait for ever."""
+    collected_while_starting = []
+
+    class Started:
+        def __init__(self, *_: object, **__: object) -> None:
+            collected_while_starting.append(gc.isenabled())
+            raise OSError("nobody there")
+
+    monkeypatch.setattr("distributed.Client", Started)
+    assert gc.isenabled()
+    with pytest.raises(UsageError, match="nobody there"):
+        connect("tcp://127.0.0.1:1")
+    assert gc.isenabled()
+    assert collected_while_starting == [False]
 
 
 def test_no_scheduler_and_no_dask_are_one_line_each(make_task: MakeTask, monkeypatch: pytest.MonkeyPatch) -> None:
