@@ -16,6 +16,7 @@ from smoother.frames import Origin
 from smoother.samples import AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
 
 FILE_NAME = "calibration.toml"
+WILD = 1e9  # in any unit: no calibration has such a number, and products of them overflow
 
 
 def _identity() -> Array:
@@ -306,7 +307,7 @@ def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
-    if array.shape != shape or not np.all(np.isfinite(array)):
+    if array.shape != shape or not np.all(np.abs(array) < WILD):
         wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
         raise ConfigError(f"{path.name}: [{table}] {key} must be {wanted}")
     return array

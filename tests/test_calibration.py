@@ -204,6 +204,7 @@ def test_only_what_changes_a_sensor_that_is_there_was_applied() -> None:
         ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 'hot'", "temperature must be a finite number"),
         ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 5\ntemperature_span = 3", "two numbers"),
         ("[accelerometer]\noffset = [0, 0, 1]\noffset_sigma = [0.1]", "offset_sigma must be 3 finite numbers"),
+        ("[accelerometer]\noffset = [0, 0, 1e200]", "offset must be 3 finite numbers"),
     ],
 )
 def test_flawed_temperatures_and_sigmas_are_named(tmp_path: Path, text: str, message: str) -> None:
