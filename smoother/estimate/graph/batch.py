@@ -65,10 +65,10 @@ FLATTEST = 0.02  # of the largest variance: the least that any direction has
 SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
 LARGEST_SHARE = 0.95  # something is left where nothing shakes
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
-# Squares of a fix over what is expected of them, beyond which they do not say how much fixes scatter, but that this one
-# was a jump. Half of all real ones have 0.4-0.7 of what is expected of a half, and one in a hundred twice as much.
+# Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
+# this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
-USUAL_POSITION_COUNT = 1.0  # residuals; filtered fixes show a tenth of it, so that it is hardly known
+USUAL_POSITION_COUNT = 1.0  # residuals; receivers show a fifth to a half of USUAL_POSITION, others more
 USUAL_VELOCITY_COUNT = 20.0  # Doppler differs by less
 HELD = 1e-4  # m; what is held does not move by a digit
 TOGETHER = 256  # rows whose covariances are worked on together
@@ -457,7 +457,7 @@ def _row_sigma(
     """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
 
     What is usual for receivers, (3,), counts as much as `count` residuals, lest a handful of fixes look perfect.
-    largest: how many times what is expected of its squares a row may contribute; what noise itself loses by that is
+    largest: bound of a row's squared residual over what is expected of it; what Gaussian noise itself loses by that is
     put back. Source: Huber 1981, 5.2 (scale, Proposal 2).
     """
     information = rows.information
@@ -479,7 +479,10 @@ def _row_sigma(
 
 
 def bounded_mean(n: int, largest: float) -> float:
-    """Mean of the mean square of n standard normals, 1 or 2, where it is bounded by `largest`."""
+    """Expected value of min(x, largest), x the mean square of n standard normals; n is 1 or 2.
+
+    Source: integrals of the chi-squared density of one and of two degrees of freedom.
+    """
     if n == 2:
         return 1.0 - math.exp(-largest)
     inside, density = math.erf(math.sqrt(0.5 * largest)), math.exp(-0.5 * largest) / math.sqrt(2.0 * math.pi)

@@ -103,13 +103,12 @@ class GraphSmoother:
                 options.rate,
                 np.array(options.offset_sigma) * start.receiver,
             )
-            told = trajectory.report
-            problems = told.problems + solution.problems
+        told = trajectory.report
         report: EstimateReport = replace(
             told,
             identified={**told.identified, "accel_delay": identified_delay(delay)},
             timings=watch.seconds,
-            problems=problems,
+            problems=told.problems + solution.problems,
         )
         return replace(trajectory, report=report)
 
