@@ -23,13 +23,18 @@ from smoother.estimate.graph.imu import DensePath, InertialNoise
 
 SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
 SPECTRUM_SHARE = 0.15  # of the frequency, where that is more: a kart's laps are lines, its noise is not
+SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMotion:
-    """acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path."""
+    """velocity_n (M, 3) m/s, acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path.
 
+    The velocity is the path's, less what the noise in the acceleration has added to it.
+    """
+
+    velocity_n: Array
     acceleration_n: Array
     turn_rate: Array
 
@@ -50,7 +55,8 @@ def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) 
     found = most_probable(np.column_stack([acceleration_b[:, :2], turning]), sigma / np.sqrt(dt), dt)
     acceleration_b[:, :2] = found[:, :2]
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
-    return ExpectedMotion(_at_edges(acceleration_n), _at_edges(found[:, 2] / speed))
+    noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
+    return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(found[:, 2] / speed))
 
 
 def most_probable(values: Array, sigma: Array, dt: float) -> Array:
@@ -75,6 +81,13 @@ def most_probable(values: Array, sigma: Array, dt: float) -> Array:
     k = np.arange(len(spectrum))
     fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(c * c)], axis=1).reshape(-1, c, c)
     return np.asarray(np.fft.irfft((fine @ spectrum[:, :, None])[:, :, 0] * sigma, n, axis=0) + mean)
+
+
+def _integrated(values: Array, dt: float) -> Array:
+    """Integral over time of values (N, c), dt s apart, without what is slower than SLOWEST_NOISE."""
+    angular = np.asarray(2.0 * np.pi * np.fft.rfftfreq(len(values), dt))
+    gain = -1j * angular / (angular**2 + (2.0 * np.pi * SLOWEST_NOISE) ** 2)
+    return np.asarray(np.fft.irfft(np.fft.rfft(values, axis=0) * gain[:, None], len(values), axis=0))
 
 
 def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:

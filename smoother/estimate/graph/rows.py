@@ -115,7 +115,7 @@ def position_rows(
 
     felt, at the edges of the path: only this motion swings the antenna, the noise of the gyro does not. Nor do roll and
     pitch: a kart's rates of these are smaller than that noise, and multiplying the unknown height of the antenna by it
-    would seem to observe it.
+    would seem to observe it. The slope by the latency is along this motion too (:func:`_along`).
 
     The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
     (Reading that rough process at a moving time would make the fit of the latency overshoot.)
@@ -133,7 +133,7 @@ def position_rows(
     _put_turn(left, right, state, b, -so3.skew(arm_n))
     left[:, :, OFFSET] = (1.0 - stamp_share)[:, None, None] * np.eye(3)
     right[:, :, OFFSET] = stamp_share[:, None, None] * np.eye(3)
-    constants[:, :, POSITION_LATENCY] = -(_on_curve(state, b, hermite_velocity(b)) + swing_n)[:, :, None]
+    constants[:, :, POSITION_LATENCY] = -(_along(state, path, felt, b, weights) + swing_n)[:, :, None]
     constants[:, :, LEVER_ARM] = R_ns
     return _rows("gps_position", b, residual, sigma, left, right, constants)
 
@@ -158,8 +158,8 @@ def velocity_rows(
 ) -> Rows:
     """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s.
 
-    felt as in :func:`position_rows`; its acceleration is the slope by the latency. (The noise of the path's own would
-    make the latency seem better known than it is, and draw it away.)
+    felt as in :func:`position_rows`; the slope by the latency is along it. (The noise of the path's own acceleration
+    would make the latency seem better known than it is, and draw it away.)
     """
     at = t - state.constants.velocity_latency
     b, R_ns = bracket(state, at), attitude_at(path, at)
@@ -175,7 +175,7 @@ def velocity_rows(
     # the rate is measured minus bias, and the swing is minus [l]x times it
     left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
-    acceleration_n = at_times(path, felt.acceleration_n, at)
+    acceleration_n = _along(state, path, felt, b, weights)
     constants[:, :, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
     constants[:, :, LEVER_ARM] = turning @ R_ns
     return _rows("gps_velocity", b, residual, sigma, left, right, constants)
@@ -396,12 +396,28 @@ def _about_up(path: DensePath, felt: ExpectedMotion, t: Array) -> Array:
     return np.asarray(np.interp(t, path.t, felt.turn_rate)[:, None] * UP_N)
 
 
+def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket, weights: tuple[Array, ...]) -> Array:
+    """Rate (N, 3) at which what `weights` make of the keyframes changes as these move on along the motion `felt`.
+
+    By the Jacobian of the keyframes themselves: positions and velocities that are all late by the same time are then
+    as good as keyframes that are all early by it, to which only the inertial samples object. Fixes and Doppler alone
+    know how late one is behind the other a hundred times better than how late both are; with slopes that do not fit
+    together, a thousandth of a second there (a Doppler that is filtered differently) is a hundredth of one here.
+    """
+    velocity_n, acceleration_n = (at_times(path, values, state.t) for values in (felt.velocity_n, felt.acceleration_n))
+    return _weighed(b, weights, velocity_n, acceleration_n)
+
+
 def _on_curve(state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> Array:
     """Position or velocity (N, 3) on the cubic through the keyframes, by the weights of :func:`hermite_position`."""
-    left_p, left_v, right_p, right_v = (w[:, None] for w in weights)
+    return _weighed(b, weights, state.position_n, state.velocity_n)
+
+
+def _weighed(b: Bracket, weights: tuple[Array, ...], values: Array, slopes: Array) -> Array:
+    left_value, left_slope, right_value, right_slope = (w[:, None] for w in weights)
     k = b.interval
-    by_left = left_p * state.position_n[k] + left_v * state.velocity_n[k]
-    return np.asarray(by_left + right_p * state.position_n[k + 1] + right_v * state.velocity_n[k + 1])
+    by_left = left_value * values[k] + left_slope * slopes[k]
+    return np.asarray(by_left + right_value * values[k + 1] + right_slope * slopes[k + 1])
 
 
 def _put_curve(left: Array, right: Array, state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> None:

@@ -1,6 +1,6 @@
 """Solving in turns: the noise and the constants of a session from a part of it, then the whole until it stays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +27,9 @@ from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainS
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import Problem, Session
 
-WELL_KNOWN = 0.2  # of a sigma: a last step that moved by less adds 2 % to the error, and what it leaves is smaller
-CONSTANTS_WELL_KNOWN = 0.4  # likewise of the constants, whose steps shrink by more from one to the next
+WELL_KNOWN = 0.2  # of a sigma, which further steps would still move by; it adds 2 % to the error
+CONSTANTS_WELL_KNOWN = 0.4  # likewise of the constants
+TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 
@@ -122,23 +123,34 @@ def finish(
     """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
+    steps: list[tuple[float, float]] = []
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        say(0.7 + 0.3 * (turn + 1) / options.final_rounds)
-        if turn + 1 == options.final_rounds or (turn > 0 and _is_settled(solved)):
+        steps.append((moved(solved.solution), constants_moved(solved.solution)))
+        say(1.0 - 0.3 * 0.5 ** (turn + 1))  # most are settled after two
+        if turn + 1 == options.final_rounds or are_settled(steps):
             break
         noise = _reestimated(solved, noise, start, scatter)
     assert solved is not None
     return solved, noise
 
 
-def _is_settled(solved: Solved) -> bool:
-    solution = solved.solution
-    return moved(solution) < WELL_KNOWN and constants_moved(solution) < CONSTANTS_WELL_KNOWN
+def are_settled(steps: Sequence[tuple[float, float]]) -> bool:
+    """Whether further steps no longer matter, by what the last two moved keyframes and constants, in sigmas.
+
+    Steps that shrink in proportion: those to come add up to the last one times ratio / (1 - ratio).
+    """
+    if len(steps) < 2:
+        return False
+    limits = WELL_KNOWN, CONSTANTS_WELL_KNOWN
+    return all(
+        last < TINY * limit or (last < limit and last**2 < limit * (before - last))
+        for before, last, limit in zip(*steps[-2:], limits, strict=True)
+    )
 
 
 def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:

@@ -58,7 +58,7 @@ class GraphOptions:
     rounds: int = 8
     iterations: int = 3
     approaches: int = 4
-    final_rounds: int = 4
+    final_rounds: int = 10
 
 
 @dataclass(frozen=True, eq=False)

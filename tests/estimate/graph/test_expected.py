@@ -1,5 +1,7 @@
 """The expected motion against motion that is known, and what a fit of arm and latency makes of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,17 @@ class TestExpectedMotion:
         assert np.std(yaw_rate - rate[:, 2]) < 0.2 * np.std(shaken.angular_rate_s[:, 2] - rate[:, 2])
         true = path.acceleration_n[:, :2]
         assert np.std(acceleration - true) < 0.5 * np.std(shaken.acceleration_n[:, :2] - true)
+
+    def test_its_velocity_is_what_its_acceleration_adds_up_to(self) -> None:
+        """All but slow changes, of which the fixes tell."""
+        path, _ = corners()
+        shaken = noisy(path, NOISE)
+        added = np.concatenate([[np.zeros(3)], np.cumsum((shaken.acceleration_n - path.acceleration_n) * DT, axis=0)])
+        shaken = replace(shaken, velocity_n=path.velocity_n + added)
+        felt = expected_motion(shaken, np.eye(3), NOISE)
+        left = gaussian_mean(np.diff(felt.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
+        noise = gaussian_mean(np.diff(shaken.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
+        assert np.std(left[100:-100]) < 0.2 * np.std(noise[100:-100])
 
     def test_arm_and_latency_are_not_drawn_to_zero_by_the_noise_of_what_they_multiply(self) -> None:
         """Nor by what filters that know only one sensor each leave of it."""

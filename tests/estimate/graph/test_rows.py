@@ -32,22 +32,26 @@ from smoother.estimate.graph.state import (
     GYRO_BIAS,
     KEYFRAME_SIZE,
     OFFSET,
+    POSITION_LATENCY,
     ROTATION,
     ROW_CONSTANTS_SIZE,
+    TRANSLATION,
+    VELOCITY,
+    VELOCITY_LATENCY,
     ChainState,
     Constants,
 )
 from smoother.frames import GRAVITY_N
 
 # Many bins: between their edges the turn rate is read off a straight line, which is not what is tested here
-K, T, N_BINS = 7, 0.2, 50
+K, T, N_BINS = 7, 0.2, 200
 START = 3.0
 TIMES = START + np.array([0.23, 0.31, 0.59, 0.6, 0.87, 1.03, 1.199])
 N = len(TIMES)
 
 
 def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
-    """Keyframes with random positions and velocities that contradict their inertial samples by decimetres.
+    """Keyframes on a random cubic, whose velocities contradict their inertial samples by decimetres.
 
     turning: rad/s about up; without it the box keeps one random attitude, and every Jacobian is exact.
     """
@@ -56,8 +60,11 @@ def random_state(seed: int, turning: float) -> tuple[ChainState, BinnedImu]:
     R0 = so3.exp(rng.normal(size=3))
     rate = turning * R0[2]
     R_ns = R0 @ so3.exp((t - START)[:, None] * rate)
-    velocity = rng.normal(size=(K, 3)) + 10.0 * rng.normal(size=3)
-    position = np.cumsum(velocity * T, axis=0) + 0.1 * rng.normal(size=(K, 3))
+    size = np.array([1.0, 10.0, 3.0, 2.0])
+    position, velocity = np.empty((K, 3)), np.empty((K, 3))
+    for i in range(3):
+        axis = np.polynomial.Polynomial(size * rng.normal(size=4))
+        position[:, i], velocity[:, i] = axis(t - START), axis.deriv()(t - START)
     accel_bias, gyro_bias = np.tile(0.3 * rng.normal(size=3), (K, 1)), np.tile(0.1 * rng.normal(size=3), (K, 1))
     constants = Constants(
         rng.uniform(0.02, 0.2),
@@ -115,19 +122,11 @@ def turn_without_bias(state: ChainState, path: DensePath, gyro: np.ndarray) -> n
     return np.sum(path.R_ns[:, 2, :] * rate_s, axis=1)
 
 
-def felt_on(path: DensePath, state: ChainState, turn_rate: np.ndarray, t: np.ndarray = TIMES) -> ExpectedMotion:
-    """The given turn about up (M,), and in the bins around t the slope of the curve through the keyframes."""
-    i = np.clip(((t - path.t[0]) / (path.t[1] - path.t[0])).astype(int), 0, len(path.t) - 2)
-    acceleration_n = np.zeros_like(path.velocity_n)
-    acceleration_n[i] = acceleration_n[i + 1] = (on_curve(state, t + 1e-6) - on_curve(state, t - 1e-6)) / 2e-6
-    return ExpectedMotion(acceleration_n, turn_rate)
-
-
-def on_curve(state: ChainState, t: np.ndarray) -> np.ndarray:
-    b = bracket(state, t)
-    k, ends = b.interval, (state.position_n, state.velocity_n)
-    values = [end[k + i] for i in range(2) for end in ends]
-    return sum(w[:, None] * value for w, value in zip(hermite_velocity(b), values, strict=True))
+def felt_on(path: DensePath, state: ChainState, turn_rate: np.ndarray) -> ExpectedMotion:
+    """The given turn about up (M,), and the velocity and acceleration of the cubic that the keyframes are on."""
+    cubics = [np.polynomial.Polynomial.fit(state.t, axis, 3) for axis in state.position_n.T]
+    velocity_n, acceleration_n = (np.stack([axis.deriv(m)(path.t) for axis in cubics], axis=1) for m in (1, 2))
+    return ExpectedMotion(velocity_n, acceleration_n, turn_rate)
 
 
 def position_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
@@ -150,7 +149,7 @@ def position_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -
 def velocity_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
     def make(state: ChainState) -> Rows:
         path, shape = path_of(state, binned), (len(t), 3)
-        felt = felt_on(path, state, turn_without_bias(state, path, gyro), t - state.constants.velocity_latency)
+        felt = felt_on(path, state, turn_without_bias(state, path, gyro))
         return velocity_rows(state, path, felt, t, np.ones(shape), np.ones(shape))
 
     return make
@@ -161,19 +160,37 @@ class TestReceiverJacobians:
     @pytest.mark.parametrize("seed", range(4))
     def test_they_are_exact_at_random_states(self, make, seed: int) -> None:
         state, binned = random_state(seed, turning=0.0)
-        # in bins of 4 ms velocities are straight lines, to this share of the Jacobian
+        # in bins of 1 ms velocities are straight lines, to this share of the Jacobian
         assert_jacobians(make(binned, state.gyro_bias_s[0]), state, 4e-3)
 
     @pytest.mark.parametrize("rate", [-1.5, 1.5])
     def test_they_hold_while_turning_to_the_share_of_a_turn_that_fits_between_two_keyframes(self, make, rate) -> None:
         state, binned = random_state(1, turning=rate)
         gyro = rate * state.R_ns[0][2] + state.gyro_bias_s[0]
-        # turns of 0.3 rad, arms of 0.5 m: a tilt of one end is spread along straight lines, not along the turn, which
+        # turns of 0.3 rad: a tilt of one end is spread along straight lines, not along the turn, which
         # is wrong by a quarter of the turn in the middle
-        assert_jacobians(make(binned, gyro), state, 0.25 * 0.3 * 0.5 * np.sqrt(3.0))
+        assert_jacobians(make(binned, gyro), state, 0.25 * 0.3 * np.linalg.norm(state.constants.lever_arm_s))
         # what the constants do is known at the time of the fix itself
         want, have = numerical(make(binned, gyro), state)[2], make(binned, gyro)(state).constants
         np.testing.assert_allclose(have, want, rtol=0.0, atol=2e-3 * np.max(np.abs(want)))
+
+    def test_a_delay_is_the_same_as_keyframes_that_move_on_along_the_motion_whatever_that_is(self, make) -> None:
+        """Else what positions and velocities disagree about would pass for a delay of both against the samples."""
+        state, binned = random_state(3, turning=0.0)
+        state = replace(state, constants=replace(state.constants, lever_arm_s=np.zeros(3)))
+        rng = np.random.default_rng(0)
+        n_edges = (K - 1) * N_BINS + 1
+        felt = ExpectedMotion(rng.normal(size=(n_edges, 3)), rng.normal(size=(n_edges, 3)), np.zeros(n_edges))
+        path, measured, sigma = path_of(state, binned), np.zeros((N, 3)), np.ones((N, 3))
+        if make is position_maker:
+            rows, column = position_rows(state, path, felt, TIMES, measured, sigma, 0.0), POSITION_LATENCY
+        else:
+            rows, column = velocity_rows(state, path, felt, TIMES, measured, sigma), VELOCITY_LATENCY
+        step = np.zeros((K, KEYFRAME_SIZE))
+        step[:, TRANSLATION] = np.einsum("kji,kj->ki", state.R_ns, felt.velocity_n[::N_BINS])
+        step[:, VELOCITY] = felt.acceleration_n[::N_BINS]
+        moved = after_step(rows, step, np.zeros(CONSTANTS_SIZE)).residual - rows.residual
+        np.testing.assert_allclose(rows.constants[:, :, column.start], -moved, atol=1e-9)
 
     def test_at_the_ends_of_the_chain_and_beyond_they_stay_finite(self, make) -> None:
         state, binned = random_state(2, turning=1.0)
