@@ -13,13 +13,13 @@ class TestAreSettled:
     def test_one_step_tells_nothing(self) -> None:
         assert not are_settled([(1e-6, 1e-6)])
 
-    @pytest.mark.parametrize("ratio", [0.2, 0.6, 0.9])
+    @pytest.mark.parametrize("ratio", [0.1, 0.5, 0.9])
     def test_what_the_steps_to_come_add_up_to_is_no_more_than_promised(self, ratio: float) -> None:
         """A step that looks small may be one of many."""
-        steps = shrinking(1.0, ratio, 100)
+        steps = shrinking(0.9, ratio, 100)
         taken = next(n for n in range(2, 100) if are_settled([(step, 0.0) for step in steps[:n]]))
         assert sum(steps[taken:]) <= max(WELL_KNOWN, TINY * WELL_KNOWN / (1.0 - ratio))
-        assert sum(steps[taken - 1 :]) > TINY * WELL_KNOWN  # nor does it go on for long
+        assert taken == 2 or sum(steps[taken - 1 :]) > TINY * WELL_KNOWN  # nor does it go on for longer
 
     def test_constants_count_as_well(self) -> None:
         assert not are_settled([(0.1, 3.0), (0.01, 2.0)])
