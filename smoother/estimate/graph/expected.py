@@ -22,7 +22,9 @@ from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.imu import DensePath, InertialNoise
 
 SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
-SPECTRUM_SHARE = 0.15  # of the frequency, where that is more: a kart's laps are lines, its noise is not
+# of the frequency, where that is more: a kart's laps are lines, its noise is not, which a filter made from few
+# frequencies would follow
+SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 
