@@ -14,6 +14,7 @@ from smoother.session.tables import Table, read_table
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
 FIELD_COLUMNS = ("mx", "my", "mz")
+ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 OPTIONAL_FIX_COLUMNS = (
     *("alt_m", "speed_mps", "course_deg", "vel_n_mps", "vel_e_mps", "vel_u_mps"),
@@ -37,6 +38,8 @@ def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
+    with np.errstate(invalid="ignore"):
+        rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
     time, index = put_in_time_order(rows, t)
     return RawMag(time, field[index]), rows.problems
 

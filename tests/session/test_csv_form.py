@@ -257,6 +257,13 @@ def test_a_magnetometer_that_reads_nothing_is_dropped(tmp_path: Path) -> None:
     assert mag.t.size == 2 and codes(problems) == {"mag_zero": 1}
 
 
+def test_a_field_beyond_any_unit_is_dropped(tmp_path: Path) -> None:
+    """In counts, nanotesla or tesla none is that large; squares of 1e200 overflow."""
+    text = "t_s,mx,my,mz\n0,1,2,3\n1,1,-1e200,3\n2,48000,2,4\n3,1,nan,1e12\n"
+    mag, problems = read_mag(save(tmp_path, text, "mag.csv"))
+    assert mag.t.tolist() == [0.0, 2.0] and codes(problems) == {"mag_absurd": 1, "mag_invalid": 1}
+
+
 def test_a_header_is_read_from_any_kind_of_file(tmp_path: Path) -> None:
     assert read_header(save(tmp_path, "\ufeffA, b ,\n1,2\n", "x.csv")) == ("a", "b", " #1")
     assert read_header(save(tmp_path, b"", "y.csv")) == ()
