@@ -24,6 +24,7 @@ from smoother.estimate.graph.state import (
     ChainState,
     Constants,
 )
+from smoother.frames import GRAVITY_N
 
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, RECTIFICATION.stop)
@@ -33,6 +34,15 @@ _RESIDUAL = 45  # and of its residual beside it
 _WIDTH = _RESIDUAL + 1
 PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
+
+
+def felt_by(state: ChainState) -> tuple[Array, Array]:
+    """Mean specific force, m/s^2, and rate, rad/s, in s between the keyframes, by their motion; each (K-1, 3)."""
+    T, R_left = state.interval, state.R_ns[:-1]
+    turn = so3.log(R_left.transpose(0, 2, 1) @ state.R_ns[1:])
+    force_n = np.diff(state.velocity_n, axis=0) / T - GRAVITY_N
+    R_middle = R_left @ so3.exp(0.5 * turn)
+    return np.einsum("kji,kj->ki", R_middle, force_n), turn / T
 
 
 def inertial_factors(
@@ -95,7 +105,7 @@ class InertialGraph:
         self._binned = binned
         self._increments = increments(binned, accel_bias, gyro_bias)
         self._covariance = np.array([m.preintMeasCov() for m in measured])
-        self._force, self._rate = binned.specific_force_s.mean(axis=1), binned.angular_rate_s.mean(axis=1)
+        self._force = binned.specific_force_s.mean(axis=1)
         self._shaken = shaken(binned)
         self._accel_bias = accel_bias
         self._own_whitening = self._whitening(noise)
@@ -112,24 +122,29 @@ class InertialGraph:
         """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
 
         Errors of scale act like a bias in proportion to the mean force and rate of the interval, rectification to the
-        power of its vibration.
+        power of its vibration. Force and rate are those of the keyframes (:func:`felt_by`): a scale multiplies what was
+        there to measure. By the measured ones it would multiply their noise too, which is in the residual as well, and
+        the fit would make the scale small to make the noise small (errors in variables; Fuller 1987).
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
+        felt = felt_by(state)
         linear, bare = LinearInertial(np.empty((n, 15, _WIDTH))), linearize_increments(self._increments, state)
         J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]
             bare.put(some[:, :, : _RIGHT.stop], here)
-            self._put_errors(some, state, here)
+            self._put_errors(some, state, felt, here)
             np.add(bare.residual[here], some[:, :, _BY_ERRORS] @ errors[_ERRORS], out=some[:, :, _RESIDUAL])
             np.matmul(whitening[here], some, out=linear.whitened[here])
         return linear
 
-    def _put_errors(self, J: Array, state: ChainState, here: slice) -> None:
-        """Fill in the columns (n, 15, 15) of J by scale, misalignment and rectification, from those by the biases."""
+    def _put_errors(self, J: Array, state: ChainState, felt: tuple[Array, Array], here: slice) -> None:
+        """Fill in the columns (n, 15, 15) of J by scale, misalignment and rectification, from those by the biases.
+
+        felt: force and rate (K-1, 3) in s.
+        """
         axes, n = state.constants.level_axes_s, len(J)
-        force = (self._force[here] - state.accel_bias_s[here]) @ axes[:2].T
-        rate = (self._rate[here] - state.gyro_bias_s[here]) @ axes[2]
+        force, rate = felt[0][here] @ axes[:2].T, felt[1][here] @ axes[2]
         by_force = J[:, _MOTION, 9:12, None] * force[:, None, None, :]
         J[:, _MOTION, 30:36] = by_force.reshape(n, 9, 6)
         J[:, _MOTION, 36:39] = J[:, _MOTION, 12:15] * rate[:, None, None]

@@ -19,6 +19,7 @@ from smoother.estimate.graph.inertial import (
     _root_information,
     add_inertial,
     empty_system,
+    felt_by,
     inertial_after_step,
     inertial_components,
     inertial_factors,
@@ -162,6 +163,51 @@ def test_errors_of_scale_move_the_residual_as_predicted() -> None:
         have = base.errors @ step[ACCEL_ERROR.start : RECTIFICATION.stop]
         # an error acts on each bin, the model on their mean; here neighbouring bins differ by 0.6 m/s^2
         assert np.linalg.norm(have - want) < 0.15 * np.linalg.norm(want)
+
+
+def smooth_drive(n: int) -> tuple[ChainState, BinnedImu]:
+    """n keyframes of a motion that changes slowly, and what perfect sensors measure of it."""
+    t = T * np.arange(n)
+    middle = (np.arange((n - 1) * N_BINS) + 0.5) * T / N_BINS
+    force = np.column_stack([2.0 * np.sin(1.1 * middle), 4.0 * np.cos(0.7 * middle), np.full(len(middle), 9.8)])
+    rate = np.column_stack([0.02 * np.sin(middle), 0.02 * np.cos(middle), 0.8 * np.cos(0.7 * middle)])
+    bins = force.reshape(-1, N_BINS, 3), rate.reshape(-1, N_BINS, 3)
+    binned = BinnedImu(t, T / N_BINS, *bins, np.zeros(n - 1))
+    states, none = [gtsam.NavState()], gtsam.imuBias.ConstantBias()
+    for measured in preintegrate(binned, NOISE, np.zeros(3), np.zeros(3)):
+        states.append(measured.predict(states[-1], none))
+    R, p, v = (
+        np.array(x) for x in zip(*((s.attitude().matrix(), s.position(), s.velocity()) for s in states), strict=True)
+    )
+    zeros = np.zeros((n, 3))
+    return ChainState(t, R, p, v, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3))), binned
+
+
+def test_force_and_rate_by_the_keyframes_are_the_means_of_what_was_there_to_measure() -> None:
+    state, binned = smooth_drive(200)
+    force, rate = felt_by(state)
+    # the box turns by 0.16 rad in an interval, and the force along with it: one per cent of 4 m/s^2
+    np.testing.assert_allclose(force, binned.specific_force_s.mean(axis=1), atol=0.04)
+    np.testing.assert_allclose(rate, binned.angular_rate_s.mean(axis=1), atol=0.002)
+
+
+def test_noise_of_the_samples_is_not_taken_for_an_error_of_scale() -> None:
+    state, binned = smooth_drive(4000)
+    rng = np.random.default_rng(7)
+    noise = InertialNoise(0.6, 0.1, 0.01, 0.002)
+    scatter = rng.normal(size=(2, *binned.specific_force_s.shape)) / np.sqrt(binned.dt)
+    noisy = replace(
+        binned,
+        specific_force_s=binned.specific_force_s + noise.accel * scatter[0],
+        angular_rate_s=binned.angular_rate_s + noise.gyro * scatter[1],
+    )
+    linear = InertialGraph(noisy, noise, np.zeros(3), np.zeros(3), state.constants).linearize(state, noise)
+    J = linear.errors[:, :9, :9].reshape(-1, 9)  # scale and misalignment of force, and scale of rate
+    information = J.T @ J
+    found = -np.linalg.solve(information, J.T @ linear.residual[:, :9].ravel())
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+    assert np.all(np.abs(found) < 4.0 * sigma)
+    assert np.all(sigma < 0.03)  # of a scale: by the noisy samples in place of the keyframes it is 14 to 48 %
 
 
 def test_taking_sensor_errors_out_undoes_them_to_second_order() -> None:
