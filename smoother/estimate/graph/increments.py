@@ -158,6 +158,16 @@ def linearize_increments(done: Increments, state: ChainState) -> LinearIncrement
     )
 
 
+@_quietly
+def felt_by(state: ChainState) -> tuple[Array, Array]:
+    """Mean specific force, m/s^2, and rate, rad/s, in s between the keyframes, by their motion; each (K-1, 3)."""
+    T, R_left = state.interval, state.R_ns[:-1]
+    turn = so3.log(R_left.transpose(0, 2, 1) @ state.R_ns[1:])
+    force_n = np.diff(state.velocity_n, axis=0) / T - GRAVITY_N
+    R_middle = R_left @ so3.exp(0.5 * turn)
+    return np.einsum("kji,kj->ki", R_middle, force_n), turn / T
+
+
 def right_jacobian(turn: Array) -> Array:
     """Right Jacobian J (..., 3, 3) at turn (..., 3): exp(turn + d) is exp(turn) exp(J d) for small d."""
     angle2 = so3.squared(turn)

@@ -12,7 +12,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shaken, shared_densities
-from smoother.estimate.graph.increments import in_left_axes, increments, linearize_increments
+from smoother.estimate.graph.increments import felt_by, in_left_axes, increments, linearize_increments
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,
@@ -24,7 +24,6 @@ from smoother.estimate.graph.state import (
     ChainState,
     Constants,
 )
-from smoother.frames import GRAVITY_N
 
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, RECTIFICATION.stop)
@@ -34,15 +33,6 @@ _RESIDUAL = 45  # and of its residual beside it
 _WIDTH = _RESIDUAL + 1
 PIECE = 128  # intervals whose matrices stay in the processor's cache
 CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
-
-
-def felt_by(state: ChainState) -> tuple[Array, Array]:
-    """Mean specific force, m/s^2, and rate, rad/s, in s between the keyframes, by their motion; each (K-1, 3)."""
-    T, R_left = state.interval, state.R_ns[:-1]
-    turn = so3.log(R_left.transpose(0, 2, 1) @ state.R_ns[1:])
-    force_n = np.diff(state.velocity_n, axis=0) / T - GRAVITY_N
-    R_middle = R_left @ so3.exp(0.5 * turn)
-    return np.einsum("kji,kj->ki", R_middle, force_n), turn / T
 
 
 def inertial_factors(

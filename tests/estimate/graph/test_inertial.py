@@ -11,6 +11,7 @@ from smoother import so3
 from smoother.estimate.graph import inertial
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import ROUND, BinnedImu, InertialNoise, Shape, corrected, preintegrate
+from smoother.estimate.graph.increments import felt_by
 from smoother.estimate.graph.inertial import (
     InertialGraph,
     LinearInertial,
@@ -19,7 +20,6 @@ from smoother.estimate.graph.inertial import (
     _root_information,
     add_inertial,
     empty_system,
-    felt_by,
     inertial_after_step,
     inertial_components,
     inertial_factors,
