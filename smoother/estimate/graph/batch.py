@@ -117,7 +117,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (24,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (25,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known.
@@ -216,8 +216,8 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
-        before (24,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (24, 24) is the covariance of constants that are to stay where they are.
+        before (25,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (25, 25) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
@@ -313,7 +313,7 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (24,) of all constants."""
+    """Prior sigma (25,) of all constants."""
     sigma = priors.constants_sigma.copy()
     for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         sigma[part] = spread

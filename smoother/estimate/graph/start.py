@@ -13,7 +13,7 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
-from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
@@ -31,8 +31,9 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
     samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
-    doppler_bias: 0.01-0.05 m/s on real kart logs. sensor_error: scale and misalignment; the data sheet's 3 % is the
-    limit, not the spread. rectification: of vibration, m/s^2, to begin with.
+    doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: means over 0.2 s, or an antenna half a metre
+    up that leans by 1.5 mrad to a m/s^2; real receivers have 0.6e-3 to 13e-3 of either sign. sensor_error: scale and
+    misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of vibration, m/s^2, to begin with.
     Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
     what receivers do. in_step: a force that is late behind the rate is taken to its time. rounds: of solving and
     identifying.
@@ -49,6 +50,7 @@ class GraphOptions:
     gyro_bias_walk: float = 0.006 * DEG
     lever_arm_sigma: float = 0.5
     doppler_bias_sigma: float = 0.03
+    velocity_response_sigma: float = 2e-3
     sensor_error_sigma: float = 0.01
     rectification_sigma: float = 0.1
     latency_sigma: float = 0.25
@@ -168,7 +170,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
-    sigma[DOPPLER_BIAS] = options.doppler_bias_sigma
+    sigma[DOPPLER_BIAS], sigma[VELOCITY_RESPONSE] = options.doppler_bias_sigma, options.velocity_response_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6

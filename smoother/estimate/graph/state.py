@@ -15,12 +15,12 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
-# Constants of the session. The first nine enter the rows of rows.py, the sensor errors only the inertial factors.
+# Constants of the session. The first ten enter the rows of rows.py, the sensor errors only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
-DOPPLER_BIAS = slice(6, 9)
-ROW_CONSTANTS_SIZE = 9
-ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(9, 15), slice(15, 18), slice(18, 24)
-CONSTANTS_SIZE = 24
+DOPPLER_BIAS, VELOCITY_RESPONSE = slice(6, 9), slice(9, 10)
+ROW_CONSTANTS_SIZE = 10
+ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(10, 16), slice(16, 19), slice(19, 25)
+CONSTANTS_SIZE = 25
 
 
 def _no_bias() -> Array:
@@ -43,7 +43,9 @@ def _s_is_level() -> Array:
 class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
     IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
-    receiver's velocity; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along
+    receiver's velocity; velocity_response s^2, by which that velocity contains the second derivative of the true one,
+    beyond what its latency does: the mean over a time W has W^2 / 24, an antenna that leans outwards in bends less than
+    nothing; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along
     each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by which
     force grows where the vibration of force or of rate has twice its usual power.
 
@@ -57,6 +59,7 @@ class Constants:
     lever_arm_s: Array
     heading_offset: float = 0.0
     doppler_bias_n: Array = field(default_factory=_no_bias)
+    velocity_response: float = 0.0
     accel_error: Array = field(default_factory=_no_accel_error)
     gyro_error: Array = field(default_factory=_no_bias)
     rectification: Array = field(default_factory=_no_rectification)
@@ -74,9 +77,10 @@ class Constants:
 
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
-        latencies, offset = np.array([self.position_latency, self.velocity_latency]), np.array([self.heading_offset])
+        latencies, heading = [self.position_latency, self.velocity_latency], [self.heading_offset]
+        of_rows = [latencies, self.lever_arm_s, heading, self.doppler_bias_n, [self.velocity_response]]
         errors = [self.accel_error.ravel(), self.gyro_error, self.rectification.ravel()]
-        return np.concatenate([latencies, self.lever_arm_s, offset, self.doppler_bias_n, *errors])
+        return np.concatenate([*of_rows, *errors])
 
     @staticmethod
     def from_vector(x: Array, level_axes_s: Array) -> "Constants":
@@ -87,6 +91,7 @@ class Constants:
             np.array(x[LEVER_ARM]),
             float(x[5]),
             np.array(x[DOPPLER_BIAS]),
+            float(x[VELOCITY_RESPONSE.start]),
             x[ACCEL_ERROR].reshape(3, 2),
             np.array(x[GYRO_ERROR]),
             x[RECTIFICATION].reshape(3, 2),

@@ -38,6 +38,7 @@ from smoother.estimate.graph.state import (
     TRANSLATION,
     VELOCITY,
     VELOCITY_LATENCY,
+    VELOCITY_RESPONSE,
     ChainState,
     Constants,
 )
@@ -103,7 +104,7 @@ def numerical(make: Callable[[ChainState], Rows], state: ChainState) -> list[np.
     others = by_keyframe.copy()
     for i in range(2):
         others[row, :, rows.interval + i] = 0.0
-    np.testing.assert_allclose(others, 0.0, atol=1e-9)  # nothing but the keyframes around it moves a row
+    np.testing.assert_allclose(others, 0.0, atol=1e-8)  # nothing but the keyframes around it moves a row; rounding does
     return [*ends, J[:, :, size:]]
 
 
@@ -127,6 +128,22 @@ def felt_on(path: DensePath, state: ChainState, turn_rate: np.ndarray) -> Expect
     cubics = [np.polynomial.Polynomial.fit(state.t, axis, 3) for axis in state.position_n.T]
     velocity_n, acceleration_n = (np.stack([axis.deriv(m)(path.t) for axis in cubics], axis=1) for m in (1, 2))
     return ExpectedMotion(velocity_n, acceleration_n, turn_rate)
+
+
+def swinging(constants: Constants) -> tuple[ChainState, DensePath, ExpectedMotion, Callable[..., np.ndarray]]:
+    """Keyframes on a level chicane at 1 Hz, their path and the motion; and that motion's derivative m at t, (N, 3)."""
+    t, pace = START + T * np.arange(K), 2.0 * np.pi
+
+    def swing(t: np.ndarray, m: int) -> np.ndarray:
+        phase = pace * t + 0.5 * np.pi * m
+        return 0.4 * pace**m * np.stack([np.sin(phase), np.sin(phase + 1.0), 0.0 * t], axis=1)
+
+    zeros, edges = np.zeros((K, 3)), START + T / N_BINS * np.arange((K - 1) * N_BINS + 1)
+    R_ns = np.tile(np.eye(3), (K, 1, 1))
+    state = ChainState(t, R_ns, swing(t, 0), swing(t, 1), zeros, zeros, zeros, constants)
+    force = np.diff(swing(edges, 1), axis=0).reshape(K - 1, N_BINS, 3) * N_BINS / T - GRAVITY_N
+    path = path_of(state, BinnedImu(t, T / N_BINS, force, np.zeros_like(force), np.zeros(K - 1)))
+    return state, path, ExpectedMotion(swing(edges, 1), swing(edges, 2), np.zeros(len(edges))), swing
 
 
 def position_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -> Callable[[ChainState], Rows]:
@@ -279,6 +296,29 @@ class TestResiduals:
         doppler = v + np.einsum("nij,j->ni", R, np.cross(rate, arm_s)) + doppler_bias_n
         rows = velocity_rows(state, path, felt_on(path, state, rates), ask, doppler, ones)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
+
+    @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+    def test_doppler_within_an_interval_is_that_of_the_motion_not_of_a_cubic(self, share: float) -> None:
+        """A cubic misses most at a fifth and four fifths of the way: always late there, as if by a latency."""
+        state, path, felt, swing = swinging(Constants(0.0, 0.0, np.zeros(3)))
+        t = state.t[:-1] + share * T
+        rows = velocity_rows(state, path, felt, t, swing(t, 1), np.ones((len(t), 3)))
+        inner = slice(1, -1)  # the slope of acceleration at the ends is one of one side
+        np.testing.assert_allclose(rows.residual[inner], 0.0, atol=3e-3)
+        at_rest = ExpectedMotion(*np.zeros((2, *felt.velocity_n.shape)), felt.turn_rate)
+        of_cubic = velocity_rows(state, path, at_rest, t, swing(t, 1), np.ones((len(t), 3))).residual
+        assert (np.max(np.abs(of_cubic[inner])) > 0.015) == (share != 0.5)
+
+    def test_a_mean_over_a_time_is_a_response_of_its_square_over_24(self) -> None:
+        span = 0.2
+        state, path, felt, swing = swinging(Constants(0.0, 0.0, np.zeros(3), velocity_response=span**2 / 24.0))
+        t = state.t[1:-1]
+        mean = (swing(t + 0.5 * span, 0) - swing(t - 0.5 * span, 0)) / span
+        rows = velocity_rows(state, path, felt, t, mean, np.ones((len(t), 3)))
+        missed = mean - swing(t, 1)
+        assert np.max(np.abs(missed)) > 0.1
+        assert np.max(np.abs(rows.residual)) < 0.15 * np.max(np.abs(missed))
+        np.testing.assert_array_equal(rows.constants[:, 2, VELOCITY_RESPONSE], 0.0)  # up is left to the samples
 
     def test_a_component_that_is_not_known_has_no_weight_and_spoils_nothing(self) -> None:
         state, binned = random_state(0, turning=1.0)

@@ -435,7 +435,7 @@ def shaken(session: Session, push: np.ndarray) -> Session:
 
 
 def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    push = np.array([0.5, -0.3, 0.4])
+    push = np.array([1.0, -0.6, 0.8])
     simulation = simulate_preset("kart", 5, duration=150.0, imu_accel_tone=0.0)
     session = shaken(prepare(simulation.raw), push)
     found = smoothed(simulation, session)
