@@ -141,7 +141,11 @@ def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
         return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
 
     turning = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
-    return ExpectedMotion(at_edges(path.acceleration_n), at_edges(turning))
+    return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning))
+
+
+def _on_cubics(_: DensePath, __: ExpectedMotion, t: Array, *___: Any) -> Array:
+    return np.zeros((len(t), 3))
 
 
 def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
@@ -193,6 +197,8 @@ EFFECTS = (
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
+    Effect("response of the Doppler", options={"velocity_response_sigma": 1e-3 * OFF}),
+    Effect("motion between keyframes", patches=((rows, "_beside_curve", _on_cubics),)),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),

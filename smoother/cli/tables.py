@@ -27,7 +27,8 @@ _NAMES = {
     "accel_rectification": "push by shaking",
     "accel_rectification_by_rate": "push by rocking",
 }
-# most boxes show none, and drivers need not ask
+# drivers need not ask; most boxes show none of the others
+_ONLY_ON_THE_PAGE = ("gps_velocity_response",)
 _ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
 
 
@@ -40,7 +41,7 @@ def show_result(result: Result) -> None:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
-        if name in _ONLY_IF_SEEN and not identified.observable:
+        if name in _ONLY_ON_THE_PAGE or (name in _ONLY_IF_SEEN and not identified.observable):
             continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]

@@ -383,6 +383,7 @@ def residual_table(told: Told) -> Element:
 _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",
+    "gps_velocity_response": "the same, second order",
     "lever_arm_b": "antenna from the box: forward, left, up",
     "R_bs": "box in the kart: roll, pitch, yaw",
     "accel_noise": "accelerometer noise",

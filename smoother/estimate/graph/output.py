@@ -36,6 +36,7 @@ from smoother.estimate.graph.state import (
     ROTATION,
     TRANSLATION,
     VELOCITY,
+    VELOCITY_RESPONSE,
     ChainState,
 )
 from smoother.frames import euler_jacobian
@@ -418,6 +419,9 @@ def _identified(
         i = latency.index
         observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
         out[latency.key] = _value(constants[i], sigma[i], "s", observable, latency.configured is not None)
+    response = VELOCITY_RESPONSE.start
+    observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
+    out["gps_velocity_response"] = _value(constants[response], sigma[response], "s^2", observable, False)
     arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], found.state.constants.level_axes_s[2]
     if priors.holds_height:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)

@@ -451,6 +451,23 @@ def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: p
     assert rms[0] < 0.95 * rms[1]
 
 
+def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_away() -> None:
+    """Doppler with a part of the second derivative of velocity, like that of a receiver that averages over 0.5 s."""
+    response, h = 0.01, 0.02
+    simulation = simulate_preset("kart", 6, duration=150.0, gnss_velocity_sigma=0.03, imu_accel_noise=0.05)
+    session, timing = prepare(simulation.raw), simulation.gnss.velocity_time
+    assert len(session.gnss.t) == len(timing)
+    before, after = (simulation.truth.at(timing + d).acceleration_n for d in (-h, h))
+    jerk_n = (after - before) / (2.0 * h)
+    jerk_n[:, 2] = 0.0
+    slow = replace(session, gnss=replace(session.gnss, velocity_n=session.gnss.velocity_n + response * jerk_n))
+    found = smoothed(simulation, slow).trajectory.report.identified
+    value, delay = found["gps_velocity_response"], found["gps_velocity_latency"]
+    assert value.observable
+    assert value.value == pytest.approx(response, abs=0.002)
+    assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency, abs=3.0 * delay.sigma)
+
+
 def test_where_no_vibration_pushes_none_is_claimed() -> None:
     value = kart().trajectory.report.identified["accel_rectification"]
     assert not value.observable
