@@ -144,10 +144,6 @@ def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
     return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning))
 
 
-def _on_cubics(_: DensePath, __: ExpectedMotion, t: Array, *___: Any) -> Array:
-    return np.zeros((len(t), 3))
-
-
 def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
     """Bins with what was interpolated passed off as measured."""
     binned = imu.bin_imu(samples, t, n_bins, *biases)
@@ -198,7 +194,6 @@ EFFECTS = (
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("response of the Doppler", options={"velocity_response_sigma": 1e-3 * OFF}),
-    Effect("motion between keyframes", patches=((rows, "_beside_curve", _on_cubics),)),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),

@@ -160,17 +160,18 @@ def velocity_rows(
     """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s.
 
     felt as in :func:`position_rows`; the slope by the latency is along it. (The noise of the path's own acceleration
-    would make the latency seem better known than it is, and draw it away.) What the cubic between keyframes leaves out
-    and the second derivative of velocity, level, which the receiver's response multiplies, are of it too.
+    would make the latency seem better known than it is, and draw it away.) The second derivative of velocity, level,
+    which the receiver's response multiplies, is of it too.
     """
-    constants_of = state.constants
-    at = t - constants_of.velocity_latency
+    session = state.constants
+    at = t - session.velocity_latency
     b, R_ns = bracket(state, at), attitude_at(path, at)
-    rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, constants_of.lever_arm_s)
+    rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, session.lever_arm_s)
     swing_n, jerk_n = np.cross(rate_n, arm_n), _level_jerk(path, felt, at)
     weights = hermite_velocity(b)
-    velocity_n = _on_curve(state, b, weights) + _beside_curve(path, felt, at, b, weights)
-    seen_n = velocity_n + swing_n + constants_of.velocity_response * jerk_n + constants_of.doppler_bias_n
+    seen_n = (
+        _on_curve(state, b, weights) + swing_n + session.velocity_response * jerk_n + session.doppler_bias_n
+    )
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
@@ -411,28 +412,6 @@ def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket,
     """
     velocity_n, acceleration_n = (at_times(path, values, state.t) for values in (felt.velocity_n, felt.acceleration_n))
     return _weighed(b, weights, velocity_n, acceleration_n)
-
-
-def _beside_curve(path: DensePath, felt: ExpectedMotion, t: Array, b: Bracket, weights: tuple[Array, ...]) -> Array:
-    """How much faster (N, 3) the motion `felt` is at t (N,) than the cubic through its own keyframes.
-
-    A cubic leaves out what changes within an interval: a few cm/s. But a session's Doppler is always of the same place
-    in its interval, where that is a share of the second derivative of the acceleration, which goes with the
-    acceleration: left out, it is taken for a latency, of up to 2 ms on a kart at five fixes a second.
-    Between the edges of the path the motion is on cubics of its own. Positions lack a fraction of a millimetre.
-    """
-    dt = float(path.t[1] - path.t[0])
-    velocity, slope = felt.velocity_n, felt.acceleration_n
-    u = (t - path.t[0]) / dt
-    edge = np.clip(np.floor(u).astype(np.int64), 0, len(path.t) - 2)
-    within = Bracket(edge, np.clip(u - edge, 0.0, 1.0), dt)
-    here = _weighed(within, hermite_position(within), velocity, slope)
-
-    n_bins, k = round(b.length / dt), b.interval
-    way = 0.5 * dt * (velocity[:-1] + velocity[1:]) + dt**2 / 12.0 * (slope[:-1] - slope[1:])
-    shift, ends = way.reshape(-1, n_bins, 3).sum(axis=1), velocity[::n_bins]
-    _, left, far, right = (w[:, None] for w in weights)
-    return np.asarray(here - (far * shift[k] + left * ends[k] + right * ends[k + 1]))
 
 
 def _level_jerk(path: DensePath, felt: ExpectedMotion, t: Array) -> Array:

@@ -297,18 +297,6 @@ class TestResiduals:
         rows = velocity_rows(state, path, felt_on(path, state, rates), ask, doppler, ones)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
 
-    @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
-    def test_doppler_within_an_interval_is_that_of_the_motion_not_of_a_cubic(self, share: float) -> None:
-        """A cubic misses most at a fifth and four fifths of the way: always late there, as if by a latency."""
-        state, path, felt, swing = swinging(Constants(0.0, 0.0, np.zeros(3)))
-        t = state.t[:-1] + share * T
-        rows = velocity_rows(state, path, felt, t, swing(t, 1), np.ones((len(t), 3)))
-        inner = slice(1, -1)  # the slope of acceleration at the ends is one of one side
-        np.testing.assert_allclose(rows.residual[inner], 0.0, atol=3e-3)
-        at_rest = ExpectedMotion(*np.zeros((2, *felt.velocity_n.shape)), felt.turn_rate)
-        of_cubic = velocity_rows(state, path, at_rest, t, swing(t, 1), np.ones((len(t), 3))).residual
-        assert (np.max(np.abs(of_cubic[inner])) > 0.015) == (share != 0.5)
-
     def test_a_mean_over_a_time_is_a_response_of_its_square_over_24(self) -> None:
         span = 0.2
         state, path, felt, swing = swinging(Constants(0.0, 0.0, np.zeros(3), velocity_response=span**2 / 24.0))
