@@ -169,9 +169,7 @@ def velocity_rows(
     rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, session.lever_arm_s)
     swing_n, jerk_n = np.cross(rate_n, arm_n), _level_jerk(path, felt, at)
     weights = hermite_velocity(b)
-    seen_n = (
-        _on_curve(state, b, weights) + swing_n + session.velocity_response * jerk_n + session.doppler_bias_n
-    )
+    seen_n = _on_curve(state, b, weights) + swing_n + session.velocity_response * jerk_n + session.doppler_bias_n
     left, right, constants = _empty(len(t), 3)
     _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
