@@ -13,7 +13,7 @@ from smoother.arrays import Array
 from smoother.disc import pieces
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
-from smoother.estimate.graph.expected import expected_motion
+from smoother.estimate.graph.expected import DopplerNoise, expected_motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import (
     BinnedImu,
@@ -255,11 +255,17 @@ class Batch:
         return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
 
 
+def _doppler(d: Data, noise: Noise) -> DopplerNoise | None:
+    """What the session's velocities tell, None where there are none."""
+    read = d.t[np.isfinite(d.velocity_n[:, 0])]
+    return DopplerNoise(float(noise.velocity[0]), float(np.ptp(read)) / (len(read) - 1)) if len(read) > 1 else None
+
+
 def session_rows(
     d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
-    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial)
+    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, _doppler(d, noise), state.interval)
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )

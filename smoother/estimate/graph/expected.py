@@ -11,6 +11,12 @@ They must not lead or lag the samples either. The nose turns in before the path 
 would contain the slope of the acceleration; of noise in the velocities that is the second derivative, which goes with
 what the fit leaves of it and would look like an arm. Gains without a phase leave such noise out of phase with the rest.
 
+The path is better than the samples: below some hertz Doppler has taken most of their noise out of its acceleration.
+What is left of it is no part of what the fit reads, the residuals of Doppler against that path (the error of a weighted
+mean and the difference of what it is the mean of are independent), so that the acceleration needs to be freed from no
+more than that. The turn rate is left to the samples: Doppler tells of it through the path alone, whose errors by the
+arm and the latencies it would then be believed.
+
 Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
 """
 
@@ -26,7 +32,9 @@ SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, an
 # frequencies would follow
 SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
+LEAST_LEFT = 0.1  # of the power of the samples' noise, in the path: attitude, arm and latencies err too
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
+ALL = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +49,21 @@ class ExpectedMotion:
     turn_rate: Array
 
 
-def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> ExpectedMotion:
-    """Most probable motion behind the accelerations and rates of the bins of `path`, which have the noise `noise`.
+@dataclass(frozen=True)
+class DopplerNoise:
+    """What velocities tell: sigma m/s of one of them, on each axis, and the mean time, s, from one to the next."""
 
-    level_axes_s (3, 3): rows are forward, left and up in s. The vertical acceleration stays as it is.
+    sigma: float
+    every: float
+
+
+def expected_motion(
+    path: DensePath, level_axes_s: Array, noise: InertialNoise, doppler: DopplerNoise | None, interval: float
+) -> ExpectedMotion:
+    """Most probable motion behind the accelerations and rates of the bins of `path`, whose samples had `noise`.
+
+    level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
+    None where there were none; interval, s, between its keyframes. The vertical acceleration stays as it is.
     """
     R_nb, up_s = path.R_ns[:-1] @ level_axes_s.T, path.R_ns[:-1, 2, :]
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
@@ -52,24 +71,44 @@ def expected_motion(path: DensePath, level_axes_s: Array, noise: InertialNoise) 
     turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
     ahead, left, _ = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
     turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
-    sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))])
     dt = float(path.t[1] - path.t[0])
-    found = most_probable(np.column_stack([acceleration_b[:, :2], turning]), sigma / np.sqrt(dt), dt)
-    acceleration_b[:, :2] = found[:, :2]
+    sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt)
+    values = np.column_stack([acceleration_b[:, :2], turning])
+    left_over = np.ones((len(values) // 2 + 1, 3))
+    frequency = np.asarray(np.fft.rfftfreq(len(values), dt))
+    left_over[:, :2] = noise_left(frequency, noise.accel, doppler, interval)[:, None]
+    acceleration_b[:, :2] = most_probable(values, sigma * np.sqrt(left_over), dt, slice(0, 2))
+    turn_rate = most_probable(values, sigma, dt, slice(2, 3))[:, 0] / speed
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
-    return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(found[:, 2] / speed))
+    return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
 
 
-def most_probable(values: Array, sigma: Array, dt: float) -> Array:
-    """Multichannel Wiener filter: most probable signals (N, c) behind `values` (N, c), dt s apart, all at once.
+def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, interval: float) -> Array:
+    """Share (F,) of the power of the samples' noise that is left in a path's acceleration at `frequency` (F,) Hz.
 
-    sigma (c,): white noise of the channels, independent of one another. What of the spectral matrix noise alone may
-    reach is taken off. Only what the channels share in phase passes from one to another.
+    accel m/s^2/sqrt(Hz), doppler and interval as for :func:`expected_motion`. From one reading to the next, the mean of
+    the acceleration is that of both sensors, weighted; within, it is as the samples say.
+    """
+    if doppler is None:
+        return np.ones(len(frequency))
+    T = max(interval, doppler.every)
+    of_samples = accel**2 / T
+    of_doppler = (2.0 * np.sin(np.pi * frequency * T) * doppler.sigma / T) ** 2 * (doppler.every / T)
+    of_mean = of_doppler / (of_samples + of_doppler)
+    return np.asarray(np.maximum(1.0 - np.sinc(frequency * T) ** 2 * (1.0 - of_mean), LEAST_LEFT))
+
+
+def most_probable(values: Array, sigma: Array, dt: float, wanted: slice = ALL) -> Array:
+    """Multichannel Wiener filter: most probable signals behind `values` (N, c), dt s apart, in the channels `wanted`.
+
+    sigma (c,) or, of each frequency of a real transform, (F, c): noise of the channels, independent of one another.
+    What of the spectral matrix noise alone may reach is taken off. Only what the channels share in phase passes from
+    one to another.
     """
     n, c = values.shape
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):
-        return values  # a path that has run away; the solver says so
+        return values[:, wanted]  # a path that has run away; the solver says so
     mean = values.mean(axis=0)
     spectrum = np.fft.rfft(values - mean, axis=0) / sigma
     band, first, last = _bands(len(spectrum), n * dt)
@@ -79,10 +118,11 @@ def most_probable(values: Array, sigma: Array, dt: float) -> Array:
     eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
     of_noise = (1.0 + np.sqrt(c / count)) ** 2
     share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
-    gain = ((axes * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), c * c)
+    gain = ((axes[:, wanted] * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), -1)
     k = np.arange(len(spectrum))
-    fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(c * c)], axis=1).reshape(-1, c, c)
-    return np.asarray(np.fft.irfft((fine @ spectrum[:, :, None])[:, :, 0] * sigma, n, axis=0) + mean)
+    fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(len(k), -1, c)
+    found = (fine @ spectrum[:, :, None])[:, :, 0] * sigma[..., wanted]
+    return np.asarray(np.fft.irfft(found, n, axis=0) + mean[wanted])
 
 
 def _integrated(values: Array, dt: float) -> Array:

@@ -145,12 +145,6 @@ class InertialNoise:
         return self.accel * math.sqrt(1.0 - self.accel_share), self.gyro * math.sqrt(1.0 - self.gyro_share)
 
 
-def keyframe_times(start: float, end: float, interval: float) -> Array:
-    """Return equally spaced times (K,) s that cover [start, end], K >= 2."""
-    n = max(1, int(np.ceil((end - start) / interval - 1e-9)))
-    return np.asarray(start + interval * np.arange(n + 1))
-
-
 def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:
     """Average `imu` into n_bins equal bins per interval of the equally spaced keyframe times t (K,).
 

@@ -1,7 +1,7 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    force in step with rate -> fixes alone -> align -> first guess -> solve and identify the noise, in turns
-    -> magnetometer -> mounting -> output
+    force in step with rate -> fixes alone -> align -> first guess -> identify noise and constants, on a part
+    -> keyframes where velocities were felt -> solve and identify, in turns -> magnetometer -> mounting -> output
 
 When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
@@ -83,13 +83,14 @@ class GraphSmoother:
         options = self.options
         with watch("align"):
             session, delay = in_step(session) if options.in_step else (session, UNSEEN)
-            start = make_start(session, options)
+            # densities and constants are known to some per cent from two minutes of driving
+            start = make_start(session, options, options.identification_span)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
             return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
             constants, biases, noise = identify(start, options, watch.say)
-            start = informed(start, constants, biases)
+            start = informed(session, start, options, constants, biases)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
             mounting = _mounting(session, found.state, start.alignment)

@@ -22,7 +22,7 @@ from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import ROUND
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of
+from smoother.estimate.graph.start import GraphOptions, Start, scatter_of
 from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import Problem, Session
@@ -80,12 +80,8 @@ def _is_worse(noise: Noise, other: Noise) -> bool:
 
 
 def identify(start: Start, options: GraphOptions, say: Say) -> tuple[Constants, tuple[Array, Array], Noise]:
-    """Find constants, mean biases of force and rate and noise, turn by turn, on a part of a long session.
-
-    Densities are known to some per cent from two minutes of driving, so most turns need not cost more.
-    """
-    part = busiest_part(start, options.identification_span)
-    state, noise = _settle(part, part.state, start.noise, scatter_of(start), options, say)
+    """Find constants, mean biases of force and rate and noise, turn by turn."""
+    state, noise = _settle(start, start.state, start.noise, scatter_of(start), options, say)
     return state.constants, (state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)), noise
 
 

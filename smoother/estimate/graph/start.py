@@ -12,7 +12,8 @@ from smoother.estimate.gnss_offset import OffsetModel, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, keyframe_times
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved
+from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -80,18 +81,21 @@ class Start:
     stated: ImuNoise  # densities from the settings; they are not estimated
 
 
-def make_start(session: Session, options: GraphOptions) -> Start:
-    """Return what the fixes alone and the alignment with the inertial samples tell."""
+def make_start(session: Session, options: GraphOptions, span: float = math.inf) -> Start:
+    """Return what the fixes alone and the alignment with the inertial samples tell.
+
+    Of a session that is much longer than `span` s, keyframes, bins and data are those of its busiest stretch as long.
+    """
     assert session.imu is not None
     path = fit_path(session)
-    times = session.gnss.t
-    driven = PathMotion(times, path.at(times).velocity_n)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n)
     alignment = align(session.imu, driven)
     priors = _priors(session, alignment, path, options)
-    constants = Constants.from_vector(priors.constants, alignment.R_bs)
-    t = keyframe_times(times[0] - MAX_LATENCY, times[-1] + options.keyframe_interval, options.keyframe_interval)
-    R_ns = initial_attitude(t, session.imu, driven, alignment)
+    begin, end = _busiest_span(driven, span)
+    t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
     fine, binned = _bins(session, t, alignment, options)
+    constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    R_ns = initial_attitude(t, session.imu, driven, alignment)
     return Start(
         path,
         driven,
@@ -100,17 +104,29 @@ def make_start(session: Session, options: GraphOptions) -> Start:
         fine,
         binned,
         _first_noise(session, path, alignment, binned, options),
-        _data(session, path, t),
+        _data(session, path, t, (driven.t >= begin) & (driven.t <= end)),
         priors,
         _receiver(session, options),
         session.config.imu,
     )
 
 
-def informed(start: Start, constants: Constants, biases: tuple[Array, Array]) -> Start:
-    """Return the start with better known constants, and biases (3,) of force and rate."""
-    state = _first_guess(start.path, start.state.t, start.state.R_ns, constants, biases)
-    return replace(start, state=state)
+def informed(
+    session: Session, start: Start, options: GraphOptions, constants: Constants, biases: tuple[Array, Array]
+) -> Start:
+    """Return the start of the whole session with better known constants, and biases (3,) of force and rate.
+
+    Keyframes are where the receiver felt its velocities.
+    """
+    assert session.imu is not None
+    gnss, T = session.gnss, options.keyframe_interval
+    felt_at = gnss.t[np.isfinite(gnss.velocity_n[:, 0])] - constants.velocity_latency
+    t = keyframe_times(gnss.t[0] - MAX_LATENCY, gnss.t[-1] + T, T, felt_at)
+    fine, binned = _bins(session, t, start.alignment, options)
+    R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
+    state = _first_guess(start.path, t, R_ns, constants, biases)
+    everything = np.ones(len(gnss), dtype=np.bool_)
+    return replace(start, state=state, fine=fine, binned=binned, data=_data(session, start.path, t, everything))
 
 
 def _first_guess(
@@ -129,7 +145,8 @@ def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOption
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
-def _data(session: Session, path: GnssPath, t: Array) -> Data:
+def _data(session: Session, path: GnssPath, t: Array, use: BoolArray) -> Data:
+    """Measurements for the keyframes t (K,), of the fixes `use` (N,)."""
     gnss = session.gnss
     assert session.imu is not None
     assert gnss.sigma_velocity is not None
@@ -138,11 +155,11 @@ def _data(session: Session, path: GnssPath, t: Array) -> Data:
     resting = np.concatenate([[0], np.cumsum(at_rest)])
     still = np.flatnonzero((last > first) & (resting[last] - resting[first] == last - first))
     return Data(
-        gnss.t,
-        session.fix_position_n,
-        gnss.velocity_n,
-        path.position_scale,
-        _relative(gnss.sigma_velocity),
+        gnss.t[use],
+        session.fix_position_n[use],
+        gnss.velocity_n[use],
+        path.position_scale[use],
+        _relative(gnss.sigma_velocity)[use],
         still,
     )
 
@@ -236,17 +253,25 @@ def scatter_of(start: Start) -> Scatter:
     return Scatter(accel, gyro)
 
 
+def _busiest_span(driven: PathMotion, span: float) -> tuple[float, float]:
+    """First and last time of the stretch of `span` seconds with most fixes at speed, or of all if not much longer."""
+    t = driven.t
+    if t[-1] - t[0] < 1.5 * span:
+        return float(t[0]), float(t[-1])
+    fast = np.concatenate([[0], np.cumsum(np.hypot(driven.velocity_n[:, 0], driven.velocity_n[:, 1]) > MIN_SPEED)])
+    whole = t <= t[-1] - span
+    first = int(np.argmax(fast[np.searchsorted(t, t[whole] + span)] - fast[:-1][whole]))
+    return float(t[first]), float(t[first] + span)
+
+
 def busiest_part(start: Start, span: float) -> Start:
     """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
-    n = round(span / start.state.interval)
+    begin, end = _busiest_span(start.driven, span)
     t = start.state.t
-    if len(t) < 1.5 * n:
+    if end == start.driven.t[-1]:
         return start
-    speed = np.hypot(start.state.velocity_n[:, 0], start.state.velocity_n[:, 1])
-    fixes = np.bincount(np.clip(np.searchsorted(t, start.data.t), 0, len(t) - 1), minlength=len(t))
-    worth = np.concatenate([[0.0], np.cumsum(fixes * (speed > MIN_SPEED))])
-    first = int(np.argmax(worth[n:] - worth[:-n]))
-    return stretch(start, first, min(first + n, len(t) - 1))
+    first, last = np.searchsorted(t, [begin - MAX_LATENCY, end])
+    return stretch(start, int(first), min(int(last), len(t) - 1))
 
 
 def fixes_between(start: Start, first: int, last: int) -> BoolArray:

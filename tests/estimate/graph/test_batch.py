@@ -165,7 +165,8 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.No
     """The same session in GTSAM alone."""
     state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
     path = batch.path(state)
-    rates = expected_motion(path, state.constants.level_axes_s, p.noise.inertial).turn_rate[::N_BINS]
+    level = state.constants.level_axes_s
+    rates = expected_motion(path, level, p.noise.inertial, None, state.interval).turn_rate[::N_BINS]
     for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
         k = round((t - state.t[0]) / T)
         graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.expected import ExpectedMotion, expected_motion, most_probable
+from smoother.estimate.graph.expected import (
+    LEAST_LEFT,
+    DopplerNoise,
+    ExpectedMotion,
+    expected_motion,
+    most_probable,
+    noise_left,
+)
 from smoother.estimate.graph.imu import DensePath, InertialNoise
 from smoother.fit.running import gaussian_mean
 from smoother.units import DEG
@@ -15,6 +22,7 @@ T = np.asarray(DT * np.arange(15001), dtype=np.float64)  # ten minutes
 MIDDLE = T[:-1] + 0.5 * DT
 NOISE = InertialNoise(0.5, 3.0 * DEG, 0.003, 1e-4)
 STILL = InertialNoise(1e-6, 1e-6, 0.003, 1e-4)
+INTERVAL = 0.2  # s between keyframes
 ARM = 0.4  # m, of the antenna ahead of the sensor
 
 
@@ -53,6 +61,11 @@ def noisy(path: DensePath, noise: InertialNoise) -> DensePath:
     )
 
 
+def expected(path: DensePath, level_axes_s: np.ndarray, noise: InertialNoise) -> ExpectedMotion:
+    """Of a path that no velocities had a part in."""
+    return expected_motion(path, level_axes_s, noise, None, INTERVAL)
+
+
 def middles(felt: ExpectedMotion) -> tuple[np.ndarray, np.ndarray]:
     """Acceleration (N, 2) and yaw rate (N,) between the edges."""
     a, w = felt.acceleration_n, felt.turn_rate
@@ -69,14 +82,14 @@ def fit(path: DensePath, acceleration: np.ndarray, yaw_rate: np.ndarray, late: n
 class TestExpectedMotion:
     def test_without_noise_it_is_the_motion_itself_at_the_edges(self) -> None:
         path, rate = corners()
-        felt = expected_motion(path, np.eye(3), STILL)
+        felt = expected(path, np.eye(3), STILL)
         for found, true in ((felt.acceleration_n, path.acceleration_n), (felt.turn_rate, rate[:, 2])):
             np.testing.assert_allclose(found[1:-1], 0.5 * (true[1:] + true[:-1]), atol=1e-4)
 
     def test_most_of_the_noise_is_gone(self) -> None:
         path, rate = corners()
         shaken = noisy(path, NOISE)
-        acceleration, yaw_rate = middles(expected_motion(shaken, np.eye(3), NOISE))
+        acceleration, yaw_rate = middles(expected(shaken, np.eye(3), NOISE))
         assert np.std(yaw_rate - rate[:, 2]) < 0.2 * np.std(shaken.angular_rate_s[:, 2] - rate[:, 2])
         true = path.acceleration_n[:, :2]
         assert np.std(acceleration - true) < 0.5 * np.std(shaken.acceleration_n[:, :2] - true)
@@ -87,7 +100,7 @@ class TestExpectedMotion:
         shaken = noisy(path, NOISE)
         added = np.concatenate([[np.zeros(3)], np.cumsum((shaken.acceleration_n - path.acceleration_n) * DT, axis=0)])
         shaken = replace(shaken, velocity_n=path.velocity_n + added)
-        felt = expected_motion(shaken, np.eye(3), NOISE)
+        felt = expected(shaken, np.eye(3), NOISE)
         left = gaussian_mean(np.diff(felt.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
         noise = gaussian_mean(np.diff(shaken.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
         assert np.std(left[100:-100]) < 0.2 * np.std(noise[100:-100])
@@ -97,7 +110,7 @@ class TestExpectedMotion:
         path, rate = corners()
         late = rate[:, 2:] * ARM * path.R_ns[:-1, :2, 1] - 0.02 * path.acceleration_n[:, :2]
         shaken = noisy(path, NOISE)
-        arm, latency = fit(path, *middles(expected_motion(shaken, np.eye(3), NOISE)), late)
+        arm, latency = fit(path, *middles(expected(shaken, np.eye(3), NOISE)), late)
         assert arm == pytest.approx(ARM, abs=0.1 * ARM)
         assert latency == pytest.approx(0.02, abs=0.002)
         plain_arm, _ = fit(path, shaken.acceleration_n[:, :2], shaken.angular_rate_s[:, 2], late)
@@ -106,6 +119,29 @@ class TestExpectedMotion:
         alone_arm, _ = fit(path, alone, most_probable(shaken.angular_rate_s[:, 2:], sigma[0], DT)[:, 0], late)
         assert abs(plain_arm - ARM) > 0.3 * ARM
         assert abs(alone_arm - ARM) > 2.0 * abs(arm - ARM)
+
+    def test_a_path_that_doppler_has_held_is_freed_of_what_noise_is_left_in_it_and_no_more(self) -> None:
+        """With samples as bad as a real kart's, white noise for all would take a good part of the motion with it."""
+        path, _ = corners()
+        bad, doppler = replace(NOISE, accel=1.5), DopplerNoise(0.15, INTERVAL)
+        n = len(MIDDLE)
+        left = np.sqrt(noise_left(np.asarray(np.fft.rfftfreq(n, DT)), bad.accel, doppler, INTERVAL))[:, None]
+        white = bad.accel / np.sqrt(DT) * np.random.default_rng(4).normal(size=(n, 3))
+        held = replace(
+            path, acceleration_n=path.acceleration_n + np.fft.irfft(left * np.fft.rfft(white, axis=0), n, axis=0)
+        )
+        true = path.acceleration_n[:, :2]
+        knowing, not_knowing = (middles(expected_motion(held, np.eye(3), bad, d, INTERVAL))[0] for d in (doppler, None))
+        assert np.std(knowing - true) < 0.75 * np.std(not_knowing - true)
+        # most probable: what it misses is no part of it
+        assert np.sum(knowing * (true - knowing)) == pytest.approx(0.0, abs=0.01 * np.sum(true**2))
+
+    def test_the_turn_rate_is_left_to_the_samples(self) -> None:
+        path, _ = corners()
+        shaken = noisy(path, NOISE)
+        alone, held = (expected_motion(shaken, np.eye(3), NOISE, d, INTERVAL) for d in (None, DopplerNoise(0.1, 0.2)))
+        np.testing.assert_array_equal(alone.turn_rate, held.turn_rate)
+        assert not np.allclose(alone.acceleration_n, held.acceleration_n, atol=0.1)
 
     def test_it_does_not_depend_on_how_the_box_is_mounted(self) -> None:
         path, _ = corners()
@@ -119,19 +155,52 @@ class TestExpectedMotion:
             shaken.angular_rate_s @ R_bs,
             shaken.acceleration_n,
         )
-        want, have = expected_motion(shaken, np.eye(3), NOISE), expected_motion(turned, R_bs, NOISE)
+        want, have = expected(shaken, np.eye(3), NOISE), expected(turned, R_bs, NOISE)
         np.testing.assert_allclose(have.acceleration_n, want.acceleration_n, atol=1e-9)
         np.testing.assert_allclose(have.turn_rate, want.turn_rate, atol=1e-9)
 
     def test_a_stretch_of_a_few_bins_and_a_kart_at_rest_stay_finite(self) -> None:
         zeros = np.zeros((6, 3))
         path = DensePath(T[:6], np.tile(np.eye(3), (6, 1, 1)), zeros, zeros, zeros[1:], zeros[1:])
-        felt = expected_motion(path, np.eye(3), NOISE)
+        felt = expected(path, np.eye(3), NOISE)
         np.testing.assert_array_equal(felt.acceleration_n, zeros)
         np.testing.assert_array_equal(felt.turn_rate, zeros[:, 0])
 
 
+class TestNoiseLeft:
+    def test_it_is_the_error_of_a_path_between_exact_readings(self) -> None:
+        """White force, whose mean from one reading to the next is known exactly: within, all of it is left."""
+        n, per = 200_000, 5
+        white = np.random.default_rng(6).normal(size=(n // per, per))
+        left = (white - white.mean(axis=1, keepdims=True)).ravel()
+        frequency, power = np.fft.rfftfreq(n, DT), np.abs(np.fft.rfft(left)) ** 2 / n
+        share = noise_left(np.asarray(frequency), 1.0, DopplerNoise(1e-9, per * DT), per * DT)
+        for low, high in ((1.5, 2.0), (2.5, 3.5), (4.0, 4.8)):
+            band = (frequency > low) & (frequency < high)
+            assert power[band].mean() == pytest.approx(share[band].mean(), rel=0.05)
+
+    def test_of_a_mean_both_sensors_know_their_part(self) -> None:
+        frequency, doppler = np.array([0.6]), DopplerNoise(0.3, 0.01)  # so dense that it is a process in time
+        of_doppler = (2.0 * np.pi * frequency * 0.3) ** 2 * 0.01
+        left = noise_left(frequency, 0.2, doppler, 0.01)
+        np.testing.assert_allclose(left, of_doppler / (0.2**2 + of_doppler), rtol=0.01)
+
+    def test_without_velocities_and_far_above_their_rate_all_is_left(self) -> None:
+        frequency = np.array([0.1, 1.0, 20.0])
+        np.testing.assert_array_equal(noise_left(frequency, 1.0, None, 0.2), 1.0)
+        assert noise_left(frequency, 1.0, DopplerNoise(0.1, 0.2), 0.2)[2] > 0.98
+
+    def test_never_is_nothing_left(self) -> None:
+        left = noise_left(np.array([0.0, 1e-3]), 1.0, DopplerNoise(0.1, 0.2), 0.2)
+        np.testing.assert_array_equal(left, LEAST_LEFT)
+
+
 class TestMostProbable:
+    def test_channels_that_are_not_wanted_still_lend_a_hand(self) -> None:
+        values = corners()[0].velocity_n[:-1] + np.random.default_rng(5).normal(size=(15000, 3))
+        whole = most_probable(values, np.ones(3), DT)
+        np.testing.assert_allclose(most_probable(values, np.ones(3), DT, slice(1, 2)), whole[:, 1:2], atol=1e-12)
+
     def test_pure_noise_is_taken_for_noise(self) -> None:
         values = np.random.default_rng(1).normal(size=(15000, 3))
         assert np.std(most_probable(values, np.ones(3), DT)) < 0.15

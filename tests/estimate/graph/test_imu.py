@@ -18,7 +18,6 @@ from smoother.estimate.graph.imu import (
     dense_path,
     halved,
     interval_noise,
-    keyframe_times,
     motion_at,
     preintegrate,
 )
@@ -215,19 +214,6 @@ class TestBins:
         assert binned.n_bins == 8
         np.testing.assert_allclose(binned.edges, np.linspace(0.3, 1.1, 17))
         assert binned.dt == pytest.approx(0.05)
-
-
-class TestKeyframeTimes:
-    @pytest.mark.parametrize(("start", "end"), [(0.0, 1.0), (-0.6, 10.05), (3.0, 3.01), (5.0, 5.0)])
-    def test_they_cover_the_session_evenly_and_are_two_at_least(self, start: float, end: float) -> None:
-        t = keyframe_times(start, end, 0.2)
-        assert len(t) >= 2
-        assert t[0] == start
-        assert end - 1e-6 <= t[-1] < end + 0.2 + 1e-6
-        np.testing.assert_allclose(np.diff(t), 0.2)
-
-    def test_a_session_of_whole_intervals_gets_no_keyframe_too_many(self) -> None:
-        assert len(keyframe_times(0.1, 0.1 + 0.2 * 3000, 0.2)) == 3001
 
 
 class TestNoise:
