@@ -32,7 +32,7 @@ SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, an
 # frequencies would follow
 SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
-LEAST_LEFT = 0.1  # of the power of the samples' noise, in the path: attitude, arm and latencies err too
+LEAST_LEFT = 0.1  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 ALL = slice(None)
 
@@ -89,6 +89,7 @@ def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, int
 
     accel m/s^2/sqrt(Hz), doppler and interval as for :func:`expected_motion`. From one reading to the next, the mean of
     the acceleration is that of both sensors, weighted; within, it is as the samples say.
+    LEAST_LEFT is left of what velocities take away.
     """
     if doppler is None:
         return np.ones(len(frequency))
@@ -96,7 +97,8 @@ def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, int
     of_samples = accel**2 / T
     of_doppler = (2.0 * np.sin(np.pi * frequency * T) * doppler.sigma / T) ** 2 * (doppler.every / T)
     of_mean = of_doppler / (of_samples + of_doppler)
-    return np.asarray(np.maximum(1.0 - np.sinc(frequency * T) ** 2 * (1.0 - of_mean), LEAST_LEFT))
+    of_path = 1.0 - np.sinc(frequency * T) ** 2 * (1.0 - of_mean)
+    return np.asarray(LEAST_LEFT + (1.0 - LEAST_LEFT) * of_path)
 
 
 def most_probable(values: Array, sigma: Array, dt: float, wanted: slice = ALL) -> Array:

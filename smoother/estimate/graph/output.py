@@ -16,10 +16,12 @@ from smoother.estimate.graph.imu import (
     YAW_JERK_RATE,
     BinnedImu,
     DensePath,
+    InertialNoise,
     at_times,
     averaged,
     corrected,
     dense_path,
+    interval_noise,
     motion_at,
 )
 from smoother.estimate.graph.joint import ChainJoint
@@ -74,12 +76,14 @@ class Uncertainty:
     """What is known of the errors of K keyframes.
 
     antenna (K, 9, 9): covariance of the errors in n of the sensor's attitude, the antenna's velocity and its position;
-    biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see :func:`_track_variance`.
+    biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see :func:`_track_variance`; bend (K, 3, 3) m^2/s^2:
+    see :func:`_bend`.
     """
 
     antenna: Array
     biases: Array
     track: Array
+    bend: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +205,8 @@ class _Rows:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
         arm_s, keys = found.state.constants.lever_arm_s, _around(found.state, t)
         state = found.state.between(keys.start, keys.stop)
-        path = _path(state, binned.between(keys.start, keys.stop))
+        bins = binned.between(keys.start, keys.stop)
+        path = _path(state, bins)
         motion, rate_s = motion_at(path, t), _rate_at(path, noise, t)
         acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
         R_nb = motion.R_ns @ mounting.R_bs.T
@@ -210,8 +215,10 @@ class _Rows:
         self.R_nb[part] = R_nb
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, acceleration_n)
         self.angular_rate_b[part] = rate_s @ mounting.R_bs.T
-        covariance, track = keyframes.covariance[keys], found.uncertainty.track[keys]
-        for name, values in _sigmas(t, state.t, covariance, track, R_nb, motion.velocity_n).items():
+        known = found.uncertainty
+        bend = known.bend[keys] + _between_samples(bins, noise.inertial, state.R_ns)
+        covariance, track = keyframes.covariance[keys], known.track[keys]
+        for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
             self.sigmas[name][part] = values
 
     def trajectory(self, t: Array, report: EstimateReport, joint: JointPosition | None) -> Trajectory:
@@ -264,7 +271,7 @@ def uncertainty_of(solved: Solved) -> Uncertainty:
         antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
         antenna[part] += cross + cross.transpose(0, 2, 1)
     sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
-    return Uncertainty(antenna, sigma, _track_variance(state, solved.solution))
+    return Uncertainty(antenna, sigma, _track_variance(state, solved.solution), _bend(state, solved.solution))
 
 
 def _turning(state: ChainState) -> Array:
@@ -331,10 +338,13 @@ def _widen(keyframes: Keyframes, swing: Array) -> None:
         release(keyframes)
 
 
-def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, velocity_n: Array) -> dict[str, Array]:
+def _sigmas(
+    t: Array, at: Array, covariance: Array, track: Array, bend: Array, R_nb: Array, velocity_n: Array
+) -> dict[str, Array]:
     """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
 
-    covariance (K, 9, 9) and track (K, 2) m^2 of the keyframes; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
+    covariance (K, 9, 9) and track (K, 2) m^2 of the keyframes; bend (K, 3, 3), by which the covariance of velocity is
+    greater halfway to the next one than between both; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
     i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
     later = (t - at[i]) / (at[i + 1] - at[i])
@@ -345,11 +355,18 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
         share = later.reshape(-1, *[1] * (before.ndim - 1))
         return np.asarray(before + share * (values[i + 1] - before))
 
-    diagonal = np.maximum(between(np.einsum("kii->ki", covariance)[:, 3:9]), 0.0)
+    bent = 4.0 * later * (1.0 - later)
+    diagonal = between(np.einsum("kii->ki", covariance)[:, 3:9])
+    diagonal[:, 0:3] += bent[:, None] * np.einsum("kii->ki", bend)[i]
+    diagonal = np.maximum(diagonal, 0.0)
     by_turn = euler_jacobian(R_nb) @ R_nb.transpose(0, 2, 1)
     attitude = np.einsum("nri,nri->nr", by_turn @ between(covariance[:, 0:3, 0:3]), by_turn)
     x, y = (velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]).T
-    speed = x**2 * diagonal[:, 0] + y**2 * diagonal[:, 1] + 2.0 * x * y * between(covariance[:, 3, 4])
+    speed = (
+        x**2 * diagonal[:, 0]
+        + y**2 * diagonal[:, 1]
+        + 2.0 * x * y * (between(covariance[:, 3, 4]) + bent * bend[i, 0, 1])
+    )
     alone = (1.0 - later) ** 2 * track[i, 0] + later**2 * track[i + 1, 0]
     variance = alone + 2.0 * later * (1.0 - later) * track[i, 1]
     return {
@@ -359,6 +376,38 @@ def _sigmas(t: Array, at: Array, covariance: Array, track: Array, R_nb: Array, v
         "attitude": np.sqrt(np.maximum(attitude, 0.0)),
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
+
+
+def _bend(state: ChainState, solution: ChainSolution) -> Array:
+    """Covariance (K, 3, 3) m^2/s^2 of the cubic's velocity halfway to the next keyframe, less the mean of both ends'.
+
+    Where Doppler holds the keyframes more tightly than the samples hold the way from one to the next, the velocity is
+    better known at them than between: with what the samples' noise adds there (:func:`_between_samples`). Where the
+    samples are good both cancel out. What the antenna's swing is unsure by changes slowly and is left out.
+    """
+    moved, T = slice(TRANSLATION.start, VELOCITY.stop), state.interval
+    halfway = np.zeros((len(state.t), 3, 6))
+    halfway[:, :, :3], halfway[:, :, 3:] = 1.5 / T * state.R_ns, -0.25 * np.eye(3)
+    before = halfway[:-1] * np.repeat([-1.0, 1.0], 3)
+    own, cross = solution.covariance[:, moved, moved], solution.cross[:, moved, moved]
+    after_t = halfway[1:].transpose(0, 2, 1)
+    with_next = before @ cross @ after_t
+    bend = before @ own[:-1] @ before.transpose(0, 2, 1) + halfway[1:] @ own[1:] @ after_t
+    bend += with_next + with_next.transpose(0, 2, 1) - 0.5 * (own[:-1, 3:, 3:] + own[1:, 3:, 3:])
+    return np.concatenate([bend, bend[-1:]])
+
+
+def _between_samples(binned: BinnedImu, noise: InertialNoise, R_ns: Array) -> Array:
+    """Covariance (K, 3, 3) m^2/s^2 of velocity halfway to the next keyframe, given position and velocity of both.
+
+    White force of density q between two ends that are known leaves q^2 T / 16. Source: the conditional covariance of
+    integrated white noise, Q(T/2) - Q(T/2) Phi' Q(T)^-1 Phi Q(T/2).
+    """
+    density, _ = interval_noise(binned, noise)
+    variance = density**2 * np.diff(binned.t) / 16.0
+    shape_n = R_ns[:-1] @ np.array(noise.accel_shape) @ R_ns[:-1].transpose(0, 2, 1)
+    inside = variance[:, None, None] * shape_n
+    return np.concatenate([inside, inside[-1:]])
 
 
 def _track_variance(state: ChainState, solution: ChainSolution) -> Array:

@@ -27,8 +27,8 @@ from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainS
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import Problem, Session
 
-WELL_KNOWN = 0.2  # of a sigma, which further steps would still move by; it adds 2 % to the error
-CONSTANTS_WELL_KNOWN = 0.4  # likewise of the constants
+WELL_KNOWN = 0.15  # of a sigma, which further steps would still move by; it adds 1 % to the error
+CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read

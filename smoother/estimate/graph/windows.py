@@ -72,7 +72,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
     n, pieces = len(start.state.t), []
-    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)))
+    whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)), roomy((n, 3, 3)))
     for i, (first, last) in enumerate(pairwise(edges)):
         piece, known = _solve_piece(session, start, first, last, noise, held, options)
         pieces.append(piece)
@@ -102,7 +102,7 @@ def _solve_piece(
     solved = batch.step(graph, state, noise, held=held)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved)
-    known = Uncertainty(known.antenna[core], known.biases[core], known.track[core])
+    known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 
 

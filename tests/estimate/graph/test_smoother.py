@@ -421,6 +421,27 @@ class TestKart:
         # a session of two minutes holds some twenty independent errors: its rms is known to a fifth
         assert 0.6 < np.sqrt(np.mean(normalised**2)) < 1.6
 
+    def test_keyframes_lie_where_the_receiver_felt_its_velocities(self) -> None:
+        s, felt = kart(), kart().simulation.gnss.velocity_time
+        keyframes = s.trajectory.report.keyframes
+        assert keyframes is not None
+        away = np.min(np.abs(felt[:, None] - keyframes.t), axis=1)
+        assert np.ptp(away) < 1e-4  # none drifts away from them
+        # the latency is found from a part of the session, to 4 ms; keyframes are 200 ms apart
+        assert np.max(away) < 0.01
+
+    def test_velocity_is_known_as_well_as_its_sigma_says_between_keyframes_as_at_them(self) -> None:
+        """Samples so noisy that velocities tell more: what is between two of them, only the samples tell."""
+        s = smoothed(simulate_preset("kart", 1, duration=150.0, imu_accel_noise=0.9, imu_gyro_noise=0.04))
+        trajectory, keyframes = s.trajectory, s.trajectory.report.keyframes
+        assert trajectory.sigmas is not None
+        assert keyframes is not None
+        place = (trajectory.t - keyframes.t[0]) / np.diff(keyframes.t).mean() % 1.0
+        driving, normalised = trajectory.t > 20.0, s.velocity_error_n / trajectory.sigmas.velocity_n
+        beside, between = np.minimum(place, 1.0 - place) < 0.1, np.abs(place - 0.5) < 0.1
+        rms = [np.sqrt(np.mean(normalised[driving & where] ** 2)) for where in (beside, between)]
+        assert rms[1] / rms[0] == pytest.approx(1.0, abs=0.15)
+
 
 def shaken(session: Session, push: np.ndarray) -> Session:
     """The session as if an engine of 31 Hz shook it, whose vibration's power swells and fades, and pushes by as much.

@@ -1,0 +1,54 @@
+"""What is known between keyframes, against what their joint covariance and the noise of the samples say."""
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise
+from smoother.estimate.graph.output import _bend, _between_samples
+from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
+
+K, T = 4, 0.2
+TIMES = np.linspace(0.0, (K - 1) * T, K)
+MOVED = slice(TRANSLATION.start, VELOCITY.stop)
+
+
+def chain(R_ns: Array) -> ChainState:
+    at_rest = np.zeros((K, 3))
+    return ChainState(TIMES, R_ns, at_rest, at_rest, at_rest, at_rest, at_rest, Constants(0.0, 0.0, at_rest[0]))
+
+
+def test_between_two_known_ends_velocity_is_unsure_by_the_integral_of_the_noise() -> None:
+    rng = np.random.default_rng(3)
+    R_ns, shape = so3.exp(rng.normal(size=(K, 3))), ((0.5, 0.0, 0.0), (0.0, 1.0, 0.2), (0.0, 0.2, 1.5))
+    steps = 2000  # of white force, from one keyframe to the next
+    dt = T / steps
+    velocity = dt * np.tri(steps)  # at the end of each step, of the force in each
+    position = dt * np.tri(steps) @ velocity
+    ends, halfway = np.stack([velocity[-1], position[-1]]), velocity[steps // 2 - 1]
+    left = halfway - halfway @ ends.T @ np.linalg.solve(ends @ ends.T, ends)
+    no, density = np.zeros((K - 1, 1, 3)), 0.7
+    binned = BinnedImu(TIMES, T, no, no, np.zeros(K - 1))
+    noise = InertialNoise(density, 1.0, 0.0, 0.0, accel_shape=shape)
+    want = density**2 / dt * (left @ left) * R_ns[:-1] @ np.array(shape) @ R_ns[:-1].transpose(0, 2, 1)
+    np.testing.assert_allclose(_between_samples(binned, noise, R_ns)[:-1], want, atol=5e-3 * want.max())
+
+
+def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> None:
+    rng = np.random.default_rng(4)
+    R_ns = so3.exp(rng.normal(size=(K, 3)))
+    root = rng.normal(size=(K * KEYFRAME_SIZE, 2 * K * KEYFRAME_SIZE)) * 1e-2
+    root.reshape(K, KEYFRAME_SIZE, -1)[:, TRANSLATION] *= 0.1 * T  # or velocities would not matter beside positions
+    joint = (root @ root.T).reshape(K, KEYFRAME_SIZE, K, KEYFRAME_SIZE)
+    k, m = np.arange(K), CONSTANTS_SIZE
+    own, cross = joint[k, :, k], joint[k[:-1], :, k[1:]]
+    no = np.zeros((K, KEYFRAME_SIZE))
+    solution = ChainSolution(no, np.zeros(m), own, cross, np.eye(m), np.zeros((K, KEYFRAME_SIZE, m)), 0.0)
+    errors = (root @ rng.normal(size=(root.shape[1], 200_000))).reshape(K, KEYFRAME_SIZE, -1)
+    position, velocity = R_ns @ errors[:, TRANSLATION], errors[:, VELOCITY]
+    halfway = 1.5 / T * (position[1:] - position[:-1]) - 0.25 * (velocity[1:] + velocity[:-1])
+    bend = _bend(chain(R_ns), solution)
+    for i in range(K - 1):
+        want = np.cov(halfway[i]) - 0.5 * (np.cov(velocity[i]) + np.cov(velocity[i + 1]))
+        np.testing.assert_allclose(bend[i], want, atol=0.02 * np.abs(want).max())
