@@ -15,6 +15,7 @@ from smoother.estimate.graph import batch, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
+from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
@@ -123,6 +124,14 @@ def _as_round(*_: Any) -> Shape:
     return ROUND
 
 
+def _wherever(begin: float, end: float, interval: float, _: Array | None = None) -> Array:
+    return keyframe_times(begin, end, interval)
+
+
+def _all_left(*_: Any) -> None:
+    return None
+
+
 def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetModel:
     return usual
 
@@ -198,6 +207,8 @@ EFFECTS = (
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
+    Effect("what Doppler takes of the samples' noise", patches=((batch, "_doppler", _all_left),)),
+    Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
     Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
     Effect("noise of each direction its own", patches=((batch, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),

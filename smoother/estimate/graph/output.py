@@ -29,6 +29,7 @@ from smoother.estimate.graph.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
+    ACCEL_ERROR,
     CONSTANTS_SIZE,
     GYRO_BIAS,
     KEYFRAME_SIZE,
@@ -54,10 +55,8 @@ from smoother.trajectory import (
     Sigmas,
     Trajectory,
 )
-from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
-AXES_SIGMA = 0.5 * DEG  # by which the axes of a sensor of this class are askew in its own case, which no drive can show
 MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
@@ -486,10 +485,12 @@ def _identified(
     )
     stated = config.mounting.R_bs is not None
     common = np.diag(mounting.R_bs @ found.common_attitude @ mounting.R_bs.T)
+    # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
+    askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
     source = "configured" if stated else "identified" if mounting.is_observable else "default"
     out["R_bs"] = Identified(
         mounting.R_bs.tolist(),
-        None if stated else np.sqrt(mounting.sigma**2 + AXES_SIGMA**2 + common).tolist(),
+        None if stated else np.sqrt(mounting.sigma**2 + askew**2 + common).tolist(),
         "1 (sigma: rad)",
         mounting.is_observable,
         source,

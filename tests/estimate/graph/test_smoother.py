@@ -181,7 +181,7 @@ class TestOutput:
         assert keyframes is not None
         own = np.sqrt(np.einsum("kii->ki", keyframes.covariance[:, 0:3, 0:3]))
         assert np.all(own[0] > 10.0 * DEG)
-        # half a degree are the sensor's axes in their case; a share of the first keyframe's would double the variance,
+        # a tenth of a degree and less are those of others; a share of the first keyframe's would double the variance,
         # and be taken off the attitude of all rows, since the fit of the mounting would seem to take it out of them
         assert isinstance(mounting.sigma, list)
         assert max(mounting.sigma) < 0.6 * DEG
@@ -238,6 +238,21 @@ class TestIdentified:
         np.testing.assert_allclose(found["lever_arm_b"].value[:2], scenario.lever_arm_b[:2], atol=0.15)
         turn = so3.log(np.array(found["R_bs"].value) @ scenario.R_bs.T)
         assert np.linalg.norm(turn) < 2.0 * DEG
+
+    @pytest.mark.parametrize("askew", [0.0, 0.02])
+    def test_the_mounting_is_as_unsure_as_the_axes_are_askew(self, askew: float) -> None:
+        # by how much all axes of a sensor are turned in its case no drive can show; that they are out of square, it can
+        signs, normalised = np.random.default_rng(0), []
+        for seed in (3, 4, 5):
+            crooked = [np.eye(3) + askew * signs.choice([-1.0, 1.0], (3, 3)) for _ in range(2)]
+            simulation = simulate_preset(
+                "kart", seed, duration=120.0, imu_accel_matrix=crooked[0], imu_gyro_matrix=crooked[1]
+            )
+            mounting = GraphSmoother().estimate(prepare(simulation.raw)).report.identified["R_bs"]
+            sigma, turn = np.array(mounting.sigma), np.array(mounting.value) @ simulation.scenario.R_bs.T
+            assert np.all((sigma > 0.9 * DEG) if askew else (sigma < 0.65 * DEG))
+            normalised.append(so3.log(turn) / sigma)
+        assert 0.4 < np.sqrt(np.mean(np.square(normalised))) < 1.5  # nine angles
 
     def test_what_was_stated_is_kept_and_called_configured(self) -> None:
         simulation = simulate_preset("kart", 3, duration=60.0)
