@@ -7,12 +7,16 @@ code 0; 1 if a budget is exceeded or the build fails; 2 if a tool or FatFs canno
 """
 
 import argparse
+import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
 import tarfile
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,7 +105,21 @@ def find_tool(tool: str) -> str | None:
 
 def find_tools(tools: tuple[str, ...] = TO_BUILD) -> None:
     """See to it that programs are there, by installing their Debian packages if need be."""
-    missing = [tool for tool in tools if find_tool(tool) is None]
+    if any(find_tool(tool) is None for tool in tools):
+        with _alone_installing():
+            _install_missing(tools)
+
+
+@contextlib.contextmanager
+def _alone_installing() -> Iterator[None]:
+    """Wait for other processes that install: apt lets one at a time, and refuses the second."""
+    with (Path(tempfile.gettempdir()) / f"kart-smoother-installs-{os.geteuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _install_missing(tools: tuple[str, ...]) -> None:
+    missing = [tool for tool in tools if find_tool(tool) is None]  # another process may have seen to it meanwhile
     if not missing:
         return
     packages = [package for tool in missing for package in DEBIAN_PACKAGES[tool]]

@@ -1,6 +1,7 @@
 """The image for the board: it builds, keeps its budget, and its registers agree with the maker's device description."""
 
 import fcntl
+import os
 import re
 import struct
 import subprocess
@@ -210,6 +211,32 @@ def test_memory_agrees(device):
         start, kilobytes = re.search(region + r" \(\w+\)\s*: ORIGIN = (\w+), LENGTH = (\d+)K", script).groups()
         assert int(start, 16) == int(memory[name].get("start"), 16)
         assert int(kilobytes) * 1024 == int(memory[name].get("size")) == limit
+
+
+# ---- what it is built with ----
+
+
+def test_two_processes_that_miss_a_tool_do_not_install_at_once(tmp_path):
+    """As test processes do on a bare machine: apt refuses while another installs, and the tool counts as missing."""
+    programs = {
+        "apt-get": f"""mkdir {tmp_path}/busy 2>/dev/null || exit 100
+sleep 0.5
+printf '#!/bin/sh\\n' > {tmp_path}/cppcheck && chmod +x {tmp_path}/cppcheck
+echo "$@" >> {tmp_path}/calls
+rmdir {tmp_path}/busy
+""",
+        "sudo": 'shift\nexec "$@"\n',
+    }
+    for name, lines in programs.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{lines}")
+        (tmp_path / name).chmod(0o755)
+    ask = "import sys, build; build.find_tool = lambda tool: build.shutil.which(tool, path=sys.argv[1]);"
+    ask += "build.find_tools(('cppcheck',))"
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    command = [sys.executable, "-c", ask, str(tmp_path)]
+    both = [subprocess.Popen(command, cwd=FIRMWARE, env=environment) for _ in range(2)]
+    assert [process.wait(timeout=60) for process in both] == [0, 0]
+    assert len((tmp_path / "calls").read_text().splitlines()) == 1
 
 
 # ---- the source ----
