@@ -4,9 +4,10 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise
-from smoother.estimate.graph.output import _bend, _between_samples
+from smoother.estimate.graph.output import _bend, _between_samples, _bridge
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
 
 K, T = 4, 0.2
@@ -51,3 +52,29 @@ def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> 
     for i in range(K - 1):
         middle, first, second = (x @ x.T for x in (halfway[i], velocity[i], velocity[i + 1]))
         np.testing.assert_allclose(bend[i], middle - 0.5 * (first + second), rtol=1e-9, atol=1e-12)
+
+
+def test_the_line_is_unsure_by_the_walk_of_the_offset_but_for_what_a_fix_tells_of_it() -> None:
+    rng, n, sigma, tau, white, before = np.random.default_rng(5), 400_000, 2.0, 60.0, 0.2, 0.15
+    phi = np.exp(-0.5 * T / tau)  # to the middle of the interval, and on
+    start = sigma * rng.normal(size=n)
+    middle = phi * start + sigma * np.sqrt(1.0 - phi**2) * rng.normal(size=n)
+    end = phi * middle + sigma * np.sqrt(1.0 - phi**2) * rng.normal(size=n)
+    walked = middle - 0.5 * (start + end)
+    noise_of_fix = white**2 + np.var(walked)  # all of it, as it is found from residuals
+    gain = before**2 / (before**2 + noise_of_fix)
+    error = before * rng.normal(size=n)  # of the line, that of the graph, before the fix
+    seen = walked + white * rng.normal(size=n)
+    after = error + gain * (seen - error)
+    line = (1.0 - gain) * before**2
+    noise = Noise(
+        InertialNoise(0.5, 0.01, 0.0, 0.0),
+        np.full(3, np.sqrt(noise_of_fix)),
+        np.full(3, 0.1),
+        np.full(3, sigma),
+        tau,
+        np.zeros(3),
+    )
+    want = np.var(after - walked) - line
+    np.testing.assert_allclose(_bridge(np.array([line]), noise, T), want, rtol=0.05)
+    assert want < 0.8 * np.var(walked)
