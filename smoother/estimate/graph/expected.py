@@ -7,9 +7,12 @@ probable given both sensors, though. On a track the yaw rate is nearly lateral a
 latency are told apart only by where it is not; filtered one by one, each would miss something that the other one knows,
 and the fit would take that for the difference.
 
-They must not lead or lag the samples either. The nose turns in before the path does, so the best guess of the yaw rate
-would contain the slope of the acceleration; of noise in the velocities that is the second derivative, which goes with
-what the fit leaves of it and would look like an arm. Gains without a phase leave such noise out of phase with the rest.
+They must not lead or lag the samples either. The best guess at each frequency by itself would contain as much of the
+slope of the acceleration as it likes; of noise in the velocities that is the second derivative, which goes with what
+the fit leaves of it and would look like an arm. Gains without a phase leave such noise out of phase with the rest. But
+the nose turns in before the path does, by some hundredths of a second: a yaw rate that gains in phase with the
+acceleration lags by as much as it has of it, and what tells arm and latency apart is lost. So both are brought together
+by the one time that the yaw rate is ahead, which is found from all turns, and the yaw rate is put back to its own.
 
 The path is better than the samples: below some hertz Doppler has taken most of their noise out of its acceleration.
 What is left of it is no part of what the fit reads, the residuals of Doppler against that path (the error of a weighted
@@ -33,6 +36,8 @@ SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, an
 SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_LEFT = 0.1  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
+QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are noisy
+MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 ALL = slice(None)
 
@@ -74,14 +79,40 @@ def expected_motion(
     dt = float(path.t[1] - path.t[0])
     sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt)
     values = np.column_stack([acceleration_b[:, :2], turning])
-    left_over = np.ones((len(values) // 2 + 1, 3))
     frequency = np.asarray(np.fft.rfftfreq(len(values), dt))
+    left_over = np.ones((len(frequency), 3))
     left_over[:, :2] = noise_left(frequency, noise.accel, doppler, interval)[:, None]
+    lead = turning_lead(values[:, 1:], dt)
+    values[:, 2] = _later(values[:, 2], lead, dt)
     acceleration_b[:, :2] = most_probable(values, sigma * np.sqrt(left_over), dt, slice(0, 2))
-    turn_rate = most_probable(values, sigma, dt, slice(2, 3))[:, 0] / speed
+    turn_rate = _later(most_probable(values, sigma, dt, slice(2, 3))[:, 0], -lead, dt) / speed
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
     return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
+
+
+def turning_lead(values: Array, dt: float) -> float:
+    """Time, s, that a turn is ahead of the lateral acceleration that it makes, values (N, 2) of acceleration and turn.
+
+    The phase between both grows with frequency; its slope, weighted by what they share.
+    """
+    if not np.all(np.isfinite(values)):
+        return 0.0
+    angular = 2.0 * np.pi * np.fft.rfftfreq(len(values), dt)
+    use = (angular > 2.0 * np.pi * SLOWEST_NOISE) & (angular < 2.0 * np.pi * QUICKEST_TURN)
+    acceleration, turn = np.fft.rfft(values - values.mean(axis=0), axis=0)[use].T
+    shared, angular = acceleration.conj() * turn, angular[use]
+    weight = float(np.sum(angular**2 * shared.real))
+    found = float(np.sum(angular * shared.imag)) / weight if weight > 0.0 else 0.0
+    return found if abs(found) < MOST_LEAD else 0.0
+
+
+def _later(values: Array, by: float, dt: float) -> Array:
+    """Values (N,), dt s apart, `by` s later."""
+    if by == 0.0:
+        return values
+    turned = np.exp(-2j * np.pi * np.fft.rfftfreq(len(values), dt) * by)
+    return np.asarray(np.fft.irfft(np.fft.rfft(values) * turned, len(values)))
 
 
 def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, interval: float) -> Array:

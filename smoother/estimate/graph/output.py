@@ -413,8 +413,8 @@ def _between_samples(binned: BinnedImu, noise: InertialNoise, R_ns: Array) -> Ar
 def _bridge(line: Array, noise: Noise, interval: float) -> Array:
     """What the offset does halfway between two keyframes adds to the variance `line` (K,) of the line at them, m^2.
 
-    The offset walks on between keyframes, where the graph has its mean, and takes the walk for noise of the fixes. A fix
-    draws the line to it by line over noise, which is so much less to be wrong by. Source: Brownian bridge, of the
+    The offset walks on between keyframes, where the graph has its mean, and takes the walk for noise of the fixes. A
+    fix draws the line to it by line over noise, which is so much less to be wrong by. Source: Brownian bridge, of the
     density of a first-order Gauss-Markov process over times that are short beside its own.
     """
     walk = float(np.mean(noise.offset_sigma[:2] ** 2)) * 0.5 * interval / noise.offset_tau

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smoother import so3
 from smoother.estimate.graph.expected import (
     LEAST_LEFT,
     DopplerNoise,
@@ -12,6 +13,7 @@ from smoother.estimate.graph.expected import (
     expected_motion,
     most_probable,
     noise_left,
+    turning_lead,
 )
 from smoother.estimate.graph.imu import DensePath, InertialNoise
 from smoother.fit.running import gaussian_mean
@@ -120,6 +122,24 @@ class TestExpectedMotion:
         assert abs(plain_arm - ARM) > 0.3 * ARM
         assert abs(alone_arm - ARM) > 2.0 * abs(arm - ARM)
 
+    def test_the_yaw_rate_of_a_nose_that_turns_in_before_the_path_keeps_its_time(self) -> None:
+        ahead = 0.1  # s
+        speed, _ = driven(T)
+        yaw, course = (np.concatenate([[0.0], np.cumsum(driven(MIDDLE + early)[1] * DT)]) for early in (ahead, 0.0))
+        velocity = speed[:, None] * np.stack([np.cos(course), np.sin(course), 0.0 * T], axis=1)
+        path, _ = corners()
+        rate = np.diff(yaw) / DT
+        path = replace(
+            path,
+            R_ns=so3.exp(yaw[:, None] * [0.0, 0.0, 1.0]),
+            velocity_n=velocity,
+            acceleration_n=np.diff(velocity, axis=0) / DT,
+            angular_rate_s=rate[:, None] * [0.0, 0.0, 1.0],
+        )
+        found = middles(expected(noisy(path, NOISE), np.eye(3), NOISE))[1]
+        slope = np.gradient(rate, DT)
+        assert abs(float((found - rate) @ slope / (slope @ slope))) < 0.05 * ahead
+
     def test_a_path_that_doppler_has_held_is_freed_of_what_noise_is_left_in_it_and_no_more(self) -> None:
         """With samples as bad as a real kart's, white noise for all would take a good part of the motion with it."""
         path, _ = corners()
@@ -225,3 +245,19 @@ class TestMostProbable:
         left = most_probable(values, np.array([1.0, 5.0]), DT)[:, 1] - motion[lead:]
         # 1 / sqrt(n) is 0.008, and neighbours are alike
         assert abs(np.corrcoef(left, disturbed[1:] + disturbed[:-1])[0, 1]) < 0.05
+
+
+class TestTurningLead:
+    def test_the_time_is_found_in_noise(self) -> None:
+        rng, n, lead = np.random.default_rng(6), 15000, 3
+        motion = gaussian_mean(rng.normal(size=(n + lead, 1)), 8.0)[:, 0]
+        motion *= 6.0 / np.std(motion)
+        values = np.column_stack([motion[:n], motion[lead:]]) + 3.0 * rng.normal(size=(n, 2))
+        assert turning_lead(values, DT) == pytest.approx(lead * DT, abs=0.01)
+        assert turning_lead(values[:, ::-1], DT) == pytest.approx(-lead * DT, abs=0.01)
+
+    def test_where_nothing_is_shared_there_is_none(self) -> None:
+        turns = np.sin(0.7 * MIDDLE)
+        assert turning_lead(np.column_stack([turns, -turns]), DT) == 0.0
+        assert turning_lead(np.column_stack([turns, np.full_like(turns, np.nan)]), DT) == 0.0
+        assert turning_lead(np.zeros((100, 2)), DT) == 0.0
