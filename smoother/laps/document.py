@@ -11,7 +11,8 @@ from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
 from smoother.units import DEG
 
-TIME_DIGITS, SIGMA_DIGITS, DIGITS = 4, 4, 3
+# times have more digits than are shown: rounded twice, a lap would be a thousandth off the best lap that it is
+TIME_DIGITS, SIGMA_DIGITS, DIGITS = 6, 4, 3
 Document = dict[str, Any]
 
 

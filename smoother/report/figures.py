@@ -245,18 +245,21 @@ def sigma(shown: Shown) -> Figure | None:
     figure = _figure(f"How sure the smoother is (one sigma): {shown.heading}", 12.0, 8.0)
     t = shown.smoothed.t - shown.start
     horizontal = np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])
-    # a keyframe is surer than what lies between two, five times a second: lines would look like a band
-    track = style.running_median(shown.smoothed.t, sigmas.track, seconds=TYPICAL_OVER)
+
+    def typical(values: Array) -> Array:
+        """A keyframe is surer than what lies between two, five times a second: lines would look like a band."""
+        return style.running_median(shown.smoothed.t, values, seconds=TYPICAL_OVER)
+
     groups = {
         "position (m)": {
             "horizontal": horizontal,
             "up": sigmas.position_n[:, 2],
-            f"line on the track (median over {TYPICAL_OVER:g} s)": track,
+            f"line on the track (median over {TYPICAL_OVER:g} s)": typical(sigmas.track),
         },
-        "velocity (km/h)": {
-            "speed": sigmas.speed / KMH,
-            "north": sigmas.velocity_n[:, 0] / KMH,
-            "west": sigmas.velocity_n[:, 1] / KMH,
+        f"velocity (km/h),\nmedian over {TYPICAL_OVER:g} s": {
+            "speed": typical(sigmas.speed / KMH),
+            "north": typical(sigmas.velocity_n[:, 0] / KMH),
+            "west": typical(sigmas.velocity_n[:, 1] / KMH),
         },
         "attitude (deg)": dict(zip(("roll", "pitch", "yaw"), sigmas.attitude.T / DEG, strict=True)),
     }

@@ -343,8 +343,9 @@ def _sigmas(
 ) -> dict[str, Array]:
     """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
 
-    covariance (K, 9, 9) and track (K, 2) m^2 of the keyframes; bend (K, 3, 3), by which the covariance of velocity is
-    greater halfway to the next one than between both; R_nb (n, 3, 3) and velocity_n (n, 3) at t.
+    covariance (K, 9, 9) of the keyframes; track (K, 3) m^2, columns of :func:`_track_variance` and :func:`_bridge`;
+    bend (K, 3, 3), by which the covariance of velocity is greater halfway to the next keyframe than between both;
+    R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
     i = np.clip(np.searchsorted(at, t) - 1, 0, len(at) - 2)
     later = (t - at[i]) / (at[i + 1] - at[i])
