@@ -14,6 +14,7 @@ from smoother.arrays import Array
 from smoother.cli.lap_stage import analyse_rows, analysed_rows, lap_columns
 from smoother.frames import Origin
 from smoother.laps.analysis import LapOptions, analyse, reference_lap_of
+from smoother.laps.clock import lap_clock
 from smoother.laps.delta import zones
 from smoother.laps.document import analysis_document, lap_rows, lap_table
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
@@ -313,3 +314,10 @@ def test_the_document_is_strict_json_with_the_laps_of_the_table(found: LapAnalys
     assert document["laps"][0]["lap_time_s"] is None
     assert document["statistics"]["best_lap"] in [lap["lap"] for lap in document["laps"]]
     assert len(document["corners"]) == len(found.corners)
+
+
+def test_a_lap_is_shown_with_the_time_of_the_best_lap_that_it_is(found: LapAnalysis) -> None:
+    """Rounded to a digit more than is shown, one time in twenty would be another thousandth."""
+    for time in (52.79152, 52.79148, 61.00049):
+        laps = lap_rows(replace(found, laps=[replace(lap, time=time) for lap in found.laps]))
+        assert {lap_clock(lap["lap_time_s"]) for lap in laps} == {lap_clock(time)}
