@@ -7,6 +7,9 @@ probable given both sensors, though. On a track the yaw rate is nearly lateral a
 latency are told apart only by where it is not; filtered one by one, each would miss something that the other one knows,
 and the fit would take that for the difference.
 
+How noisy a gyro is where a kart turns is told best by what it shows where no kart does: engines that the samples alias
+are not in the noise that was identified, and differ from axis to axis.
+
 They must not lead or lag the samples either. The best guess at each frequency by itself would contain as much of the
 slope of the acceleration as it likes; of noise in the velocities that is the second derivative, which goes with what
 the fit leaves of it and would look like an arm. Gains without a phase leave such noise out of phase with the rest. But
@@ -23,6 +26,7 @@ arm and the latencies it would then be believed.
 Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +39,9 @@ SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, an
 # frequencies would follow
 SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
-LEAST_LEFT = 0.1  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
+LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
 QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are noisy
+NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 ALL = slice(None)
@@ -78,6 +83,7 @@ def expected_motion(
     turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
     dt = float(path.t[1] - path.t[0])
     sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt)
+    sigma[2] = max(sigma[2], quick_scatter(turning, dt))
     values = np.column_stack([acceleration_b[:, :2], turning])
     frequency = np.asarray(np.fft.rfftfreq(len(values), dt))
     left_over = np.ones((len(frequency), 3))
@@ -89,6 +95,18 @@ def expected_motion(
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
     return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
+
+
+def quick_scatter(turning: Array, dt: float) -> float:
+    """Standard deviation of white noise with the mean power that `turning` (N,), dt s apart, has from NO_TURN on.
+
+    0 where they do not show that. Tapered, lest the step from the end to the beginning count.
+    """
+    quick = np.fft.rfftfreq(len(turning), dt) >= NO_TURN
+    taper = np.hanning(len(turning) + 2)[1:-1]
+    if not (np.any(quick) and np.all(np.isfinite(turning))):
+        return 0.0
+    return math.sqrt(float(np.mean(np.abs(np.fft.rfft(turning * taper)[quick]) ** 2) / (taper @ taper)))
 
 
 def turning_lead(values: Array, dt: float) -> float:
