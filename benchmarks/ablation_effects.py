@@ -11,7 +11,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.config import ImuNoise
 from smoother.estimate.gnss_offset import OffsetModel
-from smoother.estimate.graph import batch, imu, rows, smoother, start
+from smoother.estimate.graph import batch, expected, imu, rows, smoother, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
@@ -132,6 +132,10 @@ def _all_left(*_: Any) -> None:
     return None
 
 
+def _nothing_quick(_: Array, __: float) -> float:
+    return 0.0
+
+
 def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetModel:
     return usual
 
@@ -208,6 +212,7 @@ EFFECTS = (
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
     Effect("what Doppler takes of the samples' noise", patches=((batch, "_doppler", _all_left),)),
+    Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
     Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
     Effect("noise of each direction its own", patches=((batch, "_shape", _as_round),)),
