@@ -57,7 +57,7 @@ def licence(name: str) -> str:
     """What an installed package says of its licence. Raises PackageNotFoundError."""
     told = metadata.metadata(name)
     # told["..."] of a field that is not there is None or a KeyError, by the version of importlib_metadata
-    lines = (told.get_all("License-Expression") or told.get_all("License") or [""])[0].split("\n")
+    lines: list[str] = (told.get_all("License-Expression") or told.get_all("License") or [""])[0].split("\n")
     if len(lines) == 1 and 0 < len(lines[0]) <= SHORT:
         return lines[0]
     classifiers = [row.rpartition(" :: ")[2] for row in told.get_all("Classifier", []) if row.startswith("License ::")]

@@ -154,7 +154,7 @@ def check(place: Place, wheel: Path, seconds: float, tests: list[str]) -> bool:
             if tests:
                 # the program, not `python -m`: the folder it runs in is not to be imported from; and what is old may
                 # warn about what is new
-                pytest = [programs / "pytest", "-o", "filterwarnings=default", *tests]
+                pytest: list[str | Path] = [programs / "pytest", "-o", "filterwarnings=default", *tests]
                 told += "; " + run(pytest, ROOT).strip().splitlines()[-1]
         except CheckError as error:
             print(f"Python {version}, {place.bounds}: FAILED\n{error}", flush=True)

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from ablation_effects import EFFECTS, FULL
 from scipy.stats import t as student
+
+from ablation_effects import EFFECTS, FULL
 
 CHANCE = 200  # once in so many: of the some hundred cells of all tables, two are bold by chance
 WORTH_A_WORD = 0.02  # of the logarithm of an error

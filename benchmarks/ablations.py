@@ -27,12 +27,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before nu
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+
 from ablation_effects import BY_NAME, EFFECTS, FULL, Effect
 from ablation_tables import HORIZONTAL, SIGMAS, Key, Result, report
 from scoring import SCORED_RATE, Case, cases, compare, normalised_errors, recorded, rms_errors
-from thinning import DATA, read_estimate, scored, thin
-from twins import differ, twin_sessions
-
 from smoother.estimate.resample import position_at
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
@@ -41,6 +39,8 @@ from smoother.session.load import load_raw
 from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
+from thinning import DATA, read_estimate, scored, thin
+from twins import differ, twin_sessions
 
 BLOCKS = 8  # of a recording, in place of seeds
 RECORDINGS = ("kart_adria_first_half", "kart_lignano_racebox")

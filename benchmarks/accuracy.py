@@ -21,8 +21,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.stats import chi2
-from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, recorded, score
 
+from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, recorded, score
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 
 HEADINGS = ("vel m/s", "1 s m", "roll deg", "pitch deg", "yaw deg")

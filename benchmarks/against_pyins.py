@@ -31,8 +31,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pandas as pd
 from pyins import filters, inertial_sensor, measurements, strapdown, transform
-from scoring import SCORED_RATE, Case, cases, compare, effective_density, recorded, rms_errors
 
+from scoring import SCORED_RATE, Case, cases, compare, effective_density, recorded, rms_errors
 from smoother.arrays import Array
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import geodetic_to_nwu, nwu_to_geodetic
@@ -196,7 +196,7 @@ def _swing_n(simulation: Simulation, t: Array) -> Array:
     kart is mostly vibration.
     """
     states, arm_b = simulation.truth.at(t), simulation.scenario.lever_arm_b
-    return np.einsum("nij,nj->ni", states.R_nb, np.cross(states.angular_rate_b, arm_b))
+    return np.asarray(np.einsum("nij,nj->ni", states.R_nb, np.cross(states.angular_rate_b, arm_b)))
 
 
 def _trajectory(table: pd.DataFrame, simulation: Simulation, session: Session) -> Trajectory:
@@ -204,7 +204,8 @@ def _trajectory(table: pd.DataFrame, simulation: Simulation, session: Session) -
     t = table.index.to_numpy()
     R_ned = transform.mat_from_rph(table[["roll", "pitch", "heading"]].to_numpy())
     R_nb = NED_FROM_NWU @ R_ned @ NED_FROM_NWU
-    position_n = geodetic_to_nwu(*(table[name].to_numpy() for name in ("lat", "lon", "alt")), session.origin)
+    lat, lon, alt = (table[name].to_numpy() for name in ("lat", "lon", "alt"))
+    position_n = geodetic_to_nwu(lat, lon, alt, session.origin)
     arm_n = R_nb @ simulation.scenario.lever_arm_b
     velocity_n = table[["VN", "VE", "VD"]].to_numpy() @ NED_FROM_NWU + _swing_n(simulation, t)
     unknown = np.full((len(t), 3), np.nan)

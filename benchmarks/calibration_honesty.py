@@ -21,13 +21,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before nu
 import numpy as np
 from scipy.stats import chi2
 
-from calib import allan
+from calib.outcome import Value
 from calib.recording import Recording
 from calib.run import run
 from smoother import so3
 from smoother.arrays import Array
 from smoother.calibration import Calibration
 from smoother.config import MagnetometerUse, SessionConfig
+from smoother.fit.allan import fit_noise
 from smoother.fit.ellipsoid import COLUMNS, ROWS
 from smoother.frames import euler_from_rotation
 from smoother.sim.bench import BenchErrors, BenchPlan, BenchRecording, simulate_bench
@@ -96,8 +97,7 @@ def handled(seed: int) -> Normalised:
     results = run([recording])
     found, truth = results.calibration, bench.truth
     outcomes = {outcome.procedure: outcome for outcome in results.outcomes}
-    turned = np.asarray(outcomes["magnetometer against gyroscope"].values[1].value) * DEG
-    turned_sigma = np.asarray(outcomes["magnetometer against gyroscope"].values[1].sigma) * DEG
+    (delay, delay_sigma), (turned, turned_sigma) = map(_figure, outcomes["magnetometer against gyroscope"].values[:2])
     Q = truth.accel_matrix @ bench.imu_errors.accel_matrix  # from the true axes to those of the calibrated sensor
     z: Normalised = {}
     _add(z, "accelerometer offset", found.accel_offset - truth.accel_offset, found.sigmas["accel_offset"])
@@ -107,31 +107,36 @@ def handled(seed: int) -> Normalised:
     _add(z, "gyroscope bias", found.gyro_bias - _true_bias(bench, found), found.sigmas["gyro_bias"])
     if "gyro_bias_slope" in found.sigmas:
         _add(z, "bias per kelvin", found.gyro_bias_slope - bench.errors.gyro_slope, found.sigmas["gyro_bias_slope"])
+    assert found.hard_iron is not None
     _add(z, "hard iron", found.hard_iron - truth.hard_iron, found.sigmas["hard_iron"])
     magnetometer = outcomes["magnetometer"].calibration
+    assert magnetometer.soft_iron is not None
     soft = (magnetometer.soft_iron - truth.soft_iron)[ROWS, COLUMNS]
     _add(z, "soft iron", soft, magnetometer.sigmas["soft_iron"][ROWS, COLUMNS])
-    _add(z, "magnetometer axes", turned - so3.log(Q), turned_sigma)
-    delay = outcomes["magnetometer against gyroscope"].values[0]
-    _add(z, "magnetometer delay", [delay.value / 1000.0 - bench.errors.mag_delay], [delay.sigma / 1000.0])
-    level = {value.name: value for value in outcomes["level and heading"].values}
+    _add(z, "magnetometer axes", turned * DEG - so3.log(Q), turned_sigma * DEG)
+    _add(z, "magnetometer delay", delay / 1000.0 - bench.errors.mag_delay, delay_sigma / 1000.0)
+    level = {value.name: _figure(value) for value in outcomes["level and heading"].values}
     at_rest = bench.R_ns[len(bench.R_ns) // 100] @ Q.T
     for name, true in zip(("roll", "pitch", "yaw"), euler_from_rotation(at_rest), strict=True):
-        error = (level[name].value * DEG - float(true) + np.pi) % (2.0 * np.pi) - np.pi
-        _add(z, name, [error], [level[name].sigma * DEG])
+        value, sigma = level[name]
+        _add(z, name, (value * DEG - float(true) + np.pi) % (2.0 * np.pi) - np.pi, sigma * DEG)
     dip = np.arctan2(-FIELD_N[2], np.hypot(*FIELD_N[:2]))
-    _add(
-        z, "inclination", [level["inclination measured"].value * DEG - dip], [level["inclination measured"].sigma * DEG]
-    )
+    value, sigma = level["inclination measured"]
+    _add(z, "inclination", value * DEG - dip, sigma * DEG)
     return z
+
+
+def _figure(value: Value) -> tuple[Array, Array]:
+    """A measured figure and its sigma."""
+    return np.atleast_1d(np.asarray(value.value, dtype=np.float64)), np.atleast_1d(np.asarray(value.sigma, np.float64))
 
 
 def _true_bias(bench: BenchRecording, found: Calibration) -> Array:
     """The bias where the fit states it: at its temperature, or wherever the box lay (the bias is constant then)."""
-    if np.any(found.gyro_bias_slope):
-        start = bench.gyro_bias[0] - (bench.imu.temperature[0] - 25.0) * bench.errors.gyro_slope
-        return start + (found.gyro_temperature - 25.0) * bench.errors.gyro_slope
-    return bench.gyro_bias[0]
+    at_first = np.asarray(bench.gyro_bias[0])
+    if bench.imu.temperature is None or not np.any(found.gyro_bias_slope):
+        return at_first
+    return at_first + (found.gyro_temperature - float(bench.imu.temperature[0])) * bench.errors.gyro_slope
 
 
 def still(seed: int) -> Normalised:
@@ -139,7 +144,7 @@ def still(seed: int) -> Normalised:
     rng = np.random.default_rng(FIRST_SEED + 10_000 + seed)
     count = int(NOISE_HOURS * 3600.0 * NOISE_RATE)
     values = np.stack([noise(count, NOISE_RATE, *NOISE_FIGURES, rng) for _ in range(6)], axis=1)
-    figures = allan.fit_noise(values, NOISE_RATE)
+    figures = fit_noise(values, NOISE_RATE)
     z: Normalised = {}
     for k, name in enumerate(("noise density", "bias instability", "random walk")):
         _add(z, name, figures.value[:, k] - NOISE_FIGURES[k], figures.sigma[:, k])

@@ -15,6 +15,7 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before numpy is imported
 
@@ -82,7 +83,7 @@ def evaluated(case: Case) -> Array:
     """Figures (2, estimators, rows): without and with the calibration."""
     rng = np.random.default_rng(FIRST_SEED + case.seed)
     errors = sensor_errors(rng)
-    changes: dict[str, object] = {**errors, "mag_calibration_points": 0}
+    changes: dict[str, Any] = {**errors, "mag_calibration_points": 0}
     if case.variant == "outages":
         changes["gnss_outages"] = tuple(Interval(share * case.duration, OUTAGE) for share in OUTAGES)
     simulation = simulate_preset(VARIANTS[case.variant], case.seed, duration=case.duration, **changes)
@@ -94,7 +95,10 @@ def evaluated(case: Case) -> Array:
         accel_range=4.0 * STANDARD_GRAVITY,
         gyro_range=500.0 * DEG,
         bits=16,
-        **{name: own[name] for name in ("accel_bias", "gyro_bias", "accel_matrix", "gyro_matrix")},
+        accel_bias=own["accel_bias"],
+        gyro_bias=own["gyro_bias"],
+        accel_matrix=own["accel_matrix"],
+        gyro_matrix=own["gyro_matrix"],
     )
     mag = MagErrors(rate=50.0, noise=0.01, resolution=0.15, hard_iron_s=own["hard_iron_s"], soft_iron=own["soft_iron"])
     bench = simulate_bench(imu, mag, simulation.field_n, rng, errors=BenchErrors(np.zeros(3), mag_outliers=0.01))

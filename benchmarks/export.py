@@ -56,7 +56,8 @@ def main() -> None:
 def in_child(directory: Path, form: str) -> dict[str, float]:
     """Run one export in a process of its own and return what it measured."""
     command = [sys.executable, __file__, "--child", str(directory), form]
-    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    measured: dict[str, float] = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    return measured
 
 
 def measure(directory: Path, form: str) -> None:

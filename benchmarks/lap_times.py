@@ -26,8 +26,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.sparse import block_array, coo_array, csc_array
 from scipy.sparse.linalg import splu
-from scoring import Case, cases, recorded
 
+from scoring import Case, cases, recorded
 from smoother import so3
 from smoother.arrays import Array
 from smoother.cli.lap_stage import fix_path

@@ -27,8 +27,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.special import erf
 from scipy.stats import chi2, norm
-from scoring import Case, NeesAt, cases, nees_at_times, normalised_errors, recorded
 
+from scoring import Case, NeesAt, cases, nees_at_times, normalised_errors, recorded
 from smoother.arrays import Array
 from smoother.estimate.estimator import Estimator
 from smoother.estimate.graph.smoother import GraphSmoother

@@ -19,7 +19,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import polars as pl
 from scipy.optimize import minimize_scalar
-from thinning import DATA
 
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.gps_alone import fixes_as_trajectory
@@ -30,6 +29,7 @@ from smoother.samples import Session
 from smoother.session.load import load_raw
 from smoother.session.truth import load_truth
 from smoother.trajectory import Trajectory
+from thinning import DATA
 
 TWINS = ("car_hi600_twin_a", "car_hi600_twin_b")
 BESIDE_RTK = "car_hi600_rtk"
@@ -86,7 +86,7 @@ def common_times(sources: list[Array], every: Array) -> Array:
     keep = np.full(len(every), True)
     for rows in sources:
         keep &= _is_covered(rows, every)
-    return every[keep]
+    return np.asarray(every[keep])
 
 
 def _is_covered(rows: Array, t: Array) -> BoolArray:
@@ -119,8 +119,8 @@ def between_twins(data: Path) -> tuple[Difference, Difference]:
     """Difference of module b from module a: of their fixes, and of their smoothed paths."""
     (first, second), t = twin_sessions(data)
     raw = differ("fixes", fixes_as_trajectory(second), fixes_as_trajectory(first), t)
-    paths = [GraphSmoother().estimate(session) for session in (second, first)]
-    return raw, differ("smoothed", *paths, t)
+    path, other = (GraphSmoother().estimate(session) for session in (second, first))
+    return raw, differ("smoothed", path, other, t)
 
 
 def _with_origin_of(session: Session, other: Session) -> Session:

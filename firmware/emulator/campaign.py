@@ -16,6 +16,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 import emulate
 import emulation
 from emulation import FIRMWARE, PRESS_S, Script, Stimulus, build
-
 from smoother.errors import SmootherError
 from smoother.session.log_decode import Losses, decode, find_blocks
 from smoother.sim.record_log import drive_records
@@ -254,7 +254,7 @@ def report_cuts(cuts: list[Cut]) -> bool:
 
 # ---- bugs put in on purpose ----
 
-FULL_LOAD = {"mag.rate": 100.0}
+FULL_LOAD: dict[str, Any] = {"mag.rate": 100.0}
 STORM = {"stall_rest_us": 200_000, "stall_pause_us": 300_000}
 BUGS = {
     "ring of 26 blocks, which must fail at 700 ms": ("app/app.h", "APP_RING_BLOCKS = 28", "APP_RING_BLOCKS = 26"),

@@ -10,15 +10,16 @@ import argparse
 import shutil
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 import emulation
 from emulation import build
-
 from smoother.arrays import Array
 from smoother.cli.lap_stage import fix_path
 from smoother.cli.pipeline import calibrated, read
@@ -73,7 +74,7 @@ class Comparison:
         return is_complete and self.lost_by_logger == 0 and self.losses == Losses()
 
 
-def simulated(seed: int, duration: float, track: str = "larkfield", **others: float) -> Simulation:
+def simulated(seed: int, duration: float, track: str = "larkfield", **others: Any) -> Simulation:
     """A kart session at 1 kHz, with `others` of the scenario's figures. No jitter: the logger makes its own stamps."""
     changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0, **others}
     return simulate_preset("kart", seed, track=track, duration=duration, **changes)
@@ -123,12 +124,16 @@ def part_recorded(wanted: LogRecords, got: LogRecords) -> LogRecords:
     said = _spanned(_times(wanted.sentences), _times(got.sentences), SLACK_US)
     return replace(
         wanted,
-        **{"imu_t": wanted.imu_t[imu], "imu": wanted.imu[imu], "sentences": wanted.sentences[said]},
-        **{"mag_t": wanted.mag_t[mag], "mag": wanted.mag[mag], "mag_flags": wanted.mag_flags[mag]},
+        imu_t=wanted.imu_t[imu],
+        imu=wanted.imu[imu],
+        sentences=wanted.sentences[said],
+        mag_t=wanted.mag_t[mag],
+        mag=wanted.mag[mag],
+        mag_flags=wanted.mag_flags[mag],
     )
 
 
-def _times(sentences: tuple[tuple[int, bytes], ...]) -> np.ndarray:
+def _times(sentences: Sequence[tuple[int, bytes]]) -> np.ndarray:
     return np.array([t for t, _ in sentences], dtype=np.int64)
 
 

@@ -18,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parent
 ROOT = FIRMWARE.parent
 sys.path.insert(0, str(FIRMWARE))
-import build  # noqa: E402
+import build as build  # noqa: E402  also for those who import it from here
 
 IMAGE = ROOT / "build" / "firmware"
 PROGRAM = ROOT / "build" / "emulator" / "emulator"

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).parent))
 from emulation import Outcome, Stimulus, build
-
 from smoother.errors import SessionError
 from smoother.session.log import list_recordings, read_records
 from smoother.session.log_decode import Losses
@@ -47,9 +46,10 @@ Ints = npt.NDArray[np.int64]
 
 def stir(number: Ints, columns: int) -> npt.NDArray[np.int16]:
     """Words (N, columns) that follow from a number (N,) and look like noise."""
-    x = number.astype(np.uint64)[:, None] * np.uint64(0x9E3779B97F4A7C15) + np.arange(columns, dtype=np.uint64)
+    column: npt.NDArray[np.uint64] = np.arange(columns, dtype=np.uint64)
+    x: npt.NDArray[np.uint64] = number.astype(np.uint64)[:, None] * np.uint64(0x9E3779B97F4A7C15) + column
     x = (x ^ (x >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
-    return (x >> np.uint64(48)).astype(np.uint16).view(np.int16)
+    return np.asarray((x >> np.uint64(48)).astype(np.uint16).view(np.int16))
 
 
 def numbered(count: int, columns: int) -> npt.NDArray[np.int16]:

@@ -20,7 +20,6 @@ from expectations import (
 )
 from fault_cases_card import CARD
 from fault_cases_sensors import IMU_PART, RECEIVER
-
 from smoother.session.log_format import (
     STOP_BUTTON,
     STOP_SUPPLY_LOW,

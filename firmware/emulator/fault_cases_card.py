@@ -18,7 +18,6 @@ from expectations import (
     seen_as,
     stopped,
 )
-
 from smoother.session.log_format import (
     STOP_BUTTON,
     STOP_CARD_FULL,

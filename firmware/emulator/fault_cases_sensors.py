@@ -21,7 +21,6 @@ from expectations import (
     sentences,
     setup,
 )
-
 from smoother.session.log_format import (
     MAG_OVERFLOW,
 )

@@ -21,7 +21,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from emulation import FIRMWARE, HERE, build
 from evidence import account, check_volume
-
 from smoother.session.log_decode import decode, find_blocks
 
 SOURCES = ("core/*.c", "drivers/sdcard.c", "app/storage.c", "app/volume.c", "app/diskio.c", "emulator/qemu/*.c")
@@ -144,7 +143,8 @@ def judge(image: Path, opinion: Opinion, before: dict[str, bytes], least: int) -
 
 def run_starts(folder: Path, program: Path, starts: int = 3) -> Opinion:
     """So many starts, each after the one before was left in the middle of a recording."""
-    image, opinion, files = folder / "card.img", Opinion(), {}
+    image, opinion = folder / "card.img", Opinion()
+    files: dict[str, bytes] = {}
     make_card(image)
     for i in range(starts):
         said = start(program, image)
@@ -159,7 +159,8 @@ def run_starts(folder: Path, program: Path, starts: int = 3) -> Opinion:
 
 def run_cuts(folder: Path, program: Path, cuts: int, rng: np.random.Generator) -> Opinion:
     """Kill QEMU so many times in the middle of things; each time the next start must put right what was left."""
-    image, opinion, files = folder / "card.img", Opinion(), {}
+    image, opinion = folder / "card.img", Opinion()
+    files: dict[str, bytes] = {}
     make_card(image)
     began = time.perf_counter()
     start(program, image)

@@ -18,7 +18,6 @@ import emulate
 import emulation
 from emulation import Script, build
 from evidence import IMU_US, Evidence, numbered_stimulus
-
 from smoother.session.log_format import IMU
 from smoother.sim.record_log import drive_records
 from smoother.sim.simulation import Simulation

@@ -16,9 +16,8 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 PORT = FIRMWARE / "port" / "stm32f103"
 OUT = FIRMWARE.parent / "build" / "firmware"
 sys.path.insert(0, str(FIRMWARE))
-import stack_usage  # noqa: E402
-
 import build  # noqa: E402
+import stack_usage  # noqa: E402
 
 
 @pytest.fixture(scope="session")

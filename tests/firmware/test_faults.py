@@ -17,7 +17,6 @@ import expectations  # noqa: E402
 import fault_cases  # noqa: E402
 import faults  # noqa: E402
 from emulation import build  # noqa: E402
-
 from smoother.session.log_decode import Losses  # noqa: E402
 from smoother.session.log_format import IMU, Gap, LogRecords  # noqa: E402
 
