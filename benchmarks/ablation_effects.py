@@ -132,7 +132,7 @@ def _all_left(*_: Any) -> None:
     return None
 
 
-def _nothing_quick(_: Array, __: float) -> float:
+def _nothing_quick(_: Any) -> float:
     return 0.0
 
 

@@ -22,29 +22,24 @@ What is left of it is no part of what the fit reads, the residuals of Doppler ag
 mean and the difference of what it is the mean of are independent), so that the acceleration needs to be freed from no
 more than that. The turn rate is left to the samples: Doppler tells of it through the path alone, whose errors by the
 arm and the latencies it would then be believed.
-
-Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array
 from smoother.estimate.graph.imu import DensePath, InertialNoise
+from smoother.estimate.graph.wiener import Transform, most_probable
 
-SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
-# of the frequency, where that is more: a kart's laps are lines, its noise is not, which a filter made from few
-# frequencies would follow
-SPECTRUM_SHARE = 0.4
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
 QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are noisy
 NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
-ALL = slice(None)
+LEVEL, TURNING = slice(0, 2), slice(2, 3)  # channels: accelerations ahead and to the left, turn times speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,58 +74,50 @@ def expected_motion(
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
     turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
+    values = np.column_stack([acceleration_b[:, :2], turning])
+    if not np.all(np.isfinite(values)):  # a path that has run away; the solver says so
+        return ExpectedMotion(path.velocity_n, _at_edges(path.acceleration_n), _at_edges(turning / speed))
+    dt = float(path.t[1] - path.t[0])
+    felt = Transform.of(values, dt)
     ahead, left, _ = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
     turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
-    dt = float(path.t[1] - path.t[0])
     sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt)
-    sigma[2] = max(sigma[2], quick_scatter(turning, dt))
-    values = np.column_stack([acceleration_b[:, :2], turning])
-    frequency = np.asarray(np.fft.rfftfreq(len(values), dt))
-    left_over = np.ones((len(frequency), 3))
-    left_over[:, :2] = noise_left(frequency, noise.accel, doppler, interval)[:, None]
-    lead = turning_lead(values[:, 1:], dt)
-    values[:, 2] = _later(values[:, 2], lead, dt)
-    acceleration_b[:, :2] = most_probable(values, sigma * np.sqrt(left_over), dt, slice(0, 2))
-    turn_rate = _later(most_probable(values, sigma, dt, slice(2, 3))[:, 0], -lead, dt) / speed
+    sigma[2] = max(sigma[2], quick_scatter(felt.channels(TURNING)))
+    left_over = np.ones((len(felt.frequency), 3))
+    left_over[:, LEVEL] = noise_left(felt.frequency, noise.accel, doppler, interval)[:, None]
+    lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
+    together = felt.later(lead)
+    acceleration_b[:, :2] = most_probable(together, sigma * np.sqrt(left_over), LEVEL).values()
+    turn_rate = most_probable(together, sigma, TURNING).later(-lead[TURNING]).values()[:, 0] / speed
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
     return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
 
 
-def quick_scatter(turning: Array, dt: float) -> float:
-    """Standard deviation of white noise with the mean power that `turning` (N,), dt s apart, has from NO_TURN on.
+def quick_scatter(turning: Transform) -> float:
+    """Standard deviation of white noise with the mean power that the one channel of `turning` has from NO_TURN on.
 
-    0 where they do not show that. Tapered, lest the step from the end to the beginning count.
+    0 where it does not reach that far. Tapered (Hann), lest the bend at beginning and end count.
     """
-    quick = np.fft.rfftfreq(len(turning), dt) >= NO_TURN
-    taper = np.hanning(len(turning) + 2)[1:-1]
-    if not (np.any(quick) and np.all(np.isfinite(turning))):
-        return 0.0
-    return math.sqrt(float(np.mean(np.abs(np.fft.rfft(turning * taper)[quick]) ** 2) / (taper @ taper)))
+    all_of_it = turning.coefficients[:, 0]
+    tapered = 0.5 * all_of_it[1:-1] - 0.25 * (all_of_it[:-2] + all_of_it[2:])
+    quick = tapered[turning.frequency[1:-1] >= NO_TURN]
+    length = 2 * (len(all_of_it) - 1)
+    return math.sqrt(float(np.mean(np.abs(quick) ** 2)) / (0.375 * length)) if len(quick) else 0.0
 
 
-def turning_lead(values: Array, dt: float) -> float:
-    """Time, s, that a turn is ahead of the lateral acceleration that it makes, values (N, 2) of acceleration and turn.
+def turning_lead(both: Transform) -> float:
+    """Time, s, that a turn is ahead of the lateral acceleration that it makes; two channels, acceleration and turn.
 
     The phase between both grows with frequency; its slope, weighted by what they share.
     """
-    if not np.all(np.isfinite(values)):
-        return 0.0
-    angular = 2.0 * np.pi * np.fft.rfftfreq(len(values), dt)
+    angular = 2.0 * np.pi * both.frequency
     use = (angular > 2.0 * np.pi * SLOWEST_NOISE) & (angular < 2.0 * np.pi * QUICKEST_TURN)
-    acceleration, turn = np.fft.rfft(values - values.mean(axis=0), axis=0)[use].T
+    acceleration, turn = both.coefficients[use].T
     shared, angular = acceleration.conj() * turn, angular[use]
     weight = float(np.sum(angular**2 * shared.real))
     found = float(np.sum(angular * shared.imag)) / weight if weight > 0.0 else 0.0
     return found if abs(found) < MOST_LEAD else 0.0
-
-
-def _later(values: Array, by: float, dt: float) -> Array:
-    """Values (N,), dt s apart, `by` s later."""
-    if by == 0.0:
-        return values
-    turned = np.exp(-2j * np.pi * np.fft.rfftfreq(len(values), dt) * by)
-    return np.asarray(np.fft.irfft(np.fft.rfft(values) * turned, len(values)))
 
 
 def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, interval: float) -> Array:
@@ -150,49 +137,12 @@ def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, int
     return np.asarray(LEAST_LEFT + (1.0 - LEAST_LEFT) * of_path)
 
 
-def most_probable(values: Array, sigma: Array, dt: float, wanted: slice = ALL) -> Array:
-    """Multichannel Wiener filter: most probable signals behind `values` (N, c), dt s apart, in the channels `wanted`.
-
-    sigma (c,) or, of each frequency of a real transform, (F, c): noise of the channels, independent of one another.
-    What of the spectral matrix noise alone may reach is taken off. Only what the channels share in phase passes from
-    one to another.
-    """
-    n, c = values.shape
-    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):
-        return values[:, wanted]  # a path that has run away; the solver says so
-    mean = values.mean(axis=0)
-    spectrum = np.fft.rfft(values - mean, axis=0) / sigma
-    band, first, last = _bands(len(spectrum), n * dt)
-    power = (spectrum[:, :, None] * spectrum[:, None, :].conj()).real / n
-    power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
-    count = last - first
-    eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
-    of_noise = (1.0 + np.sqrt(c / count)) ** 2
-    share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
-    gain = ((axes[:, wanted] * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), -1)
-    k = np.arange(len(spectrum))
-    fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(len(k), -1, c)
-    found = (fine @ spectrum[:, :, None])[:, :, 0] * sigma[..., wanted]
-    return np.asarray(np.fft.irfft(found, n, axis=0) + mean[wanted])
-
-
 def _integrated(values: Array, dt: float) -> Array:
     """Integral over time of values (N, c), dt s apart, without what is slower than SLOWEST_NOISE."""
-    angular = np.asarray(2.0 * np.pi * np.fft.rfftfreq(len(values), dt))
+    rate = Transform.of(values, dt)
+    angular = 2.0 * np.pi * rate.frequency[:, None]
     gain = -1j * angular / (angular**2 + (2.0 * np.pi * SLOWEST_NOISE) ** 2)
-    return np.asarray(np.fft.irfft(np.fft.rfft(values, axis=0) * gain[:, None], len(values), axis=0))
-
-
-def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:
-    """Bands that overlap by half and more: their middles (B,), first and last frequencies (B,), the last exclusive."""
-    k, middles = 0.0, []
-    while k < n_frequencies - 1:
-        middles.append(int(k))
-        k += max(1.0, 0.5 * SPECTRUM_WIDTH * duration, 0.5 * SPECTRUM_SHARE * k)
-    band = np.array([*middles, n_frequencies - 1], dtype=np.int64)
-    width = np.maximum(SPECTRUM_WIDTH * duration, SPECTRUM_SHARE * band)
-    first = np.maximum(band - width, 0).astype(np.int64)
-    return band, first, np.minimum(band + width + 1, n_frequencies).astype(np.int64)
+    return replace(rate, coefficients=rate.coefficients * gain, mean=0.0 * rate.mean).values()
 
 
 def _at_edges(values: Array) -> Array:

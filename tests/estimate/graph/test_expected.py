@@ -11,12 +11,12 @@ from smoother.estimate.graph.expected import (
     DopplerNoise,
     ExpectedMotion,
     expected_motion,
-    most_probable,
     noise_left,
     quick_scatter,
     turning_lead,
 )
 from smoother.estimate.graph.imu import DensePath, InertialNoise
+from smoother.estimate.graph.wiener import Transform, most_probable
 from smoother.fit.running import gaussian_mean
 from smoother.units import DEG
 
@@ -118,8 +118,9 @@ class TestExpectedMotion:
         assert latency == pytest.approx(0.02, abs=0.002)
         plain_arm, _ = fit(path, shaken.acceleration_n[:, :2], shaken.angular_rate_s[:, 2], late)
         sigma = NOISE.gyro / np.sqrt(DT) * np.ones(1), NOISE.accel / np.sqrt(DT) * np.ones(2)
-        alone = most_probable(shaken.acceleration_n[:, :2], sigma[1], DT)
-        alone_arm, _ = fit(path, alone, most_probable(shaken.angular_rate_s[:, 2:], sigma[0], DT)[:, 0], late)
+        acceleration = most_probable(Transform.of(shaken.acceleration_n[:, :2], DT), sigma[1], slice(0, 2)).values()
+        turn = most_probable(Transform.of(shaken.angular_rate_s[:, 2:], DT), sigma[0], slice(0, 1)).values()[:, 0]
+        alone_arm, _ = fit(path, acceleration, turn, late)
         assert abs(plain_arm - ARM) > 0.3 * ARM
         assert abs(alone_arm - ARM) > 2.0 * abs(arm - ARM)
 
@@ -190,6 +191,14 @@ class TestExpectedMotion:
         np.testing.assert_allclose(have.acceleration_n, want.acceleration_n, atol=1e-9)
         np.testing.assert_allclose(have.turn_rate, want.turn_rate, atol=1e-9)
 
+    def test_a_path_that_has_run_away_stays_as_it_is(self) -> None:
+        path, _ = corners()
+        away = path.acceleration_n.copy()
+        away[7000] = np.inf
+        felt = expected(replace(path, acceleration_n=away), np.eye(3), NOISE)
+        np.testing.assert_array_equal(felt.velocity_n, path.velocity_n)
+        assert np.isinf(felt.acceleration_n[7000, 0])
+
     def test_a_stretch_of_a_few_bins_and_a_kart_at_rest_stay_finite(self) -> None:
         zeros = np.zeros((6, 3))
         path = DensePath(T[:6], np.tile(np.eye(3), (6, 1, 1)), zeros, zeros, zeros[1:], zeros[1:])
@@ -228,45 +237,14 @@ class TestNoiseLeft:
         np.testing.assert_allclose(left, LEAST_LEFT, rtol=1e-3)
 
 
-class TestMostProbable:
-    def test_channels_that_are_not_wanted_still_lend_a_hand(self) -> None:
-        values = corners()[0].velocity_n[:-1] + np.random.default_rng(5).normal(size=(15000, 3))
-        whole = most_probable(values, np.ones(3), DT)
-        np.testing.assert_allclose(most_probable(values, np.ones(3), DT, slice(1, 2)), whole[:, 1:2], atol=1e-12)
-
-    def test_pure_noise_is_taken_for_noise(self) -> None:
-        values = np.random.default_rng(1).normal(size=(15000, 3))
-        assert np.std(most_probable(values, np.ones(3), DT)) < 0.15
-
-    def test_a_channel_that_sees_the_same_lends_a_hand(self) -> None:
-        rng = np.random.default_rng(2)
-        signal = np.sin(0.7 * MIDDLE + 3.0 * np.sin(0.05 * MIDDLE))
-        values = signal[:, None] + rng.normal(size=(len(signal), 2)) * [1.0, 0.1]
-        both = most_probable(values, np.array([1.0, 0.1]), DT)[:, 0] - signal
-        alone = most_probable(values[:, :1], np.array([1.0]), DT)[:, 0] - signal
-        assert np.std(both) < 0.4 * np.std(alone)
-
-    def test_noise_of_velocities_does_not_pass_to_the_other_channel_in_phase_with_the_velocities(self) -> None:
-        """Though that one leads: what is passed on must not contain the slope of the acceleration."""
-        rng, n, lead = np.random.default_rng(3), 15000, 3  # bins; the nose turns in 0.12 s before the path
-        motion = gaussian_mean(rng.normal(size=(n + lead, 1)), 4.0)[:, 0]
-        motion *= 6.0 / np.std(motion)
-        disturbed = gaussian_mean(rng.normal(size=(n + 1, 1)), 2.0)[:, 0]  # velocities; their slope is in channel 0
-        values = np.column_stack([motion[:n] + 0.3 * np.diff(disturbed) / DT, motion[lead:] + 5.0 * rng.normal(size=n)])
-        left = most_probable(values, np.array([1.0, 5.0]), DT)[:, 1] - motion[lead:]
-        # 1 / sqrt(n) is 0.008, and neighbours are alike
-        assert abs(np.corrcoef(left, disturbed[1:] + disturbed[:-1])[0, 1]) < 0.05
-
-
 class TestQuickScatter:
     def test_it_is_that_of_the_noise_and_not_of_the_motion(self) -> None:
         noise = 0.7 * np.random.default_rng(8).normal(size=len(MIDDLE))
-        assert quick_scatter(5.0 * driven(MIDDLE)[1] + noise, DT) == pytest.approx(0.7, rel=0.04)
+        values = (5.0 * driven(MIDDLE)[1] + noise)[:, None]
+        assert quick_scatter(Transform.of(values, DT)) == pytest.approx(0.7, rel=0.03)
 
-    def test_bins_too_long_too_few_or_run_away_say_nothing(self) -> None:
-        assert quick_scatter(np.ones(100), 0.2) == 0.0
-        assert quick_scatter(np.ones(1), DT) == 0.0
-        assert quick_scatter(np.array([1.0, np.inf, 0.0, 2.0] * 20), DT) == 0.0
+    def test_bins_too_long_to_tell_say_nothing(self) -> None:
+        assert quick_scatter(Transform.of(np.ones((100, 1)), 0.2)) == 0.0
 
 
 class TestTurningLead:
@@ -275,11 +253,10 @@ class TestTurningLead:
         motion = gaussian_mean(rng.normal(size=(n + lead, 1)), 8.0)[:, 0]
         motion *= 6.0 / np.std(motion)
         values = np.column_stack([motion[:n], motion[lead:]]) + 3.0 * rng.normal(size=(n, 2))
-        assert turning_lead(values, DT) == pytest.approx(lead * DT, abs=0.01)
-        assert turning_lead(values[:, ::-1], DT) == pytest.approx(-lead * DT, abs=0.01)
+        assert turning_lead(Transform.of(values, DT)) == pytest.approx(lead * DT, abs=0.01)
+        assert turning_lead(Transform.of(values[:, ::-1], DT)) == pytest.approx(-lead * DT, abs=0.01)
 
     def test_where_nothing_is_shared_there_is_none(self) -> None:
         turns = np.sin(0.7 * MIDDLE)
-        assert turning_lead(np.column_stack([turns, -turns]), DT) == 0.0
-        assert turning_lead(np.column_stack([turns, np.full_like(turns, np.nan)]), DT) == 0.0
-        assert turning_lead(np.zeros((100, 2)), DT) == 0.0
+        assert turning_lead(Transform.of(np.column_stack([turns, -turns]), DT)) == 0.0
+        assert turning_lead(Transform.of(np.zeros((100, 2)), DT)) == 0.0

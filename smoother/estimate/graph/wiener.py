@@ -1,0 +1,106 @@
+"""Several series of values and their transforms, and the filter that takes their noise off.
+
+Source: Wiener 1949, for several channels; the edge of eigenvalues that noise alone reaches: Marchenko & Pastur 1967.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from smoother.arrays import Array, IntArray
+
+SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
+# of the frequency, where that is more: a kart's laps are lines, its noise is not, which a filter made from few
+# frequencies would follow
+SPECTRUM_SHARE = 0.4
+LEAST_RAMP = 1 / 32  # of the values; as long that the way back to the first one is slow
+FACTOR = 32  # lengths of up to so many times a power of two are transformed quickly
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """Real values of C channels, (N, C), dt s apart, by their frequencies: mean (C,) and coefficients (F, C).
+
+    A transform takes values to repeat. Theirs are led back from the last to the first by a straight line, lest that
+    step be taken for motion, to a length that is quick to transform: prime ones take twenty times as long.
+    White noise of standard deviation s has a mean power |coefficient|^2 of `count` s^2.
+    """
+
+    coefficients: ComplexArray
+    mean: Array
+    count: int
+    dt: float
+
+    @classmethod
+    def of(cls, values: Array, dt: float) -> "Transform":
+        """Transform values (N, C), dt s apart, N at least 1."""
+        count, mean = len(values), values.mean(axis=0)
+        run_on = np.empty((quick_length(count), values.shape[1]))
+        run_on[:count] = values - mean
+        ramp = (np.arange(1, len(run_on) - count + 1) / (len(run_on) - count + 1))[:, None]
+        run_on[count:] = run_on[count - 1] * (1.0 - ramp) + run_on[0] * ramp
+        return cls(np.fft.rfft(run_on, axis=0), mean, count, dt)
+
+    @property
+    def frequency(self) -> Array:
+        """Frequencies (F,) Hz."""
+        n = len(self.coefficients)
+        return np.arange(n) / (2 * (n - 1) * self.dt)
+
+    def channels(self, wanted: slice) -> "Transform":
+        """Return some of the channels."""
+        return replace(self, coefficients=self.coefficients[:, wanted], mean=self.mean[wanted])
+
+    def values(self) -> Array:
+        """Return the values (N, C)."""
+        return np.asarray(np.fft.irfft(self.coefficients, axis=0)[: self.count] + self.mean)
+
+    def later(self, by: Array) -> "Transform":
+        """Return the values as they were `by` (C,) s before."""
+        turned = np.exp(-2j * np.pi * self.frequency[:, None] * by)
+        return replace(self, coefficients=self.coefficients * turned)
+
+
+def quick_length(count: int) -> int:
+    """Even number above `count`, by LEAST_RAMP of it at least: a power of two times FACTOR at most."""
+    least = count + max(2, int(LEAST_RAMP * count))
+    unit = max(2, 1 << max(0, (least - 1).bit_length() - FACTOR.bit_length() + 1))
+    return -(-least // unit) * unit
+
+
+def most_probable(transform: Transform, sigma: Array, wanted: slice) -> Transform:
+    """Multichannel Wiener filter: most probable signals in the channels `wanted` of noisy ones.
+
+    sigma (C,) or, of each frequency, (F, C): standard deviation of the noise of the channels, independent of one
+    another. What of the spectral matrix noise alone may reach is taken off. Only what the channels share in phase
+    passes from one to another.
+    """
+    spectrum = transform.coefficients / sigma
+    n, c = spectrum.shape
+    band, first, last = _bands(n, 2 * (n - 1) * transform.dt)
+    power = (spectrum[:, :, None] * spectrum[:, None, :].conj()).real / transform.count
+    power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
+    count = last - first
+    eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
+    of_noise = (1.0 + np.sqrt(c / count)) ** 2
+    share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
+    gain = ((axes[:, wanted] * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), -1)
+    k = np.arange(n)
+    fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(n, -1, c)
+    found = (fine @ spectrum[:, :, None])[:, :, 0] * sigma[..., wanted]
+    return replace(transform, coefficients=found, mean=transform.mean[wanted])
+
+
+def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:
+    """Bands that overlap by half and more: their middles (B,), first and last frequencies (B,), the last exclusive."""
+    k, middles = 0.0, []
+    while k < n_frequencies - 1:
+        middles.append(int(k))
+        k += max(1.0, 0.5 * SPECTRUM_WIDTH * duration, 0.5 * SPECTRUM_SHARE * k)
+    band = np.array([*middles, n_frequencies - 1], dtype=np.int64)
+    width = np.maximum(SPECTRUM_WIDTH * duration, SPECTRUM_SHARE * band)
+    first = np.maximum(band - width, 0).astype(np.int64)
+    return band, first, np.minimum(band + width + 1, n_frequencies).astype(np.int64)

@@ -1,0 +1,79 @@
+"""The filter and its transforms against noise that is known."""
+
+import numpy as np
+import pytest
+
+from smoother.estimate.graph.wiener import FACTOR, LEAST_RAMP, Transform, most_probable, quick_length
+from smoother.fit.running import gaussian_mean
+
+DT = 0.04
+MIDDLE = np.asarray(DT * (np.arange(15000) + 0.5), dtype=np.float64)
+
+
+def filtered(values: np.ndarray, sigma: np.ndarray, wanted: slice = slice(None)) -> np.ndarray:
+    return most_probable(Transform.of(values, DT), sigma, wanted).values()
+
+
+class TestTransform:
+    @pytest.mark.parametrize("count", [1, 2, 5, 100, 15017])
+    def test_there_and_back(self, count: int) -> None:
+        values = np.random.default_rng(0).normal([0.0, 5.0, -100.0], size=(count, 3))
+        np.testing.assert_allclose(Transform.of(values, DT).values(), values, atol=1e-12)
+
+    def test_noise_has_the_power_that_is_stated(self) -> None:
+        transform = Transform.of(3.0 * np.random.default_rng(1).normal(size=(15017, 2)), DT)
+        quick = transform.coefficients[transform.frequency > 0.1]  # the way back from the last to the first is slow
+        np.testing.assert_allclose(np.mean(np.abs(quick) ** 2, axis=0) / transform.count, 9.0, rtol=0.04)
+
+    def test_the_step_from_the_last_to_the_first_value_is_not_taken_for_motion(self) -> None:
+        rising = Transform.of(np.linspace(0.0, 10.0, 15000)[:, None], DT)
+        quick = np.abs(rising.coefficients[rising.frequency > 1.0]) ** 2 / rising.count
+        assert np.sqrt(np.mean(quick)) < 1e-3
+
+    def test_what_comes_later_comes_later(self) -> None:
+        wave = np.sin(2.0 * np.pi * 0.5 * MIDDLE)[:, None]
+        late = Transform.of(np.hstack([wave, wave]), DT).later(np.array([0.3, 0.0])).values()
+        inside = slice(1000, -1000)
+        np.testing.assert_allclose(late[inside, 0], np.sin(2.0 * np.pi * 0.5 * (MIDDLE - 0.3))[inside], atol=1e-3)
+        np.testing.assert_allclose(late[:, 1], wave[:, 0], atol=1e-12)
+
+    def test_lengths_are_quick(self) -> None:
+        for count in (*range(1, 500), 15017, 30047, 999983):
+            length = quick_length(count)
+            assert length % 2 == 0
+            assert length > count
+            assert length >= (1.0 + LEAST_RAMP) * count - 1
+            while length % 2 == 0:
+                length //= 2
+            assert length <= FACTOR
+
+
+class TestMostProbable:
+    def test_channels_that_are_not_wanted_still_lend_a_hand(self) -> None:
+        motion = np.sin(0.5 * MIDDLE[:, None] + [0.0, 1.0, 2.0])
+        values = 16.0 * motion + np.random.default_rng(5).normal(size=(15000, 3))
+        whole = filtered(values, np.ones(3))
+        np.testing.assert_allclose(filtered(values, np.ones(3), slice(1, 2)), whole[:, 1:2], atol=1e-12)
+
+    def test_pure_noise_is_taken_for_noise(self) -> None:
+        values = np.random.default_rng(1).normal(size=(15000, 3))
+        assert np.std(filtered(values, np.ones(3))) < 0.15
+
+    def test_a_channel_that_sees_the_same_lends_a_hand(self) -> None:
+        rng = np.random.default_rng(2)
+        signal = np.sin(0.7 * MIDDLE + 3.0 * np.sin(0.05 * MIDDLE))
+        values = signal[:, None] + rng.normal(size=(len(signal), 2)) * [1.0, 0.1]
+        both = filtered(values, np.array([1.0, 0.1]))[:, 0] - signal
+        alone = filtered(values[:, :1], np.array([1.0]))[:, 0] - signal
+        assert np.std(both) < 0.4 * np.std(alone)
+
+    def test_noise_of_velocities_does_not_pass_to_the_other_channel_in_phase_with_the_velocities(self) -> None:
+        """Though that one leads: what is passed on must not contain the slope of the acceleration."""
+        rng, n, lead = np.random.default_rng(3), 15000, 3  # bins; the nose turns in 0.12 s before the path
+        motion = gaussian_mean(rng.normal(size=(n + lead, 1)), 4.0)[:, 0]
+        motion *= 6.0 / np.std(motion)
+        disturbed = gaussian_mean(rng.normal(size=(n + 1, 1)), 2.0)[:, 0]  # velocities; their slope is in channel 0
+        values = np.column_stack([motion[:n] + 0.3 * np.diff(disturbed) / DT, motion[lead:] + 5.0 * rng.normal(size=n)])
+        left = filtered(values, np.array([1.0, 5.0]))[:, 1] - motion[lead:]
+        # 1 / sqrt(n) is 0.008, and neighbours are alike
+        assert abs(np.corrcoef(left, disturbed[1:] + disturbed[:-1])[0, 1]) < 0.05
