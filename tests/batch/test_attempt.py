@@ -1,5 +1,6 @@
 """One session in a process of its own: whatever that does, there is an outcome, and nothing half is left."""
 
+import resource
 import subprocess
 import sys
 import threading
@@ -21,6 +22,11 @@ def left(out: Path) -> list[str]:
     return [path.name for path in out.glob(f"{STAGING}*")]
 
 
+def own_peak_mb() -> float:
+    """Of this process, with which the peak of a child begins: other tests here may have needed a gigabyte."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)
+
+
 def test_a_good_session_tells_its_best_lap_that_counts_and_its_cost(make_task: MakeTask) -> None:
     said = attempt(make_task(), command=STAND_IN)
     assert (said.state, said.code, said.message) == ("done", 0, "")
@@ -28,7 +34,7 @@ def test_a_good_session_tells_its_best_lap_that_counts_and_its_cost(make_task: M
     assert (facts.best_lap, facts.best_s, facts.best_sigma_s, facts.laps) == (2, 60.25, 0.03, 2)
     assert (facts.driver, facts.track, facts.length_m, facts.problems) == ("D", None, 900.0, 1)
     assert 0.0 < said.cost.cpu_s < 10.0
-    assert 1.0 < said.cost.memory_mb < 400.0
+    assert 1.0 < said.cost.memory_mb < max(400.0, own_peak_mb() + 1.0)
     assert said.cost.starts == 1
 
 
