@@ -97,13 +97,12 @@ def expected_motion(
 def quick_scatter(turning: Transform) -> float:
     """Standard deviation of white noise with the mean power that the one channel of `turning` has from NO_TURN on.
 
-    0 where it does not reach that far. Tapered (Hann), lest the bend at beginning and end count.
+    0 where it does not reach that far. Tapered (Hann), lest the step from end to beginning count.
     """
     all_of_it = turning.coefficients[:, 0]
     tapered = 0.5 * all_of_it[1:-1] - 0.25 * (all_of_it[:-2] + all_of_it[2:])
     quick = tapered[turning.frequency[1:-1] >= NO_TURN]
-    length = 2 * (len(all_of_it) - 1)
-    return math.sqrt(float(np.mean(np.abs(quick) ** 2)) / (0.375 * length)) if len(quick) else 0.0
+    return math.sqrt(float(np.mean(np.abs(quick) ** 2)) / (0.375 * turning.count)) if len(quick) else 0.0
 
 
 def turning_lead(both: Transform) -> float:

@@ -14,7 +14,6 @@ SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, an
 # of the frequency, where that is more: a kart's laps are lines, its noise is not, which a filter made from few
 # frequencies would follow
 SPECTRUM_SHARE = 0.4
-LEAST_RAMP = 1 / 32  # of the values; as long that the way back to the first one is slow
 FACTOR = 32  # lengths of up to so many times a power of two are transformed quickly
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -24,8 +23,8 @@ ComplexArray = npt.NDArray[np.complex128]
 class Transform:
     """Real values of C channels, (N, C), dt s apart, by their frequencies: mean (C,) and coefficients (F, C).
 
-    A transform takes values to repeat. Theirs are led back from the last to the first by a straight line, lest that
-    step be taken for motion, to a length that is quick to transform: prime ones take twenty times as long.
+    Means fill up to a length that is quick to transform: prime ones take twenty times as long. (A line from the last to
+    the first would make an event of the noise of these two, the mirrored values would turn what leads to what lags.)
     White noise of standard deviation s has a mean power |coefficient|^2 of `count` s^2.
     """
 
@@ -38,17 +37,19 @@ class Transform:
     def of(cls, values: Array, dt: float) -> "Transform":
         """Transform values (N, C), dt s apart, N at least 1."""
         count, mean = len(values), values.mean(axis=0)
-        run_on = np.empty((quick_length(count), values.shape[1]))
-        run_on[:count] = values - mean
-        ramp = (np.arange(1, len(run_on) - count + 1) / (len(run_on) - count + 1))[:, None]
-        run_on[count:] = run_on[count - 1] * (1.0 - ramp) + run_on[0] * ramp
-        return cls(np.fft.rfft(run_on, axis=0), mean, count, dt)
+        filled = np.zeros((quick_length(count), values.shape[1]))
+        np.subtract(values, mean, out=filled[:count])
+        return cls(np.fft.rfft(filled, axis=0), mean, count, dt)
+
+    @property
+    def length(self) -> int:
+        """Number of values that were transformed, those that fill up among them."""
+        return 2 * (len(self.coefficients) - 1)
 
     @property
     def frequency(self) -> Array:
         """Frequencies (F,) Hz."""
-        n = len(self.coefficients)
-        return np.arange(n) / (2 * (n - 1) * self.dt)
+        return np.arange(len(self.coefficients)) / (self.length * self.dt)
 
     def channels(self, wanted: slice) -> "Transform":
         """Return some of the channels."""
@@ -65,10 +66,9 @@ class Transform:
 
 
 def quick_length(count: int) -> int:
-    """Even number above `count`, by LEAST_RAMP of it at least: a power of two times FACTOR at most."""
-    least = count + max(2, int(LEAST_RAMP * count))
-    unit = max(2, 1 << max(0, (least - 1).bit_length() - FACTOR.bit_length() + 1))
-    return -(-least // unit) * unit
+    """Least even number from `count` on that is FACTOR times a power of two at most."""
+    unit = max(2, 1 << max(0, (count - 1).bit_length() - FACTOR.bit_length() + 1))
+    return -(-count // unit) * unit
 
 
 def most_probable(transform: Transform, sigma: Array, wanted: slice) -> Transform:
@@ -80,7 +80,7 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> Transfor
     """
     spectrum = transform.coefficients / sigma
     n, c = spectrum.shape
-    band, first, last = _bands(n, 2 * (n - 1) * transform.dt)
+    band, first, last = _bands(n, transform.length * transform.dt)
     power = (spectrum[:, :, None] * spectrum[:, None, :].conj()).real / transform.count
     power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
     count = last - first
