@@ -47,6 +47,7 @@ DEBIAN_PACKAGES = {
     "mkfs.fat": ["dosfstools"],
     "mcopy": ["mtools"],
     "qemu-system-arm": ["qemu-system-arm"],
+    "cargo": ["cargo"],
 }
 TO_BUILD = ("arm-none-eabi-gcc", "cmake", "make")
 

@@ -3,6 +3,7 @@
 Interrupts, DMA channels, pins and memory are compared in test_build.py.
 """
 
+import contextlib
 import fcntl
 import re
 import shutil
@@ -19,6 +20,8 @@ FETCHED = FIRMWARE.parent / "build" / "registers"
 sys.path[:0] = [str(FIRMWARE), str(Path(__file__).parent)]
 import register_map  # noqa: E402
 from register_map import CHANNELS, Header, Maker  # noqa: E402
+
+import build  # noqa: E402
 
 # ---- what is to be compared with what ----
 
@@ -155,6 +158,8 @@ def header(compiler, tmp_path_factory) -> Header:
 
 @pytest.fixture(scope="module")
 def maker() -> Maker:
+    with contextlib.suppress(build.MissingError):
+        build.find_tools(("cargo",))
     if not register_map.has_cargo():
         pytest.skip("needs system package cargo, to fetch what others say of the registers")
     FETCHED.mkdir(parents=True, exist_ok=True)
