@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from batch_stand_in import STAND_IN, MakeTask, starts
 
-from smoother.batch.attempt import COMMAND, Stopped, attempt
+from smoother.batch.attempt import COMMAND, Stopped, _megabytes, attempt
 from smoother.batch.record import finished
 from smoother.batch.task import ERROR_LOG
 from smoother.documents import STAGING
@@ -24,7 +24,7 @@ def left(out: Path) -> list[str]:
 
 def own_peak_mb() -> float:
     """Of this process, with which the peak of a child begins: other tests here may have needed a gigabyte."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2)
+    return _megabytes(resource.getrusage(resource.RUSAGE_SELF))
 
 
 def test_a_good_session_tells_its_best_lap_that_counts_and_its_cost(make_task: MakeTask) -> None:

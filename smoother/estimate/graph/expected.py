@@ -37,6 +37,7 @@ SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples
 LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
 QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are noisy
 NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
+HANN_POWER = 0.375  # mean square of the taper
 MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 LEVEL, TURNING = slice(0, 2), slice(2, 3)  # channels: accelerations ahead and to the left, turn times speed
@@ -74,14 +75,11 @@ def expected_motion(
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
     turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
-    values = np.column_stack([acceleration_b[:, :2], turning])
-    if not np.all(np.isfinite(values)):  # a path that has run away; the solver says so
+    values, dt = np.column_stack([acceleration_b[:, :2], turning]), float(path.t[1] - path.t[0])
+    sigma = _scatter(level_axes_s, noise, speed, dt)
+    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):  # it has run away; the solver says so
         return ExpectedMotion(path.velocity_n, _at_edges(path.acceleration_n), _at_edges(turning / speed))
-    dt = float(path.t[1] - path.t[0])
     felt = Transform.of(values, dt)
-    ahead, left, _ = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
-    turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
-    sigma = np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt)
     sigma[2] = max(sigma[2], quick_scatter(felt.channels(TURNING)))
     left_over = np.ones((len(felt.frequency), 3))
     left_over[:, LEVEL] = noise_left(felt.frequency, noise.accel, doppler, interval)[:, None]
@@ -94,15 +92,22 @@ def expected_motion(
     return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
 
 
+def _scatter(level_axes_s: Array, noise: InertialNoise, speed: Array, dt: float) -> Array:
+    """Standard deviation (3,) m/s^2 of bins of dt s: acceleration ahead and left, turn times `speed` (M,) m/s."""
+    ahead, left, _ = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
+    turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
+    return np.asarray(np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt))
+
+
 def quick_scatter(turning: Transform) -> float:
     """Standard deviation of white noise with the mean power that the one channel of `turning` has from NO_TURN on.
 
     0 where it does not reach that far. Tapered (Hann), lest the step from end to beginning count.
     """
-    all_of_it = turning.coefficients[:, 0]
-    tapered = 0.5 * all_of_it[1:-1] - 0.25 * (all_of_it[:-2] + all_of_it[2:])
+    whole = turning.coefficients[:, 0]
+    tapered = 0.5 * whole[1:-1] - 0.25 * (whole[:-2] + whole[2:])
     quick = tapered[turning.frequency[1:-1] >= NO_TURN]
-    return math.sqrt(float(np.mean(np.abs(quick) ** 2)) / (0.375 * turning.count)) if len(quick) else 0.0
+    return math.sqrt(float(np.mean(np.abs(quick) ** 2)) / (HANN_POWER * turning.count)) if len(quick) else 0.0
 
 
 def turning_lead(both: Transform) -> float:

@@ -198,6 +198,8 @@ class TestExpectedMotion:
         felt = expected(replace(path, acceleration_n=away), np.eye(3), NOISE)
         np.testing.assert_array_equal(felt.velocity_n, path.velocity_n)
         assert np.isinf(felt.acceleration_n[7000, 0])
+        unknown = expected(path, np.eye(3), replace(NOISE, gyro=np.nan))
+        np.testing.assert_array_equal(unknown.velocity_n, path.velocity_n)
 
     def test_a_stretch_of_a_few_bins_and_a_kart_at_rest_stay_finite(self) -> None:
         zeros = np.zeros((6, 3))
