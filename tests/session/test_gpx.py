@@ -74,6 +74,15 @@ def test_a_file_that_was_cut_gives_what_is_whole(tmp_path: Path) -> None:
     assert [problem.code for problem in reading.problems] == ["gps_file_cut"]
 
 
+@pytest.mark.parametrize("encoding", ["UTF-90.0001", "rot13", "big5"])
+def test_points_of_an_encoding_that_nobody_knows_are_read_as_they_stand(tmp_path: Path, encoding: str) -> None:
+    text = gpx([point(k) for k in range(50)])
+    declared = f'<?xml version="1.0" encoding="{encoding}"?>' + text.partition("?>")[2]
+    reading = read(tmp_path, declared)
+    assert len(reading.gnss) == 50
+    assert [problem.code for problem in reading.problems] == ["gps_file_cut"]
+
+
 def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
     read(tmp_path, gpx([point(k) for k in range(50)]))
     raw = load_raw(tmp_path)
