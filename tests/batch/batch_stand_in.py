@@ -19,6 +19,10 @@ if word == "crash":
 if word == "hang":
     time.sleep(60)
 if word == "grow":
+    import resource  # a real session takes its memory after a second; this one waits for its bound to be set
+    end = time.monotonic() + 10
+    while resource.getrlimit(resource.RLIMIT_DATA)[0] == resource.RLIM_INFINITY and time.monotonic() < end:
+        time.sleep(0.01)
     held = bytearray(1 << 30)
 if word == "bug":
     raise ZeroDivisionError("a\\x1b[31m <b>")
