@@ -148,9 +148,9 @@ def run(tasks: list[Task], plan: Plan, again: bool, quiet: bool) -> tuple[list[E
 
     entries = {task.session: Entry(task, kept := None if again else finished(task), kept is not None) for task in tasks}
     waiting = [task for task in tasks if entries[task.session].outcome is None]
-    _write(entries, plan)
-    written = time.monotonic()
     try:
+        _write(entries, plan)
+        written = time.monotonic()
         with contextlib.closing(_outcomes(waiting, plan)) as outcomes, _bar(len(tasks), len(waiting), quiet) as told:
             for task, outcome in outcomes:
                 entries[task.session] = Entry(task, outcome)

@@ -7,9 +7,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from smoother.batch.page import page
 from smoother.cli.main import run
 from smoother.documents import STAGING
 
@@ -114,7 +116,7 @@ def test_a_batch_that_is_stopped_leaves_nothing_half_and_is_continued(
     batch = subprocess.Popen([*BATCH, day, *QUICK, "--jobs", "1"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     with batch:
         deadline = time.monotonic() + 60.0
-        while not left(day) and time.monotonic() < deadline:
+        while not list(day.rglob(f"{STAGING}*")) and time.monotonic() < deadline:  # of a session
             time.sleep(0.02)
         batch.send_signal(number)
         assert batch.wait(30.0) == code
@@ -126,6 +128,24 @@ def test_a_batch_that_is_stopped_leaves_nothing_half_and_is_continued(
     if number == signal.SIGINT:
         assert subprocess.run([*BATCH, day, *QUICK], capture_output=True, check=False).returncode == 0
         assert [session["state"] for session in index(day).values()] == ["done", "done"]
+
+
+def test_a_batch_that_is_stopped_while_it_writes_its_first_index_has_one(
+    day: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[None] = []
+
+    def stopped_once(title: str, *rest: Any) -> str:
+        calls.append(None)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return page(title, *rest)
+
+    monkeypatch.setattr("smoother.batch.index.page", stopped_once)
+    assert run(["batch", str(day), *QUICK]) == 130
+    assert left(day) == []
+    assert (day / "sessions.html").is_file()
+    assert [session["state"] for session in index(day).values()] == ["waiting"] * 3
 
 
 def test_a_batch_that_is_killed_is_continued(day: Path) -> None:
