@@ -11,7 +11,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.config import ImuNoise
 from smoother.estimate.gnss_offset import OffsetModel
-from smoother.estimate.graph import batch, expected, imu, rows, smoother, start
+from smoother.estimate.graph import batch, components, expected, imu, inertial, rows, smoother, solve, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
@@ -116,7 +116,7 @@ def _no_share(*_: Any) -> float:
 def _bounds_without(*parts: slice) -> tuple[Array, Array]:
     """Bounds of the spreads of sensor errors that leave nothing to find of those at `parts` of the constants."""
     off = np.array([part in parts for part in batch.SENSOR_ERRORS])
-    low, high = (np.where(off, OFF, bound) for bound in batch.SENSOR_ERROR)
+    low, high = (np.where(off, OFF, bound) for bound in components.SENSOR_ERROR)
     return low, high
 
 
@@ -128,7 +128,11 @@ def _wherever(begin: float, end: float, interval: float, _: Array | None = None)
     return keyframe_times(begin, end, interval)
 
 
-def _all_left(*_: Any) -> None:
+def _all_left(frequency: Array, *_: Any) -> Array:
+    return np.ones(len(frequency))
+
+
+def _no_doppler(*_: Any) -> None:
     return None
 
 
@@ -140,7 +144,7 @@ def _usual_offset(_: Array, __: Any, usual: OffsetModel, *___: Any) -> OffsetMod
     return usual
 
 
-def _as_given(_: Any, __: Any, sigma: Array, *___: Any) -> Array:
+def _as_given(_: Any, sigma: Array, *__: Any) -> Array:
     return sigma
 
 
@@ -189,20 +193,25 @@ EFFECTS = (
     Effect("accelerometer delay", options={"in_step": False}),
     Effect("lever arm", session=_no_arm),
     Effect("mounting refined", patches=((smoother, "fit_mounting", _rough_mounting),)),
-    Effect("GPS offset", options=_NO_OFFSET, patches=((batch, "_offset_ratio", _no_ratio),)),
-    Effect("GPS offset's sigma identified", patches=((batch, "_offset_ratio", _no_ratio),)),
+    Effect("GPS offset", options=_NO_OFFSET, patches=((components, "_offset_ratio", _no_ratio),)),
+    Effect("GPS offset's sigma identified", patches=((components, "_offset_ratio", _no_ratio),)),
     Effect("GPS offset's tau (20 s in place of 60 s)", options={"offset_tau": 20.0}),
     Effect("inertial noise identified (data sheet)", session=_data_sheet),
-    Effect("noise of the fixes identified", patches=((batch, "_row_sigma", _as_given),)),
+    Effect(
+        "noise of the fixes identified",
+        patches=((components, "_row_sigma", _as_given), (solve, "doppler_noise", _no_doppler)),
+    ),
+    Effect("noise of velocity and force found together", patches=((solve, "doppler_noise", _no_doppler),)),
+    Effect("attitudes turn the force of a level path", patches=((inertial, "levelled", _same),)),
     Effect(
         "scale and misalignment",
         options={"sensor_error_sigma": OFF},
-        patches=((batch, "SENSOR_ERROR", _bounds_without(ACCEL_ERROR, GYRO_ERROR)),),
+        patches=((components, "SENSOR_ERROR", _bounds_without(ACCEL_ERROR, GYRO_ERROR)),),
     ),
     Effect(
         "rectified vibration",
         options={"rectification_sigma": OFF},
-        patches=((batch, "SENSOR_ERROR", _bounds_without(RECTIFICATION)),),
+        patches=((components, "SENSOR_ERROR", _bounds_without(RECTIFICATION)),),
     ),
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
@@ -211,11 +220,11 @@ EFFECTS = (
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
-    Effect("what Doppler takes of the samples' noise", patches=((batch, "_doppler", _all_left),)),
+    Effect("what Doppler takes of the samples' noise", patches=((expected, "noise_left", _all_left),)),
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
-    Effect("noise that follows the vibration", patches=((batch, "_share", _no_share),)),
-    Effect("noise of each direction its own", patches=((batch, "_shape", _as_round),)),
+    Effect("noise that follows the vibration", patches=((components, "_share", _no_share),)),
+    Effect("noise of each direction its own", patches=((components, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("reported accuracies", session=_no_reports),

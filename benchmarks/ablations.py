@@ -88,8 +88,8 @@ def _loose_plug(session: Session, seed: int) -> Session:
 
 
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
-# plug that works loose, samples as noisy as those of recorded karts, a box on the steering wheel whose accelerometer is
-# late
+# plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
+# steering wheel whose accelerometer is late
 WORLDS = {
     "white": World("white"),
     "kart": World("kart"),
@@ -99,6 +99,7 @@ WORLDS = {
     "kart, poor sky at times": World("kart", {}, _poor_sky),
     "kart, no samples at times": World("kart", {}, _loose_plug),
     "kart, samples as noisy as real ones": World("kart", {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}),
+    "kart_harsh, good receiver": World("kart_harsh", {"gnss_velocity_sigma": 0.05}),
     "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
 }
 

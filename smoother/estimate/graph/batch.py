@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.disc import pieces
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
@@ -19,18 +18,14 @@ from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
-    Shape,
     corrected,
     dense_path,
-    interval_noise,
 )
 from smoother.estimate.graph.inertial import (
     InertialGraph,
     LinearInertial,
-    VarianceComponent,
     add_inertial,
     empty_system,
-    inertial_components,
 )
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -42,7 +37,6 @@ from smoother.estimate.graph.state import (
     POSITION_LATENCY,
     RECTIFICATION,
     ROTATION,
-    ROW_CONSTANTS_SIZE,
     TRANSLATION,
     VELOCITY,
     VELOCITY_LATENCY,
@@ -52,30 +46,7 @@ from smoother.estimate.graph.state import (
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
-# bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
-SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
-SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
-SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
-UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
-HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
-OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
-ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
-SHAPE_COUNT = 20.0  # residuals in each direction that say that noise is the same in all of them
-FLATTEST = 0.02  # of the largest variance: the least that any direction has
-SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
-LARGEST_SHARE = 0.95  # something is left where nothing shakes
-SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
-# Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
-# this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
-LARGEST_SQUARE = 1.0
-USUAL_POSITION_COUNT = 1.0  # residuals; receivers show a fifth to a half of USUAL_POSITION, others more
-USUAL_VELOCITY_COUNT = 20.0  # Doppler differs by less
 HELD = 1e-4  # m; what is held does not move by a digit
-TOGETHER = 256  # rows whose covariances are worked on together
-# m that one fix scatters against the next. Receivers filter: four walked beside RTK and two on karts show 0.01-0.03,
-# and all else of the 0.2-0.5 m that is faster than 20 s goes on from fix to fix. Others may not.
-USUAL_POSITION = np.array([0.05, 0.05, 0.1])
-USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
 
@@ -105,14 +76,6 @@ class Noise:
     def _levels(self) -> Array:
         densities = [self.inertial.accel, self.inertial.gyro, *self.inertial.calm]
         return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """Densities that the scatter of neighbouring inertial samples shows: what estimates lean on and are bounded by."""
-
-    accel: float
-    gyro: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +218,7 @@ class Batch:
         return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
 
 
-def _doppler(d: Data, noise: Noise) -> DopplerNoise | None:
+def doppler_noise(d: Data, noise: Noise) -> DopplerNoise | None:
     """What the session's velocities tell, None where there are none."""
     read = d.t[np.isfinite(d.velocity_n[:, 0])]
     return DopplerNoise(float(noise.velocity[0]), float(np.ptp(read)) / (len(read) - 1)) if len(read) > 1 else None
@@ -265,7 +228,7 @@ def session_rows(
     d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
-    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, _doppler(d, noise), state.interval)
+    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, doppler_noise(d, noise), state.interval)
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
@@ -333,186 +296,3 @@ def _robust(rows: rw.Rows) -> rw.Rows:
     distance = np.sqrt(squared.sum(axis=1) / dimension * 2.0)  # as if of two components
     weight = np.minimum(1.0, (ROBUST_LIMIT / np.maximum(distance, 1e-9)) ** 2)
     return replace(rows, weight=weight)
-
-
-def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
-    """Variance (N, r) that the solution leaves in the prediction of `rows`."""
-    out = np.empty(rows.residual.shape)
-    of_left, of_right = rw.used_columns(rows.left), rw.used_columns(rows.right)
-    own = slice(0, ROW_CONSTANTS_SIZE)
-    P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
-    for part in pieces(len(out), TOGETHER):
-        k, constants = rows.interval[part], rows.constants[part]
-        left, right = rows.left[part, :, of_left], rows.right[part, :, of_right]
-        by_left = left @ P[k, of_left, of_left]
-        by_right = right @ P[k + 1, of_right, of_right] + 2.0 * (left @ solution.cross[k, of_left, of_right])
-        by_constants = left @ cross[k, of_left, own] + right @ cross[k + 1, of_right, own]
-        by_constants = 2.0 * by_constants + constants @ S
-        out[part] = _dot(by_left, left) + _dot(by_right, right) + _dot(by_constants, constants)
-    return out
-
-
-def _dot(one: Array, two: Array) -> Array:
-    return np.asarray(np.einsum("nri,nri->nr", one, two))
-
-
-def update_noise(solved: Solved, noise: Noise, binned: BinnedImu, scatter: Scatter) -> Noise:
-    """One step of variance component estimation: each variance becomes squared residuals over redundancy.
-
-    Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
-    """
-    state, solution = solved.state, solved.solution
-    now = noise.inertial
-    good = binned.missing == 0.0
-    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
-        good[solved.rows["standstill"].interval] = False
-    some = np.zeros_like(good)
-    some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
-    density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
-    force, rate = inertial_components(state, solved.inertial, solution, density, shape, some)
-    new = replace(
-        now,
-        accel=_density(force, now.accel, scatter.accel),
-        gyro=_density(rate, now.gyro, scatter.gyro),
-        accel_shape=_shape(force, now.accel_shape),
-        gyro_shape=_shape(rate, now.gyro_shape),
-    )
-    if binned.rough is not None:
-        rough = binned.rough[some]
-        new = replace(
-            new,
-            accel_share=_share(force, rough[:, 0], now.accel_share),
-            gyro_share=_share(rate, rough[:, 1], now.gyro_share),
-        )
-    white = _row_sigma(
-        solved.rows["gps_position"], solution, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT, LARGEST_SQUARE
-    )
-    velocity = _row_sigma(solved.rows["gps_velocity"], solution, noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
-    return replace(
-        noise,
-        inertial=new,
-        position=np.maximum(white, SMALLEST_POSITION),
-        velocity=np.maximum(velocity, SMALLEST_VELOCITY),
-        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
-        sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
-    )
-
-
-def unseen_offset(noise: Noise, population: Array) -> Array:
-    """Variance (3,) m^2 of the GPS offset beyond what the session shows, to be added to absolute positions.
-
-    A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
-    neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
-    population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
-    that there is no offset at all. A session that lasts for many times the time over which its offset is forgotten is
-    its own judge.
-    """
-    if noise.position[0] > UNFILTERED or math.isfinite(noise.offset_tau_spread):
-        return np.zeros(3)
-    return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
-
-
-def _density(component: VarianceComponent, density: float, scatter: float) -> float:
-    """Density estimated from residuals that were given `density`.
-
-    The scatter of the samples counts as much as SCATTER_COUNT residuals: where fixes alone would have to judge good
-    samples, they can not, and the estimate would wander off.
-    """
-    squares = component.squares + SCATTER_COUNT * (scatter / density) ** 2
-    ratio = math.sqrt(squares / (max(component.redundancy, 0.0) + SCATTER_COUNT)) ** HASTE
-    return max(density * float(np.clip(ratio, 1.0 / 2.5, 2.5)), OWN_SCATTER * scatter)
-
-
-def _shape(component: VarianceComponent, shape: Shape) -> Shape:
-    """Shape of the noise from residuals that were given `shape`; SHAPE_COUNT residuals in each direction say round.
-
-    The matrix that takes what was expected of the residuals to what they are, in the axes in which `shape` is round.
-    """
-    root = np.linalg.cholesky(np.array(shape))
-    white = np.linalg.inv(root)
-    squares = component.squares_in + SHAPE_COUNT * white @ white.T
-    redundancy, axes = np.linalg.eigh(component.redundancy_in)
-    to_one = (axes / np.sqrt(np.maximum(redundancy, 0.0) + SHAPE_COUNT)) @ axes.T
-    found = root @ to_one @ squares @ to_one @ root.T
-    variance, axes = np.linalg.eigh(found)
-    found = (axes * np.maximum(variance, FLATTEST * variance[-1])) @ axes.T
-    a, b, c = (found * (3.0 / np.trace(found))).tolist()
-    return tuple(a), tuple(b), tuple(c)
-
-
-def _share(component: VarianceComponent, rough: Array, share: float) -> float:
-    """Share of the variance that goes with vibration, from residuals of intervals of roughness (N,) given `share`.
-
-    Variances are fitted by a line over the roughness, each with the weight of its own variance: variance components.
-    Source: Foerstner 1979.
-    """
-    level = 1.0 + share * (rough - 1.0)
-    design = np.stack([np.ones_like(rough), rough], axis=1) / level[:, None]
-    normal = (design * np.maximum(component.redundancy_of, 0.0)[:, None]).T @ design
-    right = design.T @ component.squares_of
-    prior = np.array([[1.0, 0.0], [1.0, 2.0]])  # no vibration and twice the mean are equally noisy
-    normal += 0.5 * SHARE_COUNT * prior.T @ prior
-    right += 0.5 * SHARE_COUNT * prior.sum(axis=0)
-    constant, slope = np.linalg.solve(normal, right)
-    return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
-
-
-def _row_sigma(
-    rows: rw.Rows, solution: ChainSolution, sigma: Array, usual: Array, count: float, largest: float = math.inf
-) -> Array:
-    """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
-
-    What is usual for receivers, (3,), counts as much as `count` residuals, lest a handful of fixes look perfect.
-    largest: bound of a row's squared residual over what is expected of it; what Gaussian noise itself loses by that is
-    put back. Source: Huber 1981, 5.2 (scale, Proposal 2).
-    """
-    information = rows.information
-    left = rows.weight[:, None] - posterior_variance(rows, solution) * information
-    known = information > 0.0
-    out = sigma.copy()
-    for group in ([0, 1], [2]):
-        use = np.flatnonzero(np.any(known[:, group], axis=1))
-        if use.size:
-            squares = np.sum((rows.residual[use] ** 2 * information[use])[:, group], axis=1)
-            expected = np.sum(np.where(known[use], np.maximum(left[use], 0.0), 0.0)[:, group], axis=1)
-            if math.isfinite(largest):
-                squares = np.minimum(squares, largest * expected) / bounded_mean(len(group), largest)
-            first = group[0]
-            found = sigma[first] ** 2 * float(np.sum(squares))
-            variance = (found + count * usual[first] ** 2) / (float(np.sum(expected)) + count)
-            out[group] = np.clip(np.sqrt(variance), sigma[first] / 3.0, 3.0 * sigma[first])
-    return out
-
-
-def bounded_mean(n: int, largest: float) -> float:
-    """Expected value of min(x, largest), x the mean square of n standard normals; n is 1 or 2.
-
-    Source: integrals of the chi-squared density of one and of two degrees of freedom.
-    """
-    if n == 2:
-        return 1.0 - math.exp(-largest)
-    inside, density = math.erf(math.sqrt(0.5 * largest)), math.exp(-0.5 * largest) / math.sqrt(2.0 * math.pi)
-    return inside - 2.0 * math.sqrt(largest) * density + largest * (1.0 - inside)
-
-
-def _offset_ratio(solved: Solved) -> Array:
-    """Ratio (3,) for the sigma of the GPS offset: few of its steps stand out of the white noise, so it moves slowly."""
-    start, steps = solved.rows["gps_offset_start"], solved.rows["gps_offset"]
-    chi2, redundancy = np.zeros(3), np.zeros(3)
-    for rows in (start, steps):
-        chi2 += np.sum(rows.residual**2 * rows.information, axis=0)
-        redundancy += np.sum(1.0 - posterior_variance(rows, solved.solution) * rows.information, axis=0)
-    chi2[:2], redundancy[:2] = chi2[:2].mean(), redundancy[:2].mean()
-    return np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
-
-
-def _error_ratio(solved: Solved, noise: Noise) -> Array:
-    """Ratio (3,) for the spread of scale and misalignment, six values of force and three of rate; of rectification."""
-    out = []
-    for part, sigma in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
-        chi2 = float(np.sum((solved.state.constants.as_vector()[part] / sigma) ** 2))
-        redundancy = (
-            part.stop - part.start - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
-        )
-        out.append(np.clip(np.sqrt((chi2 + 1.0) / (max(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0))
-    return np.array(out)

@@ -7,7 +7,7 @@ through Python into GTSAM and back, and the same numbers.
 Source: GTSAM, TangentPreintegration and CombinedImuFactor; Barfoot 2017, 7.1.5 and 7.3 for the Jacobians.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -156,6 +156,24 @@ def linearize_increments(done: Increments, state: ChainState) -> LinearIncrement
     return LinearIncrements(
         T, residual, by_left_rotation, by_right_rotation, by_biases, inverse, by_left, inverse @ R_jn
     )
+
+
+@_quietly
+def levelled(linear: LinearIncrements, state: ChainState) -> LinearIncrements:
+    """Return `linear` with attitudes that turn the force of a kart which goes from keyframe to keyframe, but level.
+
+    Fixes hardly tell how a kart moves up and down: keyframes have it from the samples, noise and all. By as little as
+    that noise goes together with what is left in the residuals ahead and to the side, or is taken to do so by a noise
+    that was not quite identified, an attitude would be pulled, the same way everywhere: the kart seems tilted by
+    degrees, with a bias in front of it and a crooked gyroscope to make up for that. (Errors in variables; Fuller 1987.)
+    Without noise that motion is a small part of gravity, up as often as down, and its mean is nothing.
+    """
+    T, p, v = linear.T, state.position_n[:, 2], state.velocity_n[:, 2]
+    rise = np.stack([p[1:] - p[:-1] - T * v[:-1], v[1:] - v[:-1]], axis=1)
+    rise_s = rise[:, :, None] * state.R_ns[:-1, None, 2, :]  # in axes of the left keyframe
+    by_rotation = linear.by_rotation_left.copy()
+    by_rotation[:, 1:] += linear.by_left[:, None] @ so3.skew(rise_s)
+    return replace(linear, by_rotation_left=by_rotation)
 
 
 @_quietly

@@ -12,7 +12,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shaken, shared_densities
-from smoother.estimate.graph.increments import felt_by, in_left_axes, increments, linearize_increments
+from smoother.estimate.graph.increments import felt_by, in_left_axes, increments, levelled, linearize_increments
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,
@@ -114,11 +114,13 @@ class InertialGraph:
         Errors of scale act like a bias in proportion to the mean force and rate of the interval, rectification to the
         power of its vibration. Force and rate are those of the keyframes (:func:`felt_by`): a scale multiplies what was
         there to measure. By the measured ones it would multiply their noise too, which is in the residual as well, and
-        the fit would make the scale small to make the noise small (errors in variables; Fuller 1987).
+        the fit would make the scale small to make the noise small (errors in variables; Fuller 1987). What attitudes
+        turn is likewise free of the noise up and down (:func:`levelled`).
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
         felt = felt_by(state)
-        linear, bare = LinearInertial(np.empty((n, 15, _WIDTH))), linearize_increments(self._increments, state)
+        linear = LinearInertial(np.empty((n, 15, _WIDTH)))
+        bare = levelled(linearize_increments(self._increments, state), state)
         J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]

@@ -1,6 +1,5 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -9,8 +8,10 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, Solved, unseen_offset
+from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
+from smoother.estimate.graph.components import unseen_offset
+from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import (
     JERK_RATE,
     YAW_JERK_RATE,
@@ -29,17 +30,14 @@ from smoother.estimate.graph.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
-    ACCEL_ERROR,
     CONSTANTS_SIZE,
     GYRO_BIAS,
     KEYFRAME_SIZE,
     LEVER_ARM,
     OFFSET,
-    RECTIFICATION,
     ROTATION,
     TRANSLATION,
     VELOCITY,
-    VELOCITY_RESPONSE,
     ChainState,
 )
 from smoother.frames import euler_jacobian
@@ -48,7 +46,6 @@ from smoother.trajectory import (
     BOX_ON_WHEEL,
     EstimateReport,
     FixResiduals,
-    Identified,
     JointPosition,
     Keyframes,
     ResidualStatistics,
@@ -56,7 +53,6 @@ from smoother.trajectory import (
     Trajectory,
 )
 
-OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
@@ -158,7 +154,16 @@ def build_trajectory(
     if swing is not None:
         _widen(keyframes, swing)
     report = EstimateReport(
-        identified=_identified(found, noise, priors, mounting, session, unseen),
+        identified=identified_values(
+            found.state.constants,
+            found.constants_covariance,
+            found.common_attitude,
+            noise,
+            priors,
+            mounting,
+            session.config,
+            unseen,
+        ),
         residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
         fixes=_fix_residuals(found.rows["gps_position"]),
         keyframes=keyframes,
@@ -457,86 +462,3 @@ def _statistics(rows: Rows, unit: str) -> ResidualStatistics:
 def _fix_residuals(rows: Rows) -> FixResiduals:
     residual = np.where(np.isfinite(rows.sigma), rows.residual, np.nan)
     return FixResiduals(np.arange(len(rows.interval)), residual, rows.weight)
-
-
-@dataclass(frozen=True)
-class _Latency:
-    key: str
-    index: int
-    configured: float | None
-
-
-def _identified(
-    found: Estimated, noise: Noise, priors: Priors, mounting: FittedMounting, session: Session, unseen: Array
-) -> dict[str, Identified]:
-    config, S = session.config, found.constants_covariance
-    sigma, arm_s = np.sqrt(np.diag(S)), found.state.constants.lever_arm_s
-    constants = found.state.constants.as_vector()
-    out: dict[str, Identified] = {}
-    for latency in (
-        _Latency("gps_position_latency", 0, config.gps.position_latency),
-        _Latency("gps_velocity_latency", 1, config.gps.velocity_latency),
-    ):
-        i = latency.index
-        observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
-        out[latency.key] = _value(constants[i], sigma[i], "s", observable, latency.configured is not None)
-    response = VELOCITY_RESPONSE.start
-    observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
-    out["gps_velocity_response"] = _value(constants[response], sigma[response], "s^2", observable, False)
-    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], found.state.constants.level_axes_s[2]
-    if priors.holds_height:
-        arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
-    arm_b, arm_covariance = mounting.R_bs @ arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
-    sigma_b = np.sqrt(np.diag(arm_covariance))
-    stated = config.mounting.lever_arm_b is not None
-    out["lever_arm_b"] = Identified(
-        arm_b.tolist(),
-        None if stated else sigma_b.tolist(),
-        "m",
-        bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2])) or stated,
-        "configured" if stated else "identified",
-    )
-    stated = config.mounting.R_bs is not None
-    common = np.diag(mounting.R_bs @ found.common_attitude @ mounting.R_bs.T)
-    # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
-    askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
-    source = "configured" if stated else "identified" if mounting.is_observable else "default"
-    out["R_bs"] = Identified(
-        mounting.R_bs.tolist(),
-        None if stated else np.sqrt(mounting.sigma**2 + askew**2 + common).tolist(),
-        "1 (sigma: rad)",
-        mounting.is_observable,
-        source,
-    )
-    pushed, sigmas = found.state.constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
-    beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]
-    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, sigmas, strict=True):
-        seen = bool(np.min(own) < OBSERVABLE * beforehand)
-        source = "identified" if seen else "default"
-        out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
-    inertial = noise.inertial
-    out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
-    out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
-    out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
-    out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
-    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
-    source = "identified" if shown else "default"
-    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown, source)
-    told = math.isfinite(noise.offset_tau_spread)
-    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
-    out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
-    return out
-
-
-def _value(
-    value: float | list[float], sigma: float | None, unit: str, observable: bool, configured: bool
-) -> Identified:
-    if configured:
-        return Identified(value, None, unit, True, "configured")
-    return Identified(
-        float(value) if isinstance(value, float) else value,
-        None if sigma is None else float(sigma),
-        unit,
-        observable,
-        "identified" if observable else "default",
-    )

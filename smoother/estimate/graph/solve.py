@@ -11,13 +11,13 @@ from smoother.estimate.graph.batch import (
     Data,
     Noise,
     Priors,
-    Scatter,
     Solved,
     constants_moved,
+    doppler_noise,
     moved,
-    update_noise,
 )
 from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.components import Scatter, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import ROUND
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -32,6 +32,7 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
+STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
 Say = Callable[[float], None]
 
@@ -120,6 +121,7 @@ def finish(
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
     steps: list[tuple[float, float]] = []
+    change = 0.0
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
@@ -128,19 +130,21 @@ def finish(
         state = solved.state
         steps.append((moved(solved.solution), constants_moved(solved.solution)))
         say(1.0 - 0.3 * 0.5 ** (turn + 1))  # most are settled after two
-        if turn + 1 == options.final_rounds or are_settled(steps):
+        if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
-        noise = _reestimated(solved, noise, start, scatter)
+        better = _reestimated(solved, noise, start, scatter)
+        change, noise = noise.change(better), better
     assert solved is not None
     return solved, noise
 
 
-def are_settled(steps: Sequence[tuple[float, float]]) -> bool:
+def are_settled(steps: Sequence[tuple[float, float]], change: float = 0.0) -> bool:
     """Whether further steps no longer matter, by what the last two moved keyframes and constants, in sigmas.
 
+    change: of the noise from the last step but one to the last, relative.
     Steps that shrink in proportion: those to come add up to the last one times ratio / (1 - ratio).
     """
-    if len(steps) < 2:
+    if len(steps) < 2 or change > STEADY:
         return False
     limits = WELL_KNOWN, CONSTANTS_WELL_KNOWN
     return all(
@@ -151,8 +155,9 @@ def are_settled(steps: Sequence[tuple[float, float]]) -> bool:
 
 def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:
     """Noise from the residuals, but for the densities that the settings state."""
-    better = update_noise(solved, noise, start.binned, scatter)
-    inertial, stated = better.inertial, start.stated
+    stated, doppler = start.stated, doppler_noise(start.data, noise)
+    better = update_noise(solved, noise, start.binned, scatter, doppler, force_is_stated=bool(stated.accel_noise))
+    inertial = better.inertial
     if stated.accel_noise:
         inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0, accel_shape=ROUND)
     if stated.gyro_noise:

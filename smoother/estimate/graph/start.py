@@ -11,7 +11,8 @@ from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, ini
 from smoother.estimate.gnss_offset import OffsetModel, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.graph.batch import OWN_SCATTER, UNFILTERED, Data, Noise, Priors, Scatter
+from smoother.estimate.graph.batch import Data, Noise, Priors
+from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants

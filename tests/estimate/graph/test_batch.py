@@ -9,31 +9,26 @@ from gtsam.symbol_shorthand import B, L, V, X
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.graph.batch import (
+from smoother.estimate.graph import inertial
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.components import (
     OWN_SCATTER,
     USUAL_POSITION,
     USUAL_POSITION_COUNT,
     USUAL_VELOCITY,
     USUAL_VELOCITY_COUNT,
-    Batch,
-    Data,
-    Noise,
-    Priors,
     Scatter,
-    Solved,
-    _shape,
-    _share,
-    bounded_mean,
     posterior_variance,
     unseen_offset,
     update_noise,
 )
-from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.expected import expected_motion
-from smoother.estimate.graph.imu import ROUND, BinnedImu, InertialNoise, bin_imu, preintegrate
-from smoother.estimate.graph.inertial import VarianceComponent, inertial_factors
+from smoother.estimate.graph.expected import DopplerNoise, expected_motion
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
+from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
+    ACCEL_BIAS,
     CONSTANTS_SIZE,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
@@ -48,6 +43,7 @@ from smoother.samples import ImuSamples
 
 K, T, N_BINS = 41, 0.2, 10
 ARM_S = np.array([0.3, -0.2, 0.4])
+MOUNTING = so3.exp(np.array([0.2, -0.4, 2.0]))
 STILL = np.array([0, 1, 2, 3])
 GYRO_BIAS_MEAN = np.array([0.01, 0.02, -0.015])
 TINY = 1e-5  # a sigma that fixes what GTSAM's graph does not have: sensor errors, the slow offset
@@ -73,12 +69,12 @@ def problem(
     rate_imu = 200.0
     t = np.arange(1, round((K * T + 0.2) * rate_imu) + 1) / rate_imu
     moving = np.clip((t - 1.0) / 0.5, 0.0, 1.0)
-    R_bs, turn = so3.exp(np.array([0.2, -0.4, 2.0])), 0.5 * moving * np.sin(0.8 * t)
+    turn = 0.5 * moving * np.sin(0.8 * t)
     yaw = np.cumsum(turn) / rate_imu
     speed = np.cumsum(3.0 * moving * np.cos(0.3 * t)) / rate_imu
     v = np.stack([speed * np.cos(yaw), speed * np.sin(yaw), np.zeros_like(t)], axis=1)
     p = np.cumsum(v, axis=0) / rate_imu
-    R_ns = so3.exp(np.stack([0.0 * yaw, 0.0 * yaw, yaw], axis=1)) @ R_bs
+    R_ns = so3.exp(np.stack([0.0 * yaw, 0.0 * yaw, yaw], axis=1)) @ MOUNTING
     rate_n = np.stack([0.0 * turn, 0.0 * turn, turn], axis=1)
     acceleration = np.gradient(v, t, axis=0)
     noise = Noise(
@@ -161,9 +157,9 @@ def doppler_factor(k: int, measured: np.ndarray, rate: float, gyro_bias: np.ndar
     return gtsam.CustomFactor(model, [X(k), V(k), B(k), L(0)], error)
 
 
-def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.NonlinearFactorGraph):
+def reference_graph(p: Problem, batch: Batch, solved: Solved, factors: gtsam.NonlinearFactorGraph):
     """The same session in GTSAM alone."""
-    state, graph = solved.state, gtsam.NonlinearFactorGraph(inertial)
+    state, graph = solved.state, gtsam.NonlinearFactorGraph(factors)
     path = batch.path(state)
     level = state.constants.level_axes_s
     rates = expected_motion(path, level, p.noise.inertial, None, state.interval).turn_rate[::N_BINS]
@@ -188,12 +184,14 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, inertial: gtsam.No
 
 @pytest.fixture(scope="module")
 def compared() -> tuple[Problem, Solved, gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Our solution, and GTSAM's graph with its own, found from a start that is off by decimetres and degrees."""
+    """Our solution with GTSAM's slopes, and GTSAM's graph with its own, from a start off by decimetres and degrees."""
     p = problem()
-    batch, solved, inertial = solve(p)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(inertial, "levelled", lambda linear, _: linear)
+        batch, solved, factors = solve(p)
     assert np.all(solved.rows["gps_position"].weight == 1.0)  # no outlier: both minimise squares
     assert np.all(solved.rows["gps_velocity"].weight == 1.0)
-    graph = reference_graph(p, batch, solved, inertial)
+    graph = reference_graph(p, batch, solved, factors)
     start = gtsam.Values()
     for k, (R, p_n, v_n) in enumerate(zip(p.state.R_ns, p.state.position_n, p.state.velocity_n, strict=True)):
         start.insert(X(k), gtsam.Pose3(gtsam.Rot3(R), p_n))
@@ -307,9 +305,29 @@ class TestRobustness:
         assert np.all(solved.rows["gps_velocity"].information == 0.0)
 
 
-def component_of(squares: np.ndarray, redundancy: np.ndarray) -> VarianceComponent:
-    """Component of intervals (N,), the same in all directions."""
-    return VarianceComponent(squares, redundancy, np.eye(3) * squares.sum() / 3.0, np.eye(3) * redundancy.sum() / 3.0)
+def test_what_noise_up_and_down_is_said_to_go_with_does_not_tilt_the_kart() -> None:
+    """Noise of force that is the same in all directions, said to go together ahead and upwards, or the opposite.
+
+    Fixes tell nothing of the motion up and down but where it ends. With slopes that contain its noise the two biases
+    ahead part by 1.4 sigma, in every session the same way.
+    """
+    apart = []
+    for seed in range(6):
+        p, found = problem(seed, velocity=0.02, K=401), []
+        rough = np.random.default_rng(100 + seed).normal(size=p.binned.specific_force_s.shape) / np.sqrt(p.binned.dt)
+        binned = replace(p.binned, specific_force_s=p.binned.specific_force_s + 0.5 * rough)
+        batch = Batch(replace(p.data, velocity_n=p.data.velocity_n * [1.0, 1.0, np.nan]), binned, p.priors)
+        for together in (0.3, -0.3):
+            shape_b = np.eye(3)
+            shape_b[0, 2] = shape_b[2, 0] = together
+            shape = tuple(map(tuple, (MOUNTING.T @ shape_b @ MOUNTING).tolist()))
+            noise = replace(p.noise, inertial=replace(p.noise.inertial, accel=0.51, accel_shape=shape))
+            state = batch.converge(batch.graph(p.state, noise), p.state, noise, 6)
+            solved = batch.step(batch.graph(state, noise), state, noise)
+            sigma = np.sqrt(MOUNTING[0] @ solved.solution.covariance[200, ACCEL_BIAS, ACCEL_BIAS] @ MOUNTING[0])
+            found.append(float(MOUNTING[0] @ solved.state.accel_bias_s[200] / sigma))
+        apart.append(found[0] - found[1])
+    assert abs(np.mean(apart)) < 0.5
 
 
 class TestNoise:
@@ -341,6 +359,38 @@ class TestNoise:
         assert noise.inertial.accel == pytest.approx(p.noise.inertial.accel, rel=0.3)
         assert noise.inertial.gyro == pytest.approx(p.noise.inertial.gyro, rel=0.3)
 
+    @pytest.mark.parametrize("force_is_stated", [False, True])
+    def test_a_receiver_much_better_than_the_samples_is_found_in_a_few_turns(self, force_is_stated: bool) -> None:
+        """Velocities of 0.02 m/s, taken for 0.15, beside force whose noise adds up to 0.32 m/s from one to the next.
+
+        Three hundred of them, of whose noise the residuals have a hundredth. Ratio by ratio it is 0.1 by then.
+        """
+        p = problem(3, velocity=0.02, K=601)
+        rough = np.random.default_rng(7).normal(size=p.binned.specific_force_s.shape) / np.sqrt(p.binned.dt)
+        binned = replace(p.binned, specific_force_s=p.binned.specific_force_s + 0.5 * rough)
+        data = replace(p.data, velocity_n=p.data.velocity_n * [1.0, 1.0, np.nan])
+        noise = replace(p.noise, inertial=replace(p.noise.inertial, accel=0.51), velocity=np.full(3, 0.15))
+        batch, scatter = Batch(data, binned, p.priors), Scatter(0.51, p.noise.inertial.gyro)
+        state = batch.converge(batch.graph(p.state, noise), p.state, noise, 5)
+        doppler = DopplerNoise(0.02, 2.0 * T)
+        for _ in range(8):
+            solved = batch.step(batch.graph(state, noise), state, noise)
+            better = update_noise(solved, noise, binned, scatter, doppler, force_is_stated=force_is_stated)
+            state, noise = solved.state, better
+        assert 0.01 < noise.velocity[0] < 0.05
+        assert noise.inertial.accel == pytest.approx(0.51, rel=1e-9 if force_is_stated else 0.15)
+
+    def test_velocities_that_count_for_nothing_are_as_noisy_as_usual(self) -> None:
+        """Every one rejected: nothing is expected of their residuals, and nothing may be divided by that."""
+        p = problem(0)
+        _, solved, _ = solve(p)
+        velocity = solved.rows["gps_velocity"]
+        nothing = replace(velocity, weight=np.zeros(len(velocity.weight)))
+        solved = replace(solved, rows={**solved.rows, "gps_velocity": nothing})
+        scatter = Scatter(p.noise.inertial.accel, p.noise.inertial.gyro)
+        noise = update_noise(solved, p.noise, p.binned, scatter, DopplerNoise(0.1, 2.0 * T))
+        assert p.noise.velocity[0] < noise.velocity[0] <= USUAL_VELOCITY[0]
+
     def test_jumps_do_not_make_all_other_fixes_look_worse(self) -> None:
         """Five fixes of 150 that are off by 10 m: by less than 2 % of what the others scatter."""
         p = problem(2, position=0.2, K=301)
@@ -355,12 +405,6 @@ class TestNoise:
             found.append(noise.position)
         without, with_jumps = found
         np.testing.assert_allclose(with_jumps, without, rtol=0.05)
-
-    @pytest.mark.parametrize("n", [1, 2])
-    @pytest.mark.parametrize("largest", [0.5, 1.0, 4.0])
-    def test_what_bounding_takes_from_noise_is_known(self, n: int, largest: float) -> None:
-        squares = np.mean(np.random.default_rng(0).normal(size=(200_000, n)) ** 2, axis=1)
-        assert bounded_mean(n, largest) == pytest.approx(np.mean(np.minimum(squares, largest)), rel=0.01)
 
     @pytest.mark.parametrize("polarised", [False, True])
     def test_directions_in_which_the_box_shakes_more_are_found(self, polarised: bool) -> None:
@@ -383,30 +427,6 @@ class TestNoise:
             assert 2.0 < ratio < 5.0  # 20 residuals of each direction say one
         else:
             np.testing.assert_allclose(found, np.eye(3), atol=0.3)  # 150 fixes: a tenth of a variance
-
-    def test_few_residuals_leave_the_noise_round(self) -> None:
-        little = 1e-3 * np.diag([5.0, 1.0, 1.0])
-        found = _shape(VarianceComponent(np.zeros(1), np.zeros(1), little, 1e-3 * np.eye(3)), ROUND)
-        np.testing.assert_allclose(found, np.eye(3), atol=1e-3)
-
-    @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-    def test_how_much_of_it_goes_with_vibration_is_found_from_where_the_residuals_are_large(self, share: float) -> None:
-        rng = np.random.default_rng(0)
-        rough = rng.gamma(0.7, size=2000)
-        rough /= rough.mean()
-        found = 0.0
-        for _ in range(10):
-            level = 1.0 + found * (rough - 1.0)
-            variance = 2.0 * (1.0 + share * (rough - 1.0)) / level  # density unknown as well
-            residual = rng.normal(size=(3, len(rough))) * np.sqrt(variance)
-            component = component_of(np.sum(residual**2, axis=0), np.full(len(rough), 3.0))
-            found = _share(component, rough, found)
-        assert found == pytest.approx(share, abs=0.05)  # of 6000 residuals
-
-    def test_few_residuals_do_not_make_the_noise_follow_the_vibration(self) -> None:
-        rough = np.array([0.2, 0.5, 1.0, 2.3])
-        nothing = component_of(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
-        assert _share(nothing, rough, 0.0) < 0.01
 
     def test_change_is_the_largest_relative_difference(self) -> None:
         noise = problem().noise

@@ -9,7 +9,7 @@ import pytest
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
 from smoother.estimate.baseline.baseline import ThesisBaseline
-from smoother.estimate.graph import batch
+from smoother.estimate.graph import components
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
@@ -481,7 +481,8 @@ def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: p
     assert np.all(np.abs(error) < 3.0 * np.asarray(value.sigma))
     assert np.all(np.abs(error) < 0.2)
     off = 1e-6  # m/s^2, a spread that leaves nothing to find
-    monkeypatch.setattr(batch, "SENSOR_ERROR", tuple(np.append(bound[:2], off) for bound in batch.SENSOR_ERROR))
+    bounds = tuple(np.append(bound[:2], off) for bound in components.SENSOR_ERROR)
+    monkeypatch.setattr(components, "SENSOR_ERROR", bounds)
     without = smoothed(simulation, session, GraphOptions(rectification_sigma=off))
     rms = [np.sqrt(np.mean(s.euler_error[s.trajectory.t > 20.0] ** 2)) for s in (found, without)]
     assert rms[0] < 0.95 * rms[1]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from smoother.estimate.graph.solve import CONSTANTS_WELL_KNOWN, TINY, WELL_KNOWN, are_settled
+from smoother.estimate.graph.solve import CONSTANTS_WELL_KNOWN, STEADY, TINY, WELL_KNOWN, are_settled
 
 
 def shrinking(first: float, ratio: float, n: int) -> list[float]:
@@ -29,3 +29,8 @@ class TestAreSettled:
         small = 0.9 * TINY * WELL_KNOWN, 0.9 * TINY * CONSTANTS_WELL_KNOWN
         assert are_settled([small, small])
         assert not are_settled([(WELL_KNOWN, 0.0), (WELL_KNOWN, 0.0)])
+
+    def test_steps_with_a_noise_that_still_changes_are_not_the_last(self) -> None:
+        steps = [(0.1, 0.1), (0.01, 0.01)]
+        assert are_settled(steps, 0.9 * STEADY)
+        assert not are_settled(steps, 1.1 * STEADY)

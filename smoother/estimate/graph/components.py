@@ -1,0 +1,316 @@
+"""The noise of a session from its residuals: variance components, one step towards the restricted likelihood's maximum.
+
+Each source of noise answers for a part of the squared residuals, of which a certain number is expected: the ratio says
+by how much it was taken too small or too large. Two that the residuals hardly tell apart are brought there together.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.disc import pieces
+from smoother.estimate.graph import rows as rw
+from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.expected import DopplerNoise
+from smoother.estimate.graph.imu import BinnedImu, Shape, interval_noise
+from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
+from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
+
+# bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
+SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
+SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
+SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
+UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
+# m that one fix scatters against the next. Receivers filter: four walked beside RTK and two on karts show 0.01-0.03,
+# and all else of the 0.2-0.5 m that is faster than 20 s goes on from fix to fix. Others may not.
+USUAL_POSITION = np.array([0.05, 0.05, 0.1])
+USUAL_VELOCITY = np.array([0.15, 0.15, 0.3])  # m/s; Doppler of the same
+USUAL_POSITION_COUNT = 1.0  # residuals; receivers show a fifth to a half of USUAL_POSITION, others more
+USUAL_VELOCITY_COUNT = 20.0  # upwards; few receivers report it
+USUAL_SPREAD = 1.4  # of the logarithm of a variance: receivers show a third to twice of USUAL_VELOCITY
+MOST_SCORED = 0.8  # of the logarithm of a variance, in a step
+SCORED_FROM = 1e-6  # residuals; with fewer the logarithm of their ratio is none
+HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
+OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
+SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
+ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
+SHAPE_COUNT = 20.0  # residuals in each direction that say that noise is the same in all of them
+FLATTEST = 0.02  # of the largest variance: the least that any direction has
+SHARE_COUNT = 10.0  # residuals that say that noise does not depend on vibration
+LARGEST_SHARE = 0.95  # something is left where nothing shakes
+# Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
+# this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
+LARGEST_SQUARE = 1.0
+TOGETHER = 256  # rows whose covariances are worked on together
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Densities that the scatter of neighbouring inertial samples shows: what estimates lean on and are bounded by."""
+
+    accel: float
+    gyro: float
+
+
+def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
+    """Variance (N, r) that the solution leaves in the prediction of `rows`."""
+    out = np.empty(rows.residual.shape)
+    of_left, of_right = rw.used_columns(rows.left), rw.used_columns(rows.right)
+    own = slice(0, ROW_CONSTANTS_SIZE)
+    P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
+    for part in pieces(len(out), TOGETHER):
+        k, constants = rows.interval[part], rows.constants[part]
+        left, right = rows.left[part, :, of_left], rows.right[part, :, of_right]
+        by_left = left @ P[k, of_left, of_left]
+        by_right = right @ P[k + 1, of_right, of_right] + 2.0 * (left @ solution.cross[k, of_left, of_right])
+        by_constants = left @ cross[k, of_left, own] + right @ cross[k + 1, of_right, own]
+        by_constants = 2.0 * by_constants + constants @ S
+        out[part] = _dot(by_left, left) + _dot(by_right, right) + _dot(by_constants, constants)
+    return out
+
+
+def _dot(one: Array, two: Array) -> Array:
+    return np.asarray(np.einsum("nri,nri->nr", one, two))
+
+
+def update_noise(
+    solved: Solved,
+    noise: Noise,
+    binned: BinnedImu,
+    scatter: Scatter,
+    doppler: DopplerNoise | None = None,
+    *,
+    force_is_stated: bool = False,
+) -> Noise:
+    """One step of variance component estimation: each variance becomes squared residuals over redundancy.
+
+    doppler: of the velocities, None where there are none; their noise and the force's density are brought to their
+    places together, or their noise alone where that density is stated.
+    Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
+    """
+    state, solution = solved.state, solved.solution
+    now = noise.inertial
+    good = binned.missing == 0.0
+    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
+        good[solved.rows["standstill"].interval] = False
+    some = np.zeros_like(good)
+    some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
+    density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
+    force, rate = inertial_components(state, solved.inertial, solution, density, shape, some)
+    positions, velocities = (RowComponent.of(solved.rows[f"gps_{name}"], solution) for name in ("position", "velocity"))
+    white = _row_sigma(positions, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT, LARGEST_SQUARE)
+    velocity = _row_sigma(velocities, noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
+    if doppler is None:
+        accel = _density(force, now.accel, scatter.accel)
+    else:
+        together = not force_is_stated
+        velocity[:2], accel = _velocity_and_force(velocities, force, noise, scatter, doppler, together=together)
+    new = replace(
+        now,
+        accel=accel,
+        gyro=_density(rate, now.gyro, scatter.gyro),
+        accel_shape=_shape(force, now.accel_shape),
+        gyro_shape=_shape(rate, now.gyro_shape),
+    )
+    if binned.rough is not None:
+        rough = binned.rough[some]
+        new = replace(
+            new,
+            accel_share=_share(force, rough[:, 0], now.accel_share),
+            gyro_share=_share(rate, rough[:, 1], now.gyro_share),
+        )
+    return replace(
+        noise,
+        inertial=new,
+        position=np.maximum(white, SMALLEST_POSITION),
+        velocity=np.maximum(velocity, SMALLEST_VELOCITY),
+        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
+        sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
+    )
+
+
+def unseen_offset(noise: Noise, population: Array) -> Array:
+    """Variance (3,) m^2 of the GPS offset beyond what the session shows, to be added to absolute positions.
+
+    A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
+    neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
+    population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
+    that there is no offset at all. A session that lasts for many times the time over which its offset is forgotten is
+    its own judge.
+    """
+    if noise.position[0] > UNFILTERED or math.isfinite(noise.offset_tau_spread):
+        return np.zeros(3)
+    return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
+
+
+def _density(component: VarianceComponent, density: float, scatter: float) -> float:
+    """Density estimated from residuals that were given `density`."""
+    ratio = _density_ratio(component, density, scatter) ** HASTE
+    return max(density * float(np.clip(ratio, 1.0 / 2.5, 2.5)), OWN_SCATTER * scatter)
+
+
+def _density_ratio(component: VarianceComponent, density: float, scatter: float) -> float:
+    """Ratio of the density that residuals show to the one that they were given.
+
+    The scatter of the samples counts as much as SCATTER_COUNT residuals: where fixes alone would have to judge good
+    samples, they can not, and the estimate would wander off.
+    """
+    squares = component.squares + SCATTER_COUNT * (scatter / density) ** 2
+    return math.sqrt(squares / (max(component.redundancy, 0.0) + SCATTER_COUNT))
+
+
+def _velocity_and_force(
+    velocities: "RowComponent",
+    force: VarianceComponent,
+    noise: Noise,
+    scatter: Scatter,
+    doppler: DopplerNoise,
+    *,
+    together: bool,
+) -> tuple[float, float]:
+    """Sigma of level velocities, m/s, and density of force, m/s^2/sqrt(Hz), by a step of Fisher scoring.
+
+    together: of both (:func:`scored`); without, force stays.
+    """
+    sigma, accel = float(noise.velocity[0]), noise.inertial.accel
+    squares, expected = float(np.sum(velocities.squares[:, :2])), float(np.sum(velocities.expected[:, :2]))
+    of_rows = math.sqrt(max(squares, SCORED_FROM) / max(expected, SCORED_FROM))
+    ratio = np.array([of_rows, _density_ratio(force, accel, scatter.accel) if together else 1.0])
+    count = max(1.0, float(np.count_nonzero(velocities.expected[:, 0])))
+    share, usual = (sigma / accel) ** 2 / doppler.every, float(USUAL_VELOCITY[0]) / sigma
+    of_velocity, of_force = scored(ratio, share, count, usual, together=together)
+    if together and accel * of_force < OWN_SCATTER * scatter.accel:  # it stays there: velocities must not count on more
+        of_velocity, _ = scored(np.array([of_rows, 1.0]), share, count, usual, together=False)
+    return sigma * of_velocity, max(accel * of_force, OWN_SCATTER * scatter.accel)
+
+
+def scored(ratio: Array, share: float, count: float, usual: float, *, together: bool = True) -> tuple[float, float]:
+    """Ratios by which the sigma of level velocities and the density of force are to change.
+
+    ratio (2,): of each, what the residuals show to what they were given. share: variance of a velocity over that of the
+    change from it to the next, as the samples tell it. count: of velocities, at least 1; usual: the sigma that
+    receivers have over the one that was given, known up to USUAL_SPREAD. together: both change; without, force stays.
+
+    Where samples are much the noisier, velocities are fitted nearly exactly: some per cent of their noise is left in
+    the residuals, and of what is too much in these, some per cent only are theirs. Ratio by ratio that takes dozens of
+    turns. Velocities that measure a random walk leave, in the part of angle theta of the spectrum, their noise and the
+    walk's as 4 share sin^2(theta/2) to 1; the information on both variances is the mean over theta of the products.
+    Two of the three directions of force are such a walk, the third is left to itself.
+    Source: Foerstner 1979; scoring: Harville 1977; the means are elementary integrals.
+    """
+    walk = 1.0 / math.sqrt(1.0 + 4.0 * share)  # mean part that is the walk's, and the mean of its square
+    square = (1.0 + 2.0 * share) * walk**3
+    both = 2.0 * (walk - square) if together else 0.0
+    information = np.array([[2.0 * (1.0 - 2.0 * walk + square), both], [both, 2.0 * square + 1.0]])
+    expected = np.array([2.0 * (1.0 - walk), 2.0 * walk + 1.0])
+    known = np.array([2.0 / (count * USUAL_SPREAD**2), 0.0])  # in the same unit, half of `count`
+    slope = expected * 2.0 * np.log(ratio) + known * 2.0 * math.log(usual)
+    step = np.linalg.solve(information + np.diag(known), slope)
+    of_velocity, of_force = np.exp(0.5 * np.clip(step, -MOST_SCORED, MOST_SCORED)).tolist()
+    return of_velocity, of_force
+
+
+def _shape(component: VarianceComponent, shape: Shape) -> Shape:
+    """Shape of the noise from residuals that were given `shape`; SHAPE_COUNT residuals in each direction say round.
+
+    The matrix that takes what was expected of the residuals to what they are, in the axes in which `shape` is round.
+    """
+    root = np.linalg.cholesky(np.array(shape))
+    white = np.linalg.inv(root)
+    squares = component.squares_in + SHAPE_COUNT * white @ white.T
+    redundancy, axes = np.linalg.eigh(component.redundancy_in)
+    to_one = (axes / np.sqrt(np.maximum(redundancy, 0.0) + SHAPE_COUNT)) @ axes.T
+    found = root @ to_one @ squares @ to_one @ root.T
+    variance, axes = np.linalg.eigh(found)
+    found = (axes * np.maximum(variance, FLATTEST * variance[-1])) @ axes.T
+    a, b, c = (found * (3.0 / np.trace(found))).tolist()
+    return tuple(a), tuple(b), tuple(c)
+
+
+def _share(component: VarianceComponent, rough: Array, share: float) -> float:
+    """Share of the variance that goes with vibration, from residuals of intervals of roughness (N,) given `share`.
+
+    Variances are fitted by a line over the roughness, each with the weight of its own variance: variance components.
+    Source: Foerstner 1979.
+    """
+    level = 1.0 + share * (rough - 1.0)
+    design = np.stack([np.ones_like(rough), rough], axis=1) / level[:, None]
+    normal = (design * np.maximum(component.redundancy_of, 0.0)[:, None]).T @ design
+    right = design.T @ component.squares_of
+    prior = np.array([[1.0, 0.0], [1.0, 2.0]])  # no vibration and twice the mean are equally noisy
+    normal += 0.5 * SHARE_COUNT * prior.T @ prior
+    right += 0.5 * SHARE_COUNT * prior.sum(axis=0)
+    constant, slope = np.linalg.solve(normal, right)
+    return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
+
+
+@dataclass(frozen=True, eq=False)
+class RowComponent:
+    """Squared residuals of rows over their variances, and what is expected of them, each (N, r); 0 where unknown."""
+
+    squares: Array
+    expected: Array
+
+    @classmethod
+    def of(cls, rows: rw.Rows, solution: ChainSolution) -> "RowComponent":
+        """Of `rows` after the step of `solution`."""
+        information = rows.information
+        left = rows.weight[:, None] - posterior_variance(rows, solution) * information
+        return cls(rows.residual**2 * information, np.where(information > 0.0, np.maximum(left, 0.0), 0.0))
+
+
+def _row_sigma(component: RowComponent, sigma: Array, usual: Array, count: float, largest: float = math.inf) -> Array:
+    """Sigma (3,) per axis, horizontal ones in common, estimated from rows that were given `sigma`.
+
+    What is usual for receivers, (3,), counts as much as `count` residuals, lest a handful of fixes look perfect.
+    largest: bound of a row's squared residual over what is expected of it; what Gaussian noise itself loses by that is
+    put back. Source: Huber 1981, 5.2 (scale, Proposal 2).
+    """
+    out = sigma.copy()
+    for group in ([0, 1], [2]):
+        squares, expected = component.squares[:, group].sum(axis=1), component.expected[:, group].sum(axis=1)
+        if np.any(expected > 0.0):
+            if math.isfinite(largest):
+                squares = np.minimum(squares, largest * expected) / bounded_mean(len(group), largest)
+            first = group[0]
+            found = sigma[first] ** 2 * float(np.sum(squares))
+            variance = (found + count * usual[first] ** 2) / (float(np.sum(expected)) + count)
+            out[group] = np.clip(np.sqrt(variance), sigma[first] / 3.0, 3.0 * sigma[first])
+    return out
+
+
+def bounded_mean(n: int, largest: float) -> float:
+    """Expected value of min(x, largest), x the mean square of n standard normals; n is 1 or 2.
+
+    Source: integrals of the chi-squared density of one and of two degrees of freedom.
+    """
+    if n == 2:
+        return 1.0 - math.exp(-largest)
+    inside, density = math.erf(math.sqrt(0.5 * largest)), math.exp(-0.5 * largest) / math.sqrt(2.0 * math.pi)
+    return inside - 2.0 * math.sqrt(largest) * density + largest * (1.0 - inside)
+
+
+def _offset_ratio(solved: Solved) -> Array:
+    """Ratio (3,) for the sigma of the GPS offset: few of its steps stand out of the white noise, so it moves slowly."""
+    start, steps = solved.rows["gps_offset_start"], solved.rows["gps_offset"]
+    chi2, redundancy = np.zeros(3), np.zeros(3)
+    for rows in (start, steps):
+        chi2 += np.sum(rows.residual**2 * rows.information, axis=0)
+        redundancy += np.sum(1.0 - posterior_variance(rows, solved.solution) * rows.information, axis=0)
+    chi2[:2], redundancy[:2] = chi2[:2].mean(), redundancy[:2].mean()
+    return np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
+
+
+def _error_ratio(solved: Solved, noise: Noise) -> Array:
+    """Ratio (3,) for the spread of scale and misalignment, six values of force and three of rate; of rectification."""
+    out = []
+    for part, sigma in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
+        chi2 = float(np.sum((solved.state.constants.as_vector()[part] / sigma) ** 2))
+        redundancy = (
+            part.stop - part.start - float(np.trace(solved.solution.constants_covariance[part, part])) / sigma**2
+        )
+        out.append(np.clip(np.sqrt((chi2 + 1.0) / (max(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0))
+    return np.array(out)

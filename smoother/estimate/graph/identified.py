@@ -1,0 +1,108 @@
+"""What a session told of its constants and its noise: each value with its sigma, its source, and whether it shows."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.config import SessionConfig
+from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors
+from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
+from smoother.trajectory import Identified
+
+OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
+
+
+@dataclass(frozen=True)
+class _Latency:
+    key: str
+    index: int
+    configured: float | None
+
+
+def identified_values(
+    constants: Constants,
+    covariance: Array,
+    common_attitude: Array,
+    noise: Noise,
+    priors: Priors,
+    mounting: FittedMounting,
+    config: SessionConfig,
+    unseen: Array,
+) -> dict[str, Identified]:
+    """Return each value by its name in `identified` of summary.json.
+
+    covariance (25, 25) of `constants`; common_attitude (3, 3) rad^2 in s: of the mean error of all attitudes; unseen
+    (3,) m^2: variance of the GPS offset beyond what the session shows.
+    """
+    S, sigma, values = covariance, np.sqrt(np.diag(covariance)), constants.as_vector()
+    out: dict[str, Identified] = {}
+    for latency in (
+        _Latency("gps_position_latency", 0, config.gps.position_latency),
+        _Latency("gps_velocity_latency", 1, config.gps.velocity_latency),
+    ):
+        i = latency.index
+        observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
+        out[latency.key] = _value(values[i], sigma[i], "s", observable, latency.configured is not None)
+    response = VELOCITY_RESPONSE.start
+    observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
+    out["gps_velocity_response"] = _value(values[response], sigma[response], "s^2", observable, False)
+    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
+    if priors.holds_height:
+        arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
+    arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
+    sigma_b = np.sqrt(np.diag(arm_covariance))
+    stated = config.mounting.lever_arm_b is not None
+    out["lever_arm_b"] = Identified(
+        arm_b.tolist(),
+        None if stated else sigma_b.tolist(),
+        "m",
+        bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2])) or stated,
+        "configured" if stated else "identified",
+    )
+    stated = config.mounting.R_bs is not None
+    common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T)
+    # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
+    askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
+    source = "configured" if stated else "identified" if mounting.is_observable else "default"
+    out["R_bs"] = Identified(
+        mounting.R_bs.tolist(),
+        None if stated else np.sqrt(mounting.sigma**2 + askew**2 + common).tolist(),
+        "1 (sigma: rad)",
+        mounting.is_observable,
+        source,
+    )
+    pushed, sigmas = constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
+    beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]
+    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, sigmas, strict=True):
+        seen = bool(np.min(own) < OBSERVABLE * beforehand)
+        source = "identified" if seen else "default"
+        out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
+    inertial = noise.inertial
+    out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
+    out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
+    out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
+    out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
+    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
+    source = "identified" if shown else "default"
+    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown, source)
+    told = math.isfinite(noise.offset_tau_spread)
+    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
+    out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
+    return out
+
+
+def _value(
+    value: float | list[float], sigma: float | None, unit: str, observable: bool, configured: bool
+) -> Identified:
+    if configured:
+        return Identified(value, None, unit, True, "configured")
+    return Identified(
+        float(value) if isinstance(value, float) else value,
+        None if sigma is None else float(sigma),
+        unit,
+        observable,
+        "identified" if observable else "default",
+    )

@@ -1,0 +1,110 @@
+"""Variance components by themselves: what residuals say of the noise that they come from."""
+
+import numpy as np
+import pytest
+
+from smoother.estimate.graph.components import USUAL_SPREAD, _shape, _share, bounded_mean, scored
+from smoother.estimate.graph.imu import ROUND
+from smoother.estimate.graph.inertial import VarianceComponent
+
+
+def component_of(squares: np.ndarray, redundancy: np.ndarray) -> VarianceComponent:
+    """Component of intervals (N,), the same in all directions."""
+    return VarianceComponent(squares, redundancy, np.eye(3) * squares.sum() / 3.0, np.eye(3) * redundancy.sum() / 3.0)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("largest", [0.5, 1.0, 4.0])
+def test_what_bounding_takes_from_noise_is_known(n: int, largest: float) -> None:
+    squares = np.mean(np.random.default_rng(0).normal(size=(200_000, n)) ** 2, axis=1)
+    assert bounded_mean(n, largest) == pytest.approx(np.mean(np.minimum(squares, largest)), rel=0.01)
+
+
+def test_few_residuals_leave_the_noise_round() -> None:
+    little = 1e-3 * np.diag([5.0, 1.0, 1.0])
+    found = _shape(VarianceComponent(np.zeros(1), np.zeros(1), little, 1e-3 * np.eye(3)), ROUND)
+    np.testing.assert_allclose(found, np.eye(3), atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_how_much_of_it_goes_with_vibration_is_found_from_where_the_residuals_are_large(share: float) -> None:
+    rng = np.random.default_rng(0)
+    rough = rng.gamma(0.7, size=2000)
+    rough /= rough.mean()
+    found = 0.0
+    for _ in range(10):
+        level = 1.0 + found * (rough - 1.0)
+        variance = 2.0 * (1.0 + share * (rough - 1.0)) / level  # density unknown as well
+        residual = rng.normal(size=(3, len(rough))) * np.sqrt(variance)
+        component = component_of(np.sum(residual**2, axis=0), np.full(len(rough), 3.0))
+        found = _share(component, rough, found)
+    assert found == pytest.approx(share, abs=0.05)  # of 6000 residuals
+
+
+def test_few_residuals_do_not_make_the_noise_follow_the_vibration() -> None:
+    rough = np.array([0.2, 0.5, 1.0, 2.3])
+    nothing = component_of(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
+    assert _share(nothing, rough, 0.0) < 0.01
+
+
+class Walk:
+    """Velocities of sigma r that measure a random walk of steps q, and another such walk that nothing measures.
+
+    Residuals of both after the smoother of a filter that was given r and q as they are not: by its spectrum.
+    """
+
+    def __init__(self, r: float, q: float, n: int = 20_000, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        steps, noise = q * rng.normal(size=n), r * rng.normal(size=n)
+        change = steps + noise - np.roll(noise, 1)  # of what is measured, on a circle
+        self._power, self._theta, self._n = np.abs(np.fft.fft(change)) ** 2 / n, 2.0 * np.pi * np.arange(n) / n, n
+        self._aside = float(np.mean((q * rng.normal(size=n)) ** 2))
+
+    def ratios(self, r: float, q: float) -> np.ndarray:
+        """Ratio of the sigmas that the residuals show to r and q, with which they were found."""
+        of_noise = 4.0 * r**2 * np.sin(0.5 * self._theta) ** 2
+        whole = of_noise + q**2
+        share = of_noise / whole
+        squares = np.mean(share * self._power / whole), np.mean((1.0 - share) * self._power / whole)
+        expected = np.mean(share), np.mean(1.0 - share)
+        force = (2.0 * squares[1] + self._aside / q**2) / (2.0 * expected[1] + 1.0)
+        return np.sqrt([squares[0] / expected[0], force])
+
+
+@pytest.mark.parametrize("r", [0.05, 0.2, 1.0])
+@pytest.mark.parametrize("wrong", [(3.0, 1.0), (1.0 / 3.0, 1.0), (2.0, 0.7)])
+def test_noise_of_velocity_and_force_is_found_in_a_few_turns(r: float, wrong: tuple[float, float]) -> None:
+    """From three times too much or too little; ratio by ratio, a sigma a fifth of the steps takes more than thirty."""
+    walk, q = Walk(r, 0.22), 0.22
+    found = np.array([wrong[0] * r, wrong[1] * q])
+    for _ in range(8):
+        share = float((found[0] / found[1]) ** 2)
+        found *= scored(walk.ratios(*found), share, 20_000.0, r / found[0])
+    # 20,000 velocities of a quarter of the steps tell their sigma to 5 %
+    assert found[0] == pytest.approx(r, rel=0.1 if r < 0.1 else 0.04)
+    assert found[1] == pytest.approx(q, rel=0.03)
+
+
+def test_few_velocities_are_as_noisy_as_those_of_receivers_are() -> None:
+    """Sixty of them, five seconds apart: the samples' noise hides theirs, whatever the residuals seem to say."""
+    sigma = 0.6
+    for _ in range(10):
+        of_velocity, _ = scored(np.array([1.5, 1.0]), 0.005 * sigma**2, 60.0, 0.15 / sigma)
+        sigma *= of_velocity
+    assert sigma == pytest.approx(0.15, rel=0.05)
+
+
+def test_many_velocities_speak_for_themselves() -> None:
+    """A thousand that are as sure as the samples: their information on the logarithm of the variance is 332.
+
+    By hand, share 1: 500 (0.748 - 0.358^2 / 1.537), the force unknown. What is usual moves that by its part of both.
+    """
+    of_velocity, _ = scored(np.array([1.0, 1.0]), 1.0, 1000.0, 3.0)
+    assert np.log(of_velocity) == pytest.approx(np.log(3.0) / (332.0 * USUAL_SPREAD**2 + 1.0), rel=0.01)
+
+
+def test_velocities_do_not_count_on_a_force_that_stays() -> None:
+    ratio = np.array([1.03, 1.0])
+    alone, force = scored(ratio, 0.2, 1000.0, 1.0, together=False)
+    assert force == 1.0
+    assert 1.03 < alone < scored(ratio, 0.2, 1000.0, 1.0)[0]
