@@ -88,7 +88,7 @@ def expected_motion(
     acceleration_b[:, :2] = most_probable(together, sigma * np.sqrt(left_over), LEVEL).values()
     turn_rate = most_probable(together, sigma, TURNING).later(-lead[TURNING]).values()[:, 0] / speed
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
-    noise_n = _at_edges(_integrated(path.acceleration_n - acceleration_n, dt))
+    noise_n = integrated(path.acceleration_n - acceleration_n, dt)
     return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
 
 
@@ -141,12 +141,19 @@ def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, int
     return np.asarray(LEAST_LEFT + (1.0 - LEAST_LEFT) * of_path)
 
 
-def _integrated(values: Array, dt: float) -> Array:
-    """Integral over time of values (N, c), dt s apart, without what is slower than SLOWEST_NOISE."""
+def integrated(values: Array, dt: float) -> Array:
+    """Integral at the edges, (M, c), of the means of bins (M-1, c), dt s apart, without what is slower than SLOWEST_NOISE.
+
+    From edge to edge it changes by a bin, as the velocity of a path does. The integral of a smooth curve through the
+    bins would leave a tenth of the quick noise in that velocity, and slopes are what differences of it are.
+    """
     rate = Transform.of(values, dt)
-    angular = 2.0 * np.pi * rate.frequency[:, None]
-    gain = -1j * angular / (angular**2 + (2.0 * np.pi * SLOWEST_NOISE) ** 2)
-    return replace(rate, coefficients=rate.coefficients * gain, mean=0.0 * rate.mean).values()
+    angular = 2.0 * np.pi * rate.frequency[1:, None]
+    sums = dt * np.exp(-0.5j * angular * dt) / (2j * np.sin(0.5 * angular * dt))
+    gain = sums * angular**2 / (angular**2 + (2.0 * np.pi * SLOWEST_NOISE) ** 2)
+    changes = np.concatenate([np.zeros((1, values.shape[1])), rate.coefficients[1:] * gain])
+    begins = replace(rate, coefficients=changes, mean=0.0 * rate.mean).values()
+    return np.concatenate([begins, begins[-1:] + dt * values[-1:]])
 
 
 def _at_edges(values: Array) -> Array:

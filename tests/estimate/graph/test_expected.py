@@ -11,6 +11,7 @@ from smoother.estimate.graph.expected import (
     DopplerNoise,
     ExpectedMotion,
     expected_motion,
+    integrated,
     noise_left,
     quick_scatter,
     turning_lead,
@@ -107,6 +108,10 @@ class TestExpectedMotion:
         left = gaussian_mean(np.diff(felt.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
         noise = gaussian_mean(np.diff(shaken.velocity_n[:, :2], axis=0) / DT - middles(felt)[0], 3.0)
         assert np.std(left[100:-100]) < 0.2 * np.std(noise[100:-100])
+        # and of quick noise nothing: differences of this velocity are slopes, by which a thousandth counts
+        quick = np.diff(felt.velocity_n[:, :2], axis=0) / DT - middles(felt)[0]
+        quick -= gaussian_mean(quick, 0.2 / DT)
+        assert np.std(quick[100:-100]) < 0.03 * np.std(np.diff(added, axis=0)[:, :2] / DT)
 
     def test_arm_and_latency_are_not_drawn_to_zero_by_the_noise_of_what_they_multiply(self) -> None:
         """Nor by what filters that know only one sensor each leave of it."""
@@ -207,6 +212,25 @@ class TestExpectedMotion:
         felt = expected(path, np.eye(3), NOISE)
         np.testing.assert_array_equal(felt.acceleration_n, zeros)
         np.testing.assert_array_equal(felt.turn_rate, zeros[:, 0])
+
+
+class TestIntegrated:
+    def test_from_edge_to_edge_it_changes_by_a_bin(self) -> None:
+        values = np.random.default_rng(3).normal(size=(4999, 2))  # no quick length
+        found = integrated(values, DT)
+        assert found.shape == (5000, 2)
+        np.testing.assert_allclose(np.diff(found, axis=0)[-1], DT * values[-1])
+        left = values - values.mean(axis=0) - np.diff(found, axis=0) / DT
+        assert np.std(left[:-1]) < 0.1  # only what is slow: 0.08 of all
+
+    def test_what_is_slow_is_not_in_it(self) -> None:
+        t = DT * (np.arange(8192) + 0.5)
+        whole = 8192 * DT
+        for cycles, share in ((2, 0.0), (round(0.5 * whole), 1.0)):  # 0.006 and 0.5 Hz
+            angular = 2.0 * np.pi * cycles / whole
+            found = integrated(np.cos(angular * t)[:, None], DT)[:-1, 0]
+            true = np.sin(angular * (t - 0.5 * DT)) / angular
+            np.testing.assert_allclose(found, share * true, atol=0.02 / angular)
 
 
 class TestNoiseLeft:
