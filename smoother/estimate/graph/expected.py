@@ -142,7 +142,7 @@ def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, int
 
 
 def integrated(values: Array, dt: float) -> Array:
-    """Integral at the edges, (M, c), of the means of bins (M-1, c), dt s apart, without what is slower than SLOWEST_NOISE.
+    """Integral at the edges (M, c) of means of bins (M-1, c), dt s apart, without what is slower than SLOWEST_NOISE.
 
     From edge to edge it changes by a bin, as the velocity of a path does. The integral of a smooth curve through the
     bins would leave a tenth of the quick noise in that velocity, and slopes are what differences of it are.
