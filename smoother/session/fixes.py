@@ -211,15 +211,18 @@ def _positive(sigma: Array) -> Array:
 
 
 def _velocity_n(c: FixColumns, speed: Array, course_deg: Array) -> Array:
-    """Velocity in n (N, 3): components where sent, else from speed and course (Up unknown), NaN where neither is."""
+    """Velocity in n (N, 3): components where sent, else from speed and course, NaN where neither is.
+
+    A climb that comes alone is left out: how late a receiver is shows in level motion.
+    """
     with np.errstate(invalid="ignore"):
         sent = np.stack([c.velocity_north, -c.velocity_east, c.velocity_up], axis=-1)
         plausible = np.hypot(sent[:, 0], sent[:, 1]) <= ABSURD_SPEED
-        sent[~plausible] = np.nan
+        sent[~plausible, :2] = np.nan
         sent[np.abs(sent[:, 2]) > ABSURD_CLIMB, 2] = np.nan
         course = np.where(~np.isfinite(course_deg) & (speed <= NEARLY_STILL), 0.0, course_deg)
         stands = speed <= NEARLY_STILL
     still_speed = np.where(stands & ~np.isfinite(course_deg), 0.0, speed)
     computed = velocity_n_from_course(still_speed, course)
-    computed[:, 2] = sent[:, 2]
+    computed[:, 2] = np.where(np.isfinite(computed[:, 0]), sent[:, 2], np.nan)
     return np.where(plausible[:, None], sent, computed)

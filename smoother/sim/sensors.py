@@ -233,7 +233,7 @@ def _fixes(
     n = len(stamps)
     if not errors.velocity:
         speed, course = np.full(n, np.nan), np.full(n, np.nan)
-    up = velocity_n[:, 2] if errors.has_vertical_velocity else np.full(n, np.nan)
+    up = velocity_n[:, 2] if errors.velocity and errors.has_vertical_velocity else np.full(n, np.nan)
     angle = np.radians(course)
     sigma_horizontal = np.hypot(errors.white_horizontal, errors.offset_horizontal)
     sigma_up = np.hypot(errors.white_up, errors.offset_up)

@@ -161,6 +161,14 @@ def test_speed_and_course_make_a_velocity_where_components_are_missing(tmp_path:
     assert np.all(np.isnan(fixes.velocity_n[:, 2]))
 
 
+def test_a_climb_counts_beside_speed_and_course_but_not_alone(tmp_path: Path) -> None:
+    rows = "0,45.0,12.0,10.0,90.0,0.5\n1,45.0,12.0001,,,0.5\n2,45.0,12.0002,10.0,,0.5\n"
+    header = "t_s,lat_deg,lon_deg,speed_mps,course_deg,vel_u_mps\n"
+    fixes, _ = read_fixes(save(tmp_path, header + rows, "gps.csv"))
+    np.testing.assert_allclose(fixes.velocity_n[0], [0.0, -10.0, 0.5], atol=1e-12)
+    assert np.all(np.isnan(fixes.velocity_n[1:]))
+
+
 def test_rows_that_are_no_fix_are_dropped_and_counted_by_kind(tmp_path: Path) -> None:
     rows = gps_rows(400)
     rows[5] = rows[5].removesuffix("3") + "0"  # quality 0

@@ -252,6 +252,12 @@ def test_perfect_fix_is_the_antenna_at_its_stamp(truth):
     np.testing.assert_allclose(fixes.unix_s, UNIX + fixes.t, atol=1e-6)
 
 
+def test_a_receiver_without_velocity_sends_no_climb_either(truth):
+    errors = GnssErrors(velocity=False, has_vertical_velocity=True)
+    fixes = simulate_gnss(truth, errors, ARM, 60.0, UNIX, rng()).fixes
+    assert np.all(np.isnan(fixes.velocity_n))
+
+
 def test_row_was_true_at_its_stamp_minus_each_latency(truth):
     errors = GnssErrors(rate=8.0, position_latency=0.13, velocity_latency=0.24, has_vertical_velocity=True)
     simulated = simulate_gnss(truth, errors, ARM, 60.0, UNIX, rng())
