@@ -167,6 +167,13 @@ def pieces(n: int, size: int = PIECE) -> Iterator[slice]:
         yield slice(first, min(first + size, n))
 
 
+def even_pieces(n: int, size: int) -> Iterator[slice]:
+    """Slices of at most `size` rows that make up n rows and are as long as one another, to a row."""
+    count = max(1, -(-n // size))
+    for i in range(count):
+        yield slice(i * n // count, (i + 1) * n // count)
+
+
 def thinned(values: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
     """Return each `step`-th row; of a large array the memory is given back while it is gone through."""
     if step == 1:

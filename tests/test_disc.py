@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from smoother import disc
-from smoother.disc import LARGE, Growing, Shelf, contents, kept, pieces, release, roomy, settle, thinned
+from smoother.disc import LARGE, Growing, Shelf, contents, even_pieces, kept, pieces, release, roomy, settle, thinned
 
 LARGE_PAGES = Path("/sys/kernel/mm/transparent_hugepage/enabled")
 
@@ -113,6 +113,12 @@ def test_contents_are_the_bytes_of_the_file(size: int, tmp_path: Path) -> None:
 def test_pieces_make_up_the_whole() -> None:
     assert [range(10)[piece] for piece in pieces(10, 4)] == [range(4), range(4, 8), range(8, 10)]
     assert list(pieces(0)) == []
+
+
+def test_even_pieces_make_up_the_whole_and_none_is_a_remnant() -> None:
+    assert [range(10)[piece] for piece in even_pieces(10, 4)] == [range(3), range(3, 6), range(6, 10)]
+    assert [range(8)[piece] for piece in even_pieces(8, 8)] == [range(8)]
+    assert [range(0)[piece] for piece in even_pieces(0, 8)] == [range(0)]
 
 
 @pytest.mark.parametrize("large", [1, LARGE])

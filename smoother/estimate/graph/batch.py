@@ -218,17 +218,17 @@ class Batch:
         return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
 
 
-def doppler_noise(d: Data, noise: Noise) -> DopplerNoise | None:
-    """What the session's velocities tell, None where there are none."""
-    read = d.t[np.isfinite(d.velocity_n[:, 0])]
-    return DopplerNoise(float(noise.velocity[0]), float(np.ptp(read)) / (len(read) - 1)) if len(read) > 1 else None
+def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
+    """What the session's velocities tell on an axis of n, None where there are none."""
+    return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.velocity[axis]))
 
 
 def session_rows(
     d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
 ) -> list[rw.Rows]:
     """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
-    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, doppler_noise(d, noise), state.interval)
+    level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
+    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )

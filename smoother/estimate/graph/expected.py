@@ -40,63 +40,98 @@ NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 HANN_POWER = 0.375  # mean square of the taper
 MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
-LEVEL, TURNING = slice(0, 2), slice(2, 3)  # channels: accelerations ahead and to the left, turn times speed
+# channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
+LEVEL, TURNING, UPWARDS, LEVEL_AND_TURNING = slice(0, 2), slice(2, 3), slice(3, 4), slice(0, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMotion:
     """velocity_n (M, 3) m/s, acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path.
 
-    The velocity is the path's, less what the noise in the acceleration has added to it.
+    The velocity is the path's, less what the noise in the acceleration has added to it. turn_variance, (rad/s)^2: of
+    the errors of turn_rate.
     """
 
     velocity_n: Array
     acceleration_n: Array
     turn_rate: Array
+    turn_variance: float = 0.0
 
 
 @dataclass(frozen=True)
 class DopplerNoise:
-    """What velocities tell: sigma m/s of one of them, on each axis, and the mean time, s, from one to the next."""
+    """What velocities tell on an axis: sigma m/s of one of them, and the mean time, s, from one to the next."""
 
     sigma: float
     every: float
 
+    @staticmethod
+    def of(t: Array, velocity: Array, sigma: float) -> "DopplerNoise | None":
+        """Of velocities (N,), NaN where unknown, at t (N,) s, with noise of `sigma` m/s; None where there are none."""
+        read = t[np.isfinite(velocity)]
+        return DopplerNoise(sigma, float(np.ptp(read)) / (len(read) - 1)) if len(read) > 1 else None
+
 
 def expected_motion(
-    path: DensePath, level_axes_s: Array, noise: InertialNoise, doppler: DopplerNoise | None, interval: float
+    path: DensePath,
+    level_axes_s: Array,
+    noise: InertialNoise,
+    doppler: DopplerNoise | None,
+    interval: float,
+    upwards: DopplerNoise | None = None,
 ) -> ExpectedMotion:
     """Most probable motion behind the accelerations and rates of the bins of `path`, whose samples had `noise`.
 
     level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
-    None where there were none; interval, s, between its keyframes. The vertical acceleration stays as it is.
+    None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes.
     """
     R_nb, up_s = path.R_ns[:-1] @ level_axes_s.T, path.R_ns[:-1, 2, :]
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
     turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
-    values, dt = np.column_stack([acceleration_b[:, :2], turning]), float(path.t[1] - path.t[0])
+    values, dt = np.column_stack([acceleration_b[:, :2], turning, acceleration_b[:, 2]]), float(path.t[1] - path.t[0])
     sigma = _scatter(level_axes_s, noise, speed, dt)
     if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):  # it has run away; the solver says so
-        return ExpectedMotion(path.velocity_n, _at_edges(path.acceleration_n), _at_edges(turning / speed))
+        return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning / speed))
     felt = Transform.of(values, dt)
     sigma[2] = max(sigma[2], quick_scatter(felt.channels(TURNING)))
-    left_over = np.ones((len(felt.frequency), 3))
-    left_over[:, LEVEL] = noise_left(felt.frequency, noise.accel, doppler, interval)[:, None]
+    by_frequency = np.tile(sigma, (len(felt.frequency), 1))
+    for channels, velocities in ((LEVEL, doppler), (UPWARDS, upwards)):
+        by_frequency[:, channels] *= np.sqrt(noise_left(felt.frequency, noise.accel, velocities, interval))[:, None]
     lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
-    together = felt.later(lead)
-    acceleration_b[:, :2] = most_probable(together, sigma * np.sqrt(left_over), LEVEL).values()
-    turn_rate = most_probable(together, sigma, TURNING).later(-lead[TURNING]).values()[:, 0] / speed
+    together = felt.channels(LEVEL_AND_TURNING).later(lead)
+    acceleration_b[:, :2] = most_probable(together, by_frequency[:, LEVEL_AND_TURNING], LEVEL).signal.values()
+    acceleration_b[:, 2:] = most_probable(felt.channels(UPWARDS), by_frequency[:, UPWARDS], slice(0, 1)).signal.values()
+    turn = most_probable(together, sigma[LEVEL_AND_TURNING], TURNING)
+    turn_rate = turn.signal.later(-lead[TURNING]).values()[:, 0] / speed
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     noise_n = integrated(path.acceleration_n - acceleration_n, dt)
-    return ExpectedMotion(path.velocity_n - noise_n, _at_edges(acceleration_n), _at_edges(turn_rate))
+    return ExpectedMotion(
+        path.velocity_n - noise_n,
+        at_edges(acceleration_n),
+        at_edges(turn_rate),
+        float(turn.variance[0] / np.mean(speed**2)),
+    )
+
+
+def expected_tilting(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> tuple[Array, float]:
+    """Most probable rates of roll and pitch (M, 2) rad/s, at the edges of `path`, and the variance of their errors.
+
+    level_axes_s as for :func:`expected_motion`.
+    """
+    rates, dt = path.angular_rate_s @ level_axes_s[:2].T, float(path.t[1] - path.t[0])
+    sigma = noise.gyro * np.sqrt(np.diag(level_axes_s[:2] @ np.array(noise.gyro_shape) @ level_axes_s[:2].T) / dt)
+    if not np.all(np.isfinite(rates)):
+        return at_edges(rates), 0.0
+    found = most_probable(Transform.of(rates, dt), sigma, LEVEL)
+    return at_edges(found.signal.values()), float(np.mean(found.variance))
 
 
 def _scatter(level_axes_s: Array, noise: InertialNoise, speed: Array, dt: float) -> Array:
-    """Standard deviation (3,) m/s^2 of bins of dt s: acceleration ahead and left, turn times `speed` (M,) m/s."""
-    ahead, left, _ = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
+    """Standard deviation (4,) m/s^2 of bins of dt s: acceleration ahead, left; turn times `speed` (M,) m/s; upwards."""
+    ahead, left, up = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
     turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
-    return np.asarray(np.array([ahead, left, turn * np.sqrt(np.mean(speed**2))]) / np.sqrt(dt))
+    return np.asarray(np.array([ahead, left, turn * np.sqrt(np.mean(speed**2)), up]) / np.sqrt(dt))
 
 
 def quick_scatter(turning: Transform) -> float:
@@ -156,6 +191,6 @@ def integrated(values: Array, dt: float) -> Array:
     return np.concatenate([begins, begins[-1:] + dt * values[-1:]])
 
 
-def _at_edges(values: Array) -> Array:
+def at_edges(values: Array) -> Array:
     """Values of bins (M-1, ...) at their edges, (M, ...)."""
     return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])

@@ -402,17 +402,16 @@ def _behind(values: Array) -> Array:
     return np.asarray(values.transpose(last, *range(last)).reshape(-1, *values.shape[1:last]))
 
 
-YAW_JERK_RATE = 20.0  # rad/s^3 rms: how sharply a kart's turning rate bends
-JERK_RATE = 50.0  # m/s^4 rms, likewise of its acceleration
+JERK_RATE = 50.0  # m/s^4 rms: how sharply a kart's acceleration bends
 
 
-def averaged(path: DensePath, values: Array, density: float, bend: float) -> Array:
-    """Average values of the bins (M-1, 3) against white noise of `density`. Returns them at the edges, (M, 3).
+def averaged(path: DensePath, values: Array, density: float) -> Array:
+    """Average accelerations of the bins (M-1, c) against white noise of `density`. Returns them at the edges, (M, c).
 
     A Gaussian of width s leaves q^2 / (2 sqrt(pi) s) of white noise of density q and adds a bias of half s^2 times the
-    second derivative, whose rms is `bend`; the width that balances both is (q^2 / (3.54 bend^2))^(1/5).
+    second derivative, whose rms is JERK_RATE; the width that balances both is (q^2 / (3.54 JERK_RATE^2))^(1/5).
     """
-    width = (density**2 / (3.54 * bend**2)) ** 0.2
+    width = (density**2 / (3.54 * JERK_RATE**2)) ** 0.2
     smooth = gaussian_mean(values, width / (path.t[1] - path.t[0]))
     return np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
 

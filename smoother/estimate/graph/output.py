@@ -7,19 +7,17 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
-from smoother.disc import pieces, release, roomy
+from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
 from smoother.estimate.graph.components import unseen_offset
+from smoother.estimate.graph.expected import DopplerNoise
+from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import (
-    JERK_RATE,
-    YAW_JERK_RATE,
     BinnedImu,
     DensePath,
     InertialNoise,
-    at_times,
-    averaged,
     corrected,
     dense_path,
     interval_noise,
@@ -53,7 +51,7 @@ from smoother.trajectory import (
     Trajectory,
 )
 
-MARGIN = 5.0  # s of the path around the rows that are made together: more than any average of them reaches
+MARGIN = 20.0  # s of the path around the rows that are made together: more than what is expected of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
@@ -149,7 +147,10 @@ def build_trajectory(
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
     unseen = unseen_offset(noise, population)
-    keyframes = _keyframes(found, noise, mounting, binned, unseen)
+    fixes = session.gnss
+    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
+    source = _Source(found.state, binned, noise.inertial, level, up)
+    keyframes = _keyframes(found, source, mounting, unseen)
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         _widen(keyframes, swing)
@@ -173,10 +174,48 @@ def build_trajectory(
     joint = None if found.joint is None else found.joint(unseen)
     t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
     rows = _Rows.empty(len(t))
-    for part in pieces(len(t), TOGETHER):
-        rows.fill(part, t[part], found, noise, mounting, binned, keyframes)
+    for part in even_pieces(len(t), TOGETHER):
+        rows.fill(part, t[part], found, noise, mounting, source, keyframes)
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """What dense rows come from: a solved chain, its samples, and the noise of these and of Doppler."""
+
+    state: ChainState
+    binned: BinnedImu
+    noise: InertialNoise
+    doppler: DopplerNoise | None
+    upwards: DopplerNoise | None
+
+    def around(self, t: Array) -> "_Stretch":
+        """Return the path around times t (n,) s that their rows need, and what was felt on it."""
+        keys = _around(self.state, t)
+        state, bins = self.state.between(keys.start, keys.stop), self.binned.between(keys.start, keys.stop)
+        c = state.constants
+        path = dense_path(
+            corrected(bins, c), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
+        )
+        return _Stretch(
+            keys,
+            state,
+            bins,
+            path,
+            felt_on(path, c.level_axes_s, self.noise, self.doppler, state.interval, self.upwards),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """A part of a :class:`_Source`: the keyframes `keys`, their state and bins, the path through them, what is felt."""
+
+    keys: slice
+    state: ChainState
+    binned: BinnedImu
+    path: DensePath
+    felt: Felt
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,24 +242,20 @@ class _Rows:
         found: Estimated,
         noise: Noise,
         mounting: FittedMounting,
-        binned: BinnedImu,
+        source: _Source,
         keyframes: Keyframes,
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
-        arm_s, keys = found.state.constants.lever_arm_s, _around(found.state, t)
-        state = found.state.between(keys.start, keys.stop)
-        bins = binned.between(keys.start, keys.stop)
-        path = _path(state, bins)
-        motion, rate_s = motion_at(path, t), _rate_at(path, noise, t)
-        acceleration_n = at_times(path, averaged(path, path.acceleration_n, noise.inertial.accel, JERK_RATE), t)
-        R_nb = motion.R_ns @ mounting.R_bs.T
-        self.position_n[part] = motion.position_n + motion.R_ns @ arm_s
-        self.velocity_n[part] = motion.velocity_n + np.einsum("nij,nj->ni", motion.R_ns, np.cross(rate_s, arm_s))
+        arm_s, near = found.state.constants.lever_arm_s, source.around(t)
+        motion, rate_n = motion_at(near.path, t), near.felt.rate_at(t)
+        arm_n, R_nb = motion.R_ns @ arm_s, motion.R_ns @ mounting.R_bs.T
+        self.position_n[part] = motion.position_n + arm_n
+        self.velocity_n[part] = motion.velocity_n + np.cross(rate_n, arm_n)
         self.R_nb[part] = R_nb
-        self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, acceleration_n)
-        self.angular_rate_b[part] = rate_s @ mounting.R_bs.T
-        known = found.uncertainty
-        bend = known.bend[keys] + _between_samples(bins, noise.inertial, state.R_ns)
+        self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, near.felt.acceleration_at(t))
+        self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
+        known, keys, state = found.uncertainty, near.keys, near.state
+        bend = known.bend[keys] + _between_samples(near.binned, noise.inertial, state.R_ns)
         covariance, track = keyframes.covariance[keys], known.track[keys]
         track = np.column_stack([track, _bridge(track[:, 0], noise, state.interval)])
         for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
@@ -234,20 +269,10 @@ class _Rows:
         return Trajectory(t=t, **columns, sigmas=Sigmas(**self.sigmas), report=report, joint=joint)
 
 
-def _path(state: ChainState, binned: BinnedImu) -> DensePath:
-    binned = corrected(binned, state.constants)
-    return dense_path(binned, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
-
-
 def _around(state: ChainState, t: Array) -> slice:
     """Keyframes around times t (n,) s that the path there needs."""
     first = max(int(np.searchsorted(state.t, t[0] - MARGIN)) - 1, 0)
     return slice(first, min(int(np.searchsorted(state.t, t[-1] + MARGIN)) + 1, len(state.t)))
-
-
-def _rate_at(path: DensePath, noise: Noise, t: Array) -> Array:
-    """Angular rate (n, 3) rad/s in s at t (n,) s."""
-    return at_times(path, averaged(path, path.angular_rate_s, noise.inertial.gyro, YAW_JERK_RATE), t)
 
 
 def row_times(start: float, end: float, rate: float) -> Array:
@@ -302,24 +327,23 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -
     return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
 
 
-def _keyframes(found: Estimated, noise: Noise, mounting: FittedMounting, binned: BinnedImu, unseen: Array) -> Keyframes:
+def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unseen: Array) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, R_nb)
-    for part in pieces(len(R), TOGETHER):
+    for part in even_pieces(len(R), TOGETHER):
         covariance[part] = known.antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
         left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * mounting.sigma**2) @ R_nb[part].transpose(0, 2, 1)
-        keys = _around(state, state.t[part])
-        path = _path(state.between(keys.start, keys.stop), binned.between(keys.start, keys.stop))
-        rate_s = _rate_at(path, noise, state.t[part])
-        velocity_n[part] += np.einsum("kij,kj->ki", R[part], np.cross(rate_s, arm_s))
-        release(covariance, known, binned)
+        felt, arm_n = source.around(state.t[part]).felt, R[part] @ arm_s
+        velocity_n[part] += np.cross(felt.rate_at(state.t[part]), arm_n)
+        covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n)
+        release(covariance, known, source.binned)
     return Keyframes(
         t=state.t,
         position_n=state.position_n + R @ arm_s,

@@ -80,7 +80,7 @@ class GraphSmoother:
         return replace(trajectory, report=report)
 
     def _from_graph(self, session: Session, watch: "Stopwatch") -> Trajectory:
-        options = self.options
+        options = self.options.for_fixes(session.gnss.t)
         with watch("align"):
             session, delay = in_step(session) if options.in_step else (session, UNSEEN)
             # densities and constants are known to some per cent from two minutes of driving

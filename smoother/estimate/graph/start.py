@@ -25,20 +25,22 @@ DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
+FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
+LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
 
 
 @dataclass(frozen=True)
 class GraphOptions:
     """Options of the graph. rate Hz of the output; intervals s; everything else in SI.
 
-    keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver. bin_interval: of the averaged inertial
-    samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment leaves of the gyro's bias.
-    doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: a mean over 0.2 s has 1.7e-3, an antenna
-    half a metre up that leans by 1.5 mrad to a m/s^2 -0.8e-3, recordings -6e-3 to 13e-3. sensor_error: scale and
-    misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of vibration, m/s^2, to begin with.
-    Walks: temperature drift of the same part while it warms up. Lever arm and latency priors: what fits on a kart, and
-    what receivers do. in_step: a force that is late behind the rate is taken to its time. rounds: of solving and
-    identifying.
+    keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver; less beyond 10 Hz (:meth:`for_fixes`).
+    bin_interval: of the averaged inertial samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment
+    leaves of the gyro's bias. doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: a mean over 0.2 s
+    has 1.7e-3, an antenna half a metre up that leans by 1.5 mrad to a m/s^2 -0.8e-3, recordings -6e-3 to 13e-3.
+    sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of
+    vibration, m/s^2, to begin with. Walks: temperature drift of the same part while it warms up. Lever arm and latency
+    priors: what fits on a kart, and what receivers do. in_step: a force that is late behind the rate is taken to its
+    time. rounds: of solving and identifying.
     """
 
     rate: float = 50.0
@@ -63,6 +65,15 @@ class GraphOptions:
     iterations: int = 3
     approaches: int = 4
     final_rounds: int = 10
+
+    def for_fixes(self, t: Array) -> "GraphOptions":
+        """Return the options for fixes at t (N,) s: no more than FIXES_BETWEEN of them from one keyframe to the next.
+
+        A cubic of 0.2 s is stiffer than five good velocities in it: what it misses of the motion would pass for noise.
+        """
+        spacing = float(median(np.diff(t))) if len(t) > 1 else math.inf
+        interval = max(FIXES_BETWEEN * spacing, LEAST_INTERVAL)
+        return replace(self, keyframe_interval=interval) if interval < 0.99 * self.keyframe_interval else self
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,12 +71,20 @@ def quick_length(count: int) -> int:
     return -(-count // unit) * unit
 
 
-def most_probable(transform: Transform, sigma: Array, wanted: slice) -> Transform:
+@dataclass(frozen=True, eq=False)
+class MostProbable:
+    """Most probable signals in W channels, and the mean variance (W,) of their errors."""
+
+    signal: Transform
+    variance: Array
+
+
+def most_probable(transform: Transform, sigma: Array, wanted: slice) -> MostProbable:
     """Multichannel Wiener filter: most probable signals in the channels `wanted` of noisy ones.
 
     sigma (C,) or, of each frequency, (F, C): standard deviation of the noise of the channels, independent of one
     another. What of the spectral matrix noise alone may reach is taken off. Only what the channels share in phase
-    passes from one to another.
+    passes from one to another. Errors are the noise that passes and the signal that does not.
     """
     spectrum = transform.coefficients / sigma
     n, c = spectrum.shape
@@ -91,7 +99,11 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> Transfor
     k = np.arange(n)
     fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(n, -1, c)
     found = (fine @ spectrum[:, :, None])[:, :, 0] * sigma[..., wanted]
-    return replace(transform, coefficients=found, mean=transform.mean[wanted])
+    error = share**2 + (1.0 - share) ** 2 * np.maximum(eigenvalues - 1.0, 0.0)
+    error = (axes[:, wanted] ** 2 @ error[:, :, None])[:, :, 0]
+    by_frequency = np.stack([np.interp(k, band, error[:, i]) for i in range(error.shape[1])], axis=1)
+    variance = np.mean(by_frequency * sigma[..., wanted] ** 2, axis=0)
+    return MostProbable(replace(transform, coefficients=found, mean=transform.mean[wanted]), variance)
 
 
 def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:

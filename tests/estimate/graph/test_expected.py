@@ -123,8 +123,12 @@ class TestExpectedMotion:
         assert latency == pytest.approx(0.02, abs=0.002)
         plain_arm, _ = fit(path, shaken.acceleration_n[:, :2], shaken.angular_rate_s[:, 2], late)
         sigma = NOISE.gyro / np.sqrt(DT) * np.ones(1), NOISE.accel / np.sqrt(DT) * np.ones(2)
-        acceleration = most_probable(Transform.of(shaken.acceleration_n[:, :2], DT), sigma[1], slice(0, 2)).values()
-        turn = most_probable(Transform.of(shaken.angular_rate_s[:, 2:], DT), sigma[0], slice(0, 1)).values()[:, 0]
+        acceleration = most_probable(
+            Transform.of(shaken.acceleration_n[:, :2], DT), sigma[1], slice(0, 2)
+        ).signal.values()
+        turn = most_probable(Transform.of(shaken.angular_rate_s[:, 2:], DT), sigma[0], slice(0, 1)).signal.values()[
+            :, 0
+        ]
         alone_arm, _ = fit(path, acceleration, turn, late)
         assert abs(plain_arm - ARM) > 0.3 * ARM
         assert abs(alone_arm - ARM) > 2.0 * abs(arm - ARM)

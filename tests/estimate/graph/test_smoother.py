@@ -445,6 +445,26 @@ class TestKart:
         # the latency is found from a part of the session, to 4 ms; keyframes are 200 ms apart
         assert np.max(away) < 0.01
 
+    def test_velocity_is_known_as_well_as_its_sigma_says_where_a_noisy_gyro_swings_a_long_arm(self) -> None:
+        changes = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "imu_gyro_noise": 0.04, "imu_accel_noise": 0.08}
+        s = smoothed(simulate_preset("kart", 2, duration=150.0, lever_arm_b=np.array([0.9, 0.2, 0.3]), **changes))
+        assert s.trajectory.sigmas is not None
+        driving = s.trajectory.t > 20.0
+        normalised = np.abs(s.velocity_error_n[driving, :2] / s.trajectory.sigmas.velocity_n[driving, :2])
+        assert 0.55 < np.mean(normalised < 1.0) < 0.8
+        assert np.mean(normalised < 2.0) > 0.9
+        rate = (s.trajectory.angular_rate_b - s.truth.angular_rate_b)[driving, 2]
+        assert np.sqrt(np.mean(rate**2)) < 0.05  # rad/s; the gyro itself, averaged over a tenth of a second, has 0.08
+
+    def test_noise_upwards_tells_no_delay(self) -> None:
+        """Where samples are noisy, what they say of motion up and down is noise, however well Doppler knows it."""
+        changes = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "imu_gyro_noise": 0.04, "imu_accel_noise": 0.9}
+        sigma = []
+        for upwards in (False, True):
+            s = smoothed(simulate_preset("kart", 1, duration=150.0, gnss_has_vertical_velocity=upwards, **changes))
+            sigma.append(s.trajectory.report.identified["gps_velocity_latency"].sigma)
+        assert sigma[1] == pytest.approx(sigma[0], rel=0.15)
+
     def test_velocity_is_known_as_well_as_its_sigma_says_between_keyframes_as_at_them(self) -> None:
         """Samples so noisy that velocities tell more: what is between two of them, only the samples tell."""
         s = smoothed(simulate_preset("kart", 1, duration=150.0, imu_accel_noise=0.9, imu_gyro_noise=0.04))
@@ -525,3 +545,14 @@ def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure
         # 100 s of a hand on the wheel, which has another place each 0.15 s: 2 % at one sigma, 1 % at two
         assert np.mean(np.abs(error) < sigma) == pytest.approx(0.68, abs=0.06 if wheel_turns_it else 0.25)
         assert np.mean(np.abs(error) < 2.0 * sigma) == pytest.approx(0.955, abs=0.03 if wheel_turns_it else 0.05)
+
+
+def test_keyframes_are_closer_where_fixes_are() -> None:
+    options = GraphOptions()
+    assert options.for_fixes(0.2 * np.arange(100)) is options
+    assert options.for_fixes(0.1 * np.arange(100)) is options
+    assert options.for_fixes(5.0 * np.arange(3)) is options
+    assert options.for_fixes(np.array([3.0])) is options
+    assert options.for_fixes(0.05 * np.arange(100)).keyframe_interval == pytest.approx(0.1)
+    assert options.for_fixes(0.04 * np.arange(100)).keyframe_interval == pytest.approx(0.08)
+    assert options.for_fixes(0.01 * np.arange(100)).keyframe_interval == pytest.approx(0.08)

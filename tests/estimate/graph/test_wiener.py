@@ -11,7 +11,7 @@ MIDDLE = np.asarray(DT * (np.arange(15000) + 0.5), dtype=np.float64)
 
 
 def filtered(values: np.ndarray, sigma: np.ndarray, wanted: slice = slice(None)) -> np.ndarray:
-    return most_probable(Transform.of(values, DT), sigma, wanted).values()
+    return most_probable(Transform.of(values, DT), sigma, wanted).signal.values()
 
 
 class TestTransform:
@@ -70,6 +70,30 @@ class TestMostProbable:
         both = filtered(values, np.array([1.0, 0.1]))[:, 0] - signal
         alone = filtered(values[:, :1], np.array([1.0]))[:, 0] - signal
         assert np.std(both) < 0.4 * np.std(alone)
+
+    @pytest.mark.parametrize("sigma", [0.3, 1.0, 4.0])
+    def test_errors_are_as_large_as_is_said(self, sigma: float) -> None:
+        rng = np.random.default_rng(6)
+        signal = gaussian_mean(rng.normal(size=(15000, 1)), 6.0)  # without an edge in its spectrum
+        signal = np.hstack([signal, 0.7 * signal + 0.5 * gaussian_mean(rng.normal(size=(15000, 1)), 10.0)])
+        signal /= np.std(signal, axis=0)
+        noise = sigma * np.array([1.0, 0.5])
+        found = most_probable(Transform.of(signal + noise * rng.normal(size=signal.shape), DT), noise, slice(None))
+        error = np.std(found.signal.values() - signal, axis=0)
+        np.testing.assert_allclose(np.sqrt(found.variance), error, rtol=0.15)
+        assert np.all(error < np.minimum(noise, 1.0))
+
+    def test_the_error_where_noise_is_said_to_be_less_at_some_frequencies(self) -> None:
+        """White noise that Doppler has taken out below a hertz."""
+        rng = np.random.default_rng(7)
+        signal = gaussian_mean(rng.normal(size=(15000, 1)), 6.0)
+        signal /= np.std(signal)
+        noise = Transform.of(2.0 * rng.normal(size=(15000, 1)), DT)
+        share = np.where(noise.frequency < 1.0, 0.1, 1.0)[:, None]
+        left = Transform(share * noise.coefficients, noise.mean, noise.count, DT).values()
+        found = most_probable(Transform.of(signal + left, DT), 2.0 * share, slice(None))
+        error = np.std(found.signal.values() - signal)
+        np.testing.assert_allclose(np.sqrt(found.variance[0]), error, rtol=0.15)
 
     def test_noise_of_velocities_does_not_pass_to_the_other_channel_in_phase_with_the_velocities(self) -> None:
         """Though that one leads: what is passed on must not contain the slope of the acceleration."""
