@@ -75,6 +75,15 @@ def test_positions_from_white_fixes_are_as_unsure_as_they_are_wrong(honesty: Mod
     assert 0.75 < math.sqrt(float(np.nanmean(z**2))) < 1.35
 
 
+def test_karts_whose_figures_are_drawn_at_random_are_as_unsure_as_they_are_wrong(honesty: ModuleType) -> None:
+    karts = importlib.import_module("random_karts")
+    scores = [karts.run(seed) for seed in range(500, 506)]
+    # both delays and the arm of a session err together: six sessions hold some fifteen errors
+    assert math.sqrt(float(np.mean(karts.normalised(scores) ** 2))) < 1.7
+    for quantity, least in (("velocity", 0.9), ("attitude", 0.88), ("line", 0.8)):
+        assert karts.share(scores, karts.SHARES[quantity], 2) > least
+
+
 @pytest.mark.parametrize("factor", [0.6, 1.7])
 def test_sigmas_that_are_wrong_by_two_thirds_are_noticed(
     honesty: ModuleType, sessions: list[Any], factor: float
