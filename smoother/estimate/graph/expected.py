@@ -31,7 +31,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.graph.imu import DensePath, InertialNoise
-from smoother.estimate.graph.wiener import Transform, most_probable
+from smoother.estimate.graph.wiener import MostProbable, Transform, most_probable
 
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
@@ -40,8 +40,10 @@ NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 HANN_POWER = 0.375  # mean square of the taper
 MOST_LEAD = 0.3  # s
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
+SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
 # channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
-LEVEL, TURNING, UPWARDS, LEVEL_AND_TURNING = slice(0, 2), slice(2, 3), slice(3, 4), slice(0, 3)
+LEVEL, TURN, UPWARDS, LEVEL_AND_TURNING = slice(0, 2), 2, slice(3, 4), slice(0, 3)
+TURNING = slice(TURN, TURN + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,33 +87,42 @@ def expected_motion(
     level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
     None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes.
     """
-    R_nb, up_s = path.R_ns[:-1] @ level_axes_s.T, path.R_ns[:-1, 2, :]
+    R_nb, dt = path.R_ns[:-1] @ level_axes_s.T, float(path.t[1] - path.t[0])
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
-    turning = speed * np.sum(up_s * path.angular_rate_s, axis=1)
-    values, dt = np.column_stack([acceleration_b[:, :2], turning, acceleration_b[:, 2]]), float(path.t[1] - path.t[0])
-    sigma = _scatter(level_axes_s, noise, speed, dt)
-    if not (np.all(np.isfinite(values)) and np.all(np.isfinite(sigma))):  # it has run away; the solver says so
-        return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning / speed))
-    felt = Transform.of(values, dt)
-    sigma[2] = max(sigma[2], quick_scatter(felt.channels(TURNING)))
-    by_frequency = np.tile(sigma, (len(felt.frequency), 1))
+    rate = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
+    scatter = _scatter(level_axes_s, noise, dt)
+    if not all(np.all(np.isfinite(values)) for values in (acceleration_b, speed, rate, scatter)):
+        # it has run away; the solver says so
+        return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(rate))
+    turn = _expected_turn(acceleration_b[:, 1], rate, speed, scatter, dt)
+    felt = Transform.of(np.column_stack([acceleration_b[:, :2], rate * speed, acceleration_b[:, 2]]), dt)
+    sigma = np.tile(scatter, (len(felt.frequency), 1))
+    sigma[:, TURNING] = max(scatter[TURN] * _rms(speed), quick_scatter(felt.channels(TURNING)))
     for channels, velocities in ((LEVEL, doppler), (UPWARDS, upwards)):
-        by_frequency[:, channels] *= np.sqrt(noise_left(felt.frequency, noise.accel, velocities, interval))[:, None]
+        sigma[:, channels] *= np.sqrt(noise_left(felt.frequency, noise.accel, velocities, interval))[:, None]
     lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
-    together = felt.channels(LEVEL_AND_TURNING).later(lead)
-    acceleration_b[:, :2] = most_probable(together, by_frequency[:, LEVEL_AND_TURNING], LEVEL).signal.values()
-    acceleration_b[:, 2:] = most_probable(felt.channels(UPWARDS), by_frequency[:, UPWARDS], slice(0, 1)).signal.values()
-    turn = most_probable(together, sigma[LEVEL_AND_TURNING], TURNING)
-    turn_rate = turn.signal.later(-lead[TURNING]).values()[:, 0] / speed
-    acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
+    level = most_probable(felt.channels(LEVEL_AND_TURNING).later(lead), sigma[:, LEVEL_AND_TURNING], LEVEL)
+    up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
+    acceleration_n = np.einsum("kij,kj->ki", R_nb, np.hstack([level.signal.values(), up.signal.values()]))
     noise_n = integrated(path.acceleration_n - acceleration_n, dt)
-    return ExpectedMotion(
-        path.velocity_n - noise_n,
-        at_edges(acceleration_n),
-        at_edges(turn_rate),
-        float(turn.variance[0] / np.mean(speed**2)),
-    )
+    turn_rate = at_edges(turn.signal.values()[:, 0])
+    return ExpectedMotion(path.velocity_n - noise_n, at_edges(acceleration_n), turn_rate, float(turn.variance[0]))
+
+
+def _expected_turn(to_left: Array, rate: Array, speed: Array, scatter: Array, dt: float) -> MostProbable:
+    """Most probable yaw rate of bins of dt s: of rate (M,) rad/s, and acceleration to_left (M,) m/s^2 over speed.
+
+    As a rate, and not as an acceleration that is divided by the speed in the end: what is left of the noise of quick
+    corners would be several times as much in slow ones, and what of a yaw rate does not go with the acceleration is
+    what tells an arm from a latency. scatter (4,) of :func:`_scatter`.
+    """
+    slow = np.maximum(speed, SLOW * _rms(speed))
+    felt = Transform.of(np.column_stack([to_left / slow, rate]), dt)
+    sigma = np.array([scatter[1] * _rms(1.0 / slow), max(scatter[TURN], quick_scatter(felt.channels(slice(1, 2))))])
+    lead = np.array([0.0, turning_lead(felt)])
+    turn = most_probable(felt.later(lead), sigma, slice(1, 2))
+    return replace(turn, signal=turn.signal.later(-lead[1:]))
 
 
 def expected_tilting(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> tuple[Array, float]:
@@ -127,11 +138,15 @@ def expected_tilting(path: DensePath, level_axes_s: Array, noise: InertialNoise)
     return at_edges(found.signal.values()), float(np.mean(found.variance))
 
 
-def _scatter(level_axes_s: Array, noise: InertialNoise, speed: Array, dt: float) -> Array:
-    """Standard deviation (4,) m/s^2 of bins of dt s: acceleration ahead, left; turn times `speed` (M,) m/s; upwards."""
+def _scatter(level_axes_s: Array, noise: InertialNoise, dt: float) -> Array:
+    """Standard deviation (4,) of bins of dt s: acceleration ahead, left, m/s^2, turn, rad/s, acceleration upwards."""
     ahead, left, up = noise.accel * np.sqrt(np.diag(level_axes_s @ np.array(noise.accel_shape) @ level_axes_s.T))
     turn = noise.gyro * np.sqrt(level_axes_s[2] @ np.array(noise.gyro_shape) @ level_axes_s[2])
-    return np.asarray(np.array([ahead, left, turn * np.sqrt(np.mean(speed**2)), up]) / np.sqrt(dt))
+    return np.asarray(np.array([ahead, left, turn, up]) / np.sqrt(dt))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def quick_scatter(turning: Transform) -> float:

@@ -151,6 +151,23 @@ class TestExpectedMotion:
         slope = np.gradient(rate, DT)
         assert abs(float((found - rate) @ slope / (slope @ slope))) < 0.05 * ahead
 
+    def test_a_slow_corner_is_known_as_well_as_a_quick_one(self) -> None:
+        """And its error is none of what the acceleration does not tell, by which an arm would seem to be seen."""
+        rng = np.random.default_rng(8)
+        speed = 17.0 + 14.0 * np.sin(0.15 * T)
+        turn = gaussian_mean(rng.normal(size=len(T)), 0.5 / DT)
+        turn *= 8.0 / np.std(turn) / speed  # as much acceleration in each corner
+        yaw = np.concatenate([[0.0], np.cumsum(0.5 * (turn[1:] + turn[:-1]) * DT)])
+        zero = np.zeros_like(T)
+        velocity = speed[:, None] * np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
+        rates = np.diff(yaw)[:, None] / DT * [0.0, 0.0, 1.0]
+        R = so3.exp(np.stack([zero, zero, yaw], axis=1))
+        path = DensePath(T, R, np.zeros_like(velocity), velocity, rates, np.diff(velocity, axis=0) / DT)
+        found = expected(noisy(path, NOISE), np.eye(3), NOISE)
+        error, slow = found.turn_rate - turn, speed < 8.0
+        assert np.std(error[slow]) < 2.0 * np.std(error[~slow])
+        assert np.std(error) == pytest.approx(np.sqrt(found.turn_variance), rel=0.3)
+
     def test_a_path_that_doppler_has_held_is_freed_of_what_noise_is_left_in_it_and_no_more(self) -> None:
         """With samples as bad as a real kart's, white noise for all would take a good part of the motion with it."""
         path, _ = corners()
