@@ -11,14 +11,16 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.config import ImuNoise
 from smoother.estimate.gnss_offset import OffsetModel
-from smoother.estimate.graph import batch, components, expected, imu, inertial, rows, smoother, solve, start
+from smoother.estimate.graph import batch, components, expected, imu, inertial, output, rows, smoother, solve, start
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.felt import Felt
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
+from smoother.fit.running import gaussian_mean
 from smoother.samples import ImuSamples, Session
 from smoother.trajectory import Trajectory
 
@@ -161,6 +163,23 @@ def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
     return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning))
 
 
+def _raw_upwards(path: DensePath, *arguments: Any) -> ExpectedMotion:
+    """What is expected, but up and down as the samples say."""
+    felt, raw = expected.expected_motion(path, *arguments), expected.at_edges(path.acceleration_n)
+    velocity_n, acceleration_n = felt.velocity_n.copy(), felt.acceleration_n.copy()
+    velocity_n[:, 2], acceleration_n[:, 2] = path.velocity_n[:, 2], raw[:, 2]
+    return replace(felt, velocity_n=velocity_n, acceleration_n=acceleration_n)
+
+
+def _averaged_rates(path: DensePath, *_: Any) -> Felt:
+    """Rates and accelerations averaged over a tenth of a second, as sure as if they were the truth."""
+    rate_s, acceleration_n = (
+        expected.at_edges(gaussian_mean(values, 0.05 / (path.t[1] - path.t[0])))
+        for values in (path.angular_rate_s, path.acceleration_n)
+    )
+    return Felt(path, acceleration_n, np.einsum("kij,kj->ki", path.R_ns, rate_s), 0.0, 0.0)
+
+
 def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
     """Bins with what was interpolated passed off as measured."""
     binned = imu.bin_imu(samples, t, n_bins, *biases)
@@ -220,6 +239,9 @@ EFFECTS = (
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
     Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
+    Effect("motion up and down freed of the samples' noise", patches=((batch, "expected_motion", _raw_upwards),)),
+    Effect("most probable rates in the rows", patches=((output, "felt_on", _averaged_rates),)),
+    Effect("two fixes to a keyframe beyond 10 Hz", patches=((start, "FIXES_BETWEEN", 1000),)),
     Effect("what Doppler takes of the samples' noise", patches=((expected, "noise_left", _all_left),)),
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),

@@ -87,6 +87,8 @@ def _loose_plug(session: Session, seed: int) -> Session:
     return replace(session, imu=replace(session.imu, t=t[kept], specific_force_s=force, angular_rate_s=rate))
 
 
+NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
+QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
 # plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
 # steering wheel whose accelerometer is late
@@ -98,8 +100,9 @@ WORLDS = {
     "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
     "kart, poor sky at times": World("kart", {}, _poor_sky),
     "kart, no samples at times": World("kart", {}, _loose_plug),
-    "kart, samples as noisy as real ones": World("kart", {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}),
+    "kart, samples as noisy as real ones": World("kart", NOISY),
     "kart_harsh, good receiver": World("kart_harsh", {"gnss_velocity_sigma": 0.05}),
+    "kart, quick receiver on a long arm": World("kart", {**NOISY, **QUICK, "lever_arm_b": np.array([0.9, 0.2, 0.3])}),
     "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
 }
 
