@@ -95,7 +95,7 @@ def expected_motion(
     if not all(np.all(np.isfinite(values)) for values in (acceleration_b, speed, rate, scatter)):
         # it has run away; the solver says so
         return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(rate))
-    turn = _expected_turn(acceleration_b[:, 1], rate, speed, scatter, dt)
+    turn = _expected_turn(acceleration_b[:, :2], rate, speed, scatter, dt)
     felt = Transform.of(np.column_stack([acceleration_b[:, :2], rate * speed, acceleration_b[:, 2]]), dt)
     sigma = np.tile(scatter, (len(felt.frequency), 1))
     sigma[:, TURNING] = max(scatter[TURN] * _rms(speed), quick_scatter(felt.channels(TURNING)))
@@ -110,19 +110,20 @@ def expected_motion(
     return ExpectedMotion(path.velocity_n - noise_n, at_edges(acceleration_n), turn_rate, float(turn.variance[0]))
 
 
-def _expected_turn(to_left: Array, rate: Array, speed: Array, scatter: Array, dt: float) -> MostProbable:
-    """Most probable yaw rate of bins of dt s: of rate (M,) rad/s, and acceleration to_left (M,) m/s^2 over speed.
+def _expected_turn(level: Array, rate: Array, speed: Array, scatter: Array, dt: float) -> MostProbable:
+    """Most probable yaw rate of bins of dt s: of rate (M,) rad/s, and level accelerations (M, 2) m/s^2, ahead and left.
 
     As a rate, and not as an acceleration that is divided by the speed in the end: what is left of the noise of quick
     corners would be several times as much in slow ones, and what of a yaw rate does not go with the acceleration is
-    what tells an arm from a latency. scatter (4,) of :func:`_scatter`.
+    what tells an arm from a latency. speed (M,) m/s; scatter (4,) of :func:`_scatter`.
     """
     slow = np.maximum(speed, SLOW * _rms(speed))
-    felt = Transform.of(np.column_stack([to_left / slow, rate]), dt)
-    sigma = np.array([scatter[1] * _rms(1.0 / slow), max(scatter[TURN], quick_scatter(felt.channels(slice(1, 2))))])
-    lead = np.array([0.0, turning_lead(felt)])
-    turn = most_probable(felt.later(lead), sigma, slice(1, 2))
-    return replace(turn, signal=turn.signal.later(-lead[1:]))
+    felt = Transform.of(np.column_stack([level[:, 0], level[:, 1] / slow, rate]), dt)
+    sigma = scatter[:3] * [1.0, _rms(1.0 / slow), 1.0]
+    sigma[TURN] = max(sigma[TURN], quick_scatter(felt.channels(TURNING)))
+    lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
+    turn = most_probable(felt.later(lead), sigma, TURNING)
+    return replace(turn, signal=turn.signal.later(-lead[TURNING]))
 
 
 def expected_tilting(path: DensePath, level_axes_s: Array, noise: InertialNoise) -> tuple[Array, float]:
