@@ -99,11 +99,20 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> MostProb
     k = np.arange(n)
     fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(n, -1, c)
     found = (fine @ spectrum[:, :, None])[:, :, 0] * sigma[..., wanted]
-    error = share**2 + (1.0 - share) ** 2 * np.maximum(eigenvalues - 1.0, 0.0)
-    error = (axes[:, wanted] ** 2 @ error[:, :, None])[:, :, 0]
-    by_frequency = np.stack([np.interp(k, band, error[:, i]) for i in range(error.shape[1])], axis=1)
-    variance = np.mean(by_frequency * sigma[..., wanted] ** 2, axis=0)
+    # noise alone has eigenvalues above and below one: what is withheld is a signal only where they are above on average
+    passed, withheld = (
+        _mean_variance(axes[:, wanted] ** 2 @ error[:, :, None], band, sigma[..., wanted], n)
+        for error in (share**2, (1.0 - share) ** 2 * (eigenvalues - 1.0))
+    )
+    variance = passed + np.maximum(withheld, 0.0)
     return MostProbable(replace(transform, coefficients=found, mean=transform.mean[wanted]), variance)
+
+
+def _mean_variance(whitened: Array, band: IntArray, sigma: Array, n_frequencies: int) -> Array:
+    """Mean (W,) over all frequencies of variances (B, W, 1) in units of sigma (W,) or (F, W), given in bands (B,)."""
+    k = np.arange(n_frequencies)
+    by_frequency = np.stack([np.interp(k, band, whitened[:, i, 0]) for i in range(whitened.shape[1])], axis=1)
+    return np.asarray(np.mean(by_frequency * sigma**2, axis=0))
 
 
 def _bands(n_frequencies: int, duration: float) -> tuple[IntArray, IntArray, IntArray]:
