@@ -24,6 +24,7 @@ SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
+SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
 # m that one fix scatters against the next. Receivers filter: four walked beside RTK and two on karts show 0.01-0.03,
 # and all else of the 0.2-0.5 m that is faster than 20 s goes on from fix to fix. Others may not.
 USUAL_POSITION = np.array([0.05, 0.05, 0.1])
@@ -138,10 +139,11 @@ def unseen_offset(noise: Noise, population: Array) -> Array:
     A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
     neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
     population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
-    that there is no offset at all. A session that lasts for many times the time over which its offset is forgotten is
-    its own judge.
+    that there is no offset at all; if they show one, it is as others are. A session that lasts for many times the time
+    over which its offset is forgotten is its own judge.
     """
-    if noise.position[0] > UNFILTERED or math.isfinite(noise.offset_tau_spread):
+    shows_none = noise.position[0] > UNFILTERED and noise.offset_sigma[0] < SHOWN * population[0]
+    if shows_none or math.isfinite(noise.offset_tau_spread):
         return np.zeros(3)
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
 

@@ -442,7 +442,9 @@ class TestNoise:
     def test_a_filtered_receiver_wanders_by_what_receivers_wander_though_the_drive_shows_less(self) -> None:
         noise, population = replace(problem().noise, offset_sigma=np.array([0.5, 0.5, 4.0])), np.array([2.0, 2.0, 3.4])
         np.testing.assert_allclose(unseen_offset(noise, population), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
-        white = replace(noise, position=np.full(3, 2.5))
+        white = replace(noise, position=np.full(3, 2.5), offset_sigma=np.array([0.1, 0.1, 0.2]))
         np.testing.assert_array_equal(unseen_offset(white, population), np.zeros(3))
+        wanders = replace(noise, position=np.full(3, 2.5), offset_sigma=np.array([0.8, 0.8, 1.4]))
+        np.testing.assert_allclose(unseen_offset(wanders, population), population**2 - wanders.offset_sigma**2)
         long = replace(noise, offset_tau_spread=0.2)
         np.testing.assert_array_equal(unseen_offset(long, population), np.zeros(3))
