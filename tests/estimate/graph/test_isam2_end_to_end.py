@@ -1,11 +1,13 @@
 """The two solvers from a session to its trajectory: whoever streams gets what the batch gives."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.estimate.graph import solve
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
@@ -26,9 +28,13 @@ def session() -> Session:
 
 
 @pytest.fixture(scope="module")
-def solutions() -> tuple[Trajectory, Trajectory]:
+def solutions() -> Iterator[tuple[Trajectory, Trajectory]]:
+    """Of both solvers; the batch goes on until it stays, where single moments would otherwise still move by a sigma."""
     given = session()
-    return tuple(GraphSmoother(GraphOptions(solver=solver)).estimate(given) for solver in ("batch", "isam2"))  # type: ignore[return-value]
+    with pytest.MonkeyPatch.context() as patch:
+        for name, limit in (("WELL_KNOWN", 0.01), ("CONSTANTS_WELL_KNOWN", 0.01), ("STEADY", 1e-3)):
+            patch.setattr(solve, name, limit)
+        yield tuple(GraphSmoother(GraphOptions(solver=solver)).estimate(given) for solver in ("batch", "isam2"))  # type: ignore[return-value]
 
 
 def test_the_stream_gives_the_trajectory_of_the_batch(solutions: tuple[Trajectory, Trajectory]) -> None:
@@ -37,7 +43,7 @@ def test_the_stream_gives_the_trajectory_of_the_batch(solutions: tuple[Trajector
     np.testing.assert_array_equal(stream.t, batch.t)
     assert np.any(stream.position_n != batch.position_n)  # it is not the batch under another name
     assert batch.sigmas is not None
-    # fractions of a sigma: nothing that anyone can see, and no more than the last steps of the batch itself move
+    # fractions of a sigma: nothing that anyone can see
     for name in ("position_n", "velocity_n"):
         apart = np.abs(getattr(stream, name) - getattr(batch, name)) / getattr(batch.sigmas, name)
         assert float(np.sqrt(np.mean(apart**2))) < 0.2, name
