@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = [  # lowest first; a file or a package of smoother/
     "errors",
+    "threads",
     "documents",
     "arrays",
     "disc",

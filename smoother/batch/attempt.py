@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
+from smoother import threads
 from smoother.batch import record, stamps
 from smoother.batch.outcome import Cost, Outcome, State, facts_of_results, facts_of_settings, one_line
 from smoother.batch.task import ERROR_LOG, Limits, Task
@@ -31,13 +32,6 @@ COMMAND = ("-P", "-m", "smoother.cli")  # -P: no module of the working directory
 STARTS = 2  # of a session that something outside killed: the system, short of memory for all, or a person
 LOOK = 0.02  # s between two looks at a process
 SAID = 65536  # bytes of what a process said that are looked at, the last ones
-ONE_THREAD = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "POLARS_MAX_THREADS",
-)
 OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "memory allocation of", "Cannot allocate memory", "can't start new thread")
 
 
@@ -85,7 +79,7 @@ def _until_it_ends_itself(task: Task, stop: threading.Event, command: Sequence[s
 def _run(task: Task, stop: threading.Event, command: Sequence[str]) -> Ended:
     """Run the process to its end, or to that of its time. Raises Stopped, OSError."""
     call = [sys.executable, *command, str(task.session), "--out", str(task.out), *task.arguments]
-    surroundings = {**os.environ, **dict.fromkeys(ONE_THREAD, "1"), "PYTHONFAULTHANDLER": "1", "NO_COLOR": "1"}
+    surroundings = {**os.environ, **dict.fromkeys(threads.VARIABLES, "1"), "PYTHONFAULTHANDLER": "1", "NO_COLOR": "1"}
     start = time.monotonic()
     with tempfile.TemporaryFile() as words:
         process = subprocess.Popen(

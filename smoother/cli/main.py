@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from smoother import threads
 from smoother.cli.arguments import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE
 from smoother.cli.commands import COMMAND_NAMES, named_command
 from smoother.cli.output import warn
@@ -24,6 +25,7 @@ def main() -> None:
     Libraries make a hundred thousand objects as they start, of which none ever is garbage: to go through them again and
     again, and once more at the end, took a tenth of the time of smoothing a session.
     """
+    threads.start_none()
     gc.set_threshold(GARBAGE_EVERY)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
