@@ -205,6 +205,8 @@ def running_median(t: Array, values: Array, *, seconds: float) -> Array:
 
 def thinned_path(x: Array, y: Array, *values: Array, step: float) -> list[Array]:
     """Return x, y (N,) and each of values (N,) at rows about `step` apart, or as far as they are; ends are kept."""
+    if not len(x):
+        return [x, y, *values]
     way = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.hypot(np.diff(x), np.diff(y)), nan=step))])
     rows = np.flatnonzero(np.diff(np.floor(way / step), prepend=-1.0, append=np.inf)[:-1] > 0.0)
     rows = np.unique(np.append(rows, len(x) - 1))

@@ -82,7 +82,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     settings = files.find("session.toml")
     config = SessionConfig() if settings is None else load_settings(settings)
     _require_fixes(recording)
-    problems = list(recording.problems)
+    problems = [*recording.problems, *_missing_heights(recording)]
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
@@ -115,6 +115,12 @@ def _require_fixes(recording: Recording) -> None:
             f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
             "the antenna needs a free view of the sky before the start"
         )
+
+
+def _missing_heights(recording: Recording) -> Iterator[Problem]:
+    if not np.any(np.isfinite(recording.gnss.alt_m)):
+        text = f"{recording.gnss_file}: no fix has a height; how high the track lies is unknown, all else is as good"
+        yield Problem("gps_no_height", text)
 
 
 def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:

@@ -106,6 +106,11 @@ def test_a_running_median_tells_what_swings_five_times_a_second_as_one_and_keeps
     np.testing.assert_array_equal(style.running_median(t[:1], swinging[:1], seconds=1.0), swinging[:1])
 
 
+def test_a_path_without_a_point_has_none_to_thin() -> None:
+    """As fixes have none around a corner that an outage covers."""
+    assert [len(values) for values in style.thinned_path(*np.empty((3, 0)), step=1.0)] == [0, 0, 0]
+
+
 def test_a_thinned_path_keeps_its_ends_and_leaves_no_hole_and_no_crowd() -> None:
     way = np.concatenate([np.zeros(50), np.linspace(0.0, 100.0, 2001), [140.0]])  # a stand, a drive, a jump
     x, y, which = style.thinned_path(way, 2.0 * way, np.arange(len(way)), step=1.0)

@@ -168,6 +168,12 @@ def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folde
     assert session.mag is None and codes(session)["mag_unusable"] == 1
 
 
+def test_that_no_fix_has_a_height_is_said(folder: Folder) -> None:
+    without = gps_csv().replace("alt_m", "other")
+    raw = load_raw(folder.write(**{"imu.csv": imu_csv(), "gps.csv": without}).path)
+    assert "gps_no_height" in [problem.code for problem in raw.problems]
+
+
 def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     session = folder.write(imu__csv=imu_csv(500), gps__csv=gps_csv()).load()
     assert codes(session) == {"gps_outside_imu": 25}

@@ -49,6 +49,9 @@ SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
 HELD = 1e-4  # m; what is held does not move by a digit
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
+# m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
+# are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
+LEVEL_GROUND = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,7 @@ class Priors:
     """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (25,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
-    known than that: a height fitted to it is drawn to zero and seems to be known.
+    known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
     """
 
     accel_bias: float
@@ -92,6 +95,7 @@ class Priors:
     constants: Array
     constants_sigma: Array
     holds_height: bool = False
+    has_height: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +242,8 @@ def session_rows(
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
     out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
+    if not prior.has_height:
+        out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval)))
     if len(d.still):
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
     if d.heading is not None:

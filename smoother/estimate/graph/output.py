@@ -8,6 +8,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.disc import even_pieces, pieces, release, roomy
+from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
 from smoother.estimate.graph.components import unseen_offset
@@ -150,7 +151,8 @@ def build_trajectory(
     fixes = session.gnss
     level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
     source = _Source(found.state, binned, noise.inertial, level, up)
-    keyframes = _keyframes(found, source, mounting, unseen)
+    unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
+    keyframes = _keyframes(found, source, mounting, unsure)
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         _widen(keyframes, swing)
@@ -171,7 +173,7 @@ def build_trajectory(
         problems=() if swing is None else (Problem(BOX_ON_WHEEL, ON_WHEEL),),
         mode="full",
     )
-    joint = None if found.joint is None else found.joint(unseen)
+    joint = None if found.joint is None else found.joint(unsure)
     t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
     rows = _Rows.empty(len(t))
     for part in even_pieces(len(t), TOGETHER):

@@ -211,6 +211,20 @@ def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float,
     return Rows("standstill", interval, residual, sigma, left, right, constants, np.ones(len(interval)))
 
 
+def ground_rows(state: ChainState, sigma: float) -> Rows:
+    """Height at every keyframe of a kart whose fixes have none: that of the origin, give or take the slow offset.
+
+    The samples alone would let it run away, by kilometres within minutes, and take the digits of all else with it. The
+    offset upwards stands for the hills here, and how high they are is found as the receiver's would be. sigma m.
+    """
+    n = len(state.t) - 1
+    left, right, constants = _empty(n, 1)
+    left[:, 0, OFFSET.start + 2] = 1.0
+    left[:, 0, TRANSLATION] = state.R_ns[:-1, 2, :]  # a step is in the axes of the pose
+    residual = (state.position_n[:-1, 2] + state.offset_n[:-1, 2])[:, None]
+    return Rows("ground", np.arange(n), residual, np.full((n, 1), sigma), left, right, constants, np.ones(n))
+
+
 def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows]:
     """First-order Gauss-Markov process of the GPS offset: its start, and its steps. sigma (3,) m, tau s.
 

@@ -213,6 +213,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
         mean,
         sigma,
         holds_height=mounting.lever_arm_b is None,
+        has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
     )
 
 

@@ -17,6 +17,7 @@ from smoother.estimate.graph.rows import (
     add_rows,
     after_step,
     bracket,
+    ground_rows,
     heading_rows,
     hermite_position,
     hermite_velocity,
@@ -244,6 +245,10 @@ class TestOtherJacobians:
         state, _ = random_state(seed, turning=0.3)
         # turns of 0.06 rad between keyframes, far more than at rest, of which the logarithm's own slope is half
         assert_jacobians(lambda s: standstill_rows(s, np.array([0, 3, 5]), 0.03, 2e-3), state, 0.75 * 0.06)
+
+    def test_ground(self, seed: int) -> None:
+        state, _ = random_state(seed, turning=1.0)
+        assert_jacobians(lambda s: ground_rows(s, 1.0), state)
 
     def test_offset(self, seed: int) -> None:
         state, _ = random_state(seed, turning=1.0)

@@ -556,3 +556,22 @@ def test_keyframes_are_closer_where_fixes_are() -> None:
     assert options.for_fixes(0.05 * np.arange(100)).keyframe_interval == pytest.approx(0.1)
     assert options.for_fixes(0.04 * np.arange(100)).keyframe_interval == pytest.approx(0.08)
     assert options.for_fixes(0.01 * np.arange(100)).keyframe_interval == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize("solver", ["batch", "isam2"])
+def test_fixes_without_a_height_are_as_good_on_the_level(solver: str) -> None:
+    simulation = simulate_preset("kart", 6, duration=100.0)
+    session = prepare(simulation.raw)
+    level = replace(session, gnss=replace(session.gnss, alt_m=np.full(len(session.gnss), np.nan)))
+    with_height, without = (smoothed(simulation, s, GraphOptions(solver=solver)) for s in (session, level))
+    assert without.trajectory.report.mode == "full"
+    driving = without.trajectory.speed > 5.0
+    one, other = (np.sqrt(np.mean(s.velocity_error_n[driving, :2] ** 2)) for s in (with_height, without))
+    assert other < 1.05 * one
+    assert np.max(np.sqrt(np.mean(without.euler_error[driving] ** 2, axis=0))) < 1.5 * DEG
+    sigmas = without.trajectory.sigmas
+    assert sigmas is not None
+    # where up is nobody knows; how fast it goes there the samples know
+    assert np.all(sigmas.position_n[:, 2] > 100.0)
+    climb = (without.velocity_error_n[:, 2] / sigmas.velocity_n[:, 2])[driving]
+    assert 0.5 < np.sqrt(np.mean(climb**2)) < 1.5
