@@ -3,7 +3,9 @@
 Positions are in the frame of the fixes: the path with the slow GPS offset left in it, because telling the two apart
 takes a better Doppler than real receivers have. (Of four receivers carried beside RTK for 840 s, taking out the offset
 that their own Doppler showed made three worse, one by a factor of two.) Attitude stays unknown; acceleration and yaw
-rate are those of a level vehicle that points where it goes, and unknown where it hardly moves.
+rate are those of a level vehicle that points where it goes, and unknown where it hardly moves. How late the fixes are
+nothing tells: absolute positions are as unsure as that makes them, while speed, line and laps, which a constant delay
+does not change, are given apart from it, and the report says so.
 """
 
 import time
@@ -15,7 +17,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.samples import Session
+from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
     FixResiduals,
@@ -59,11 +61,13 @@ class GnssSmoother:
         t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate
         motion, sigma = path.at(t), path.sigma_at(t)
         acceleration_b, angular_rate_b = _body_motion(motion, sigma, options)
+        latency_sigma = 0.0 if _is_latency_stated(session, options) else options.position_latency_sigma
         report = EstimateReport(
-            identified=_identified(session, path, options),
+            identified=_identified(session, path, options, latency_sigma),
             residuals=_statistics(path),
             fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
             timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
+            problems=_unknown_delay(latency_sigma),
             mode="gps-only",
         )
         return Trajectory(
@@ -73,7 +77,7 @@ class GnssSmoother:
             R_nb=np.full((t.size, 3, 3), np.nan),
             acceleration_b=acceleration_b,
             angular_rate_b=angular_rate_b,
-            sigmas=_sigmas(motion, sigma, np.asarray(options.path.offset_sigma)),
+            sigmas=_sigmas(motion, sigma, np.asarray(options.path.offset_sigma), latency_sigma),
             report=report,
         )
 
@@ -92,13 +96,28 @@ def _body_motion(motion: GnssMotion, sigma: GnssPathSigmas, options: GnssOnlyOpt
     return acceleration_b, angular_rate_b
 
 
-def _sigmas(motion: GnssMotion, sigma: GnssPathSigmas, offset_sigma: Array) -> Sigmas:
-    """Absolute position carries the whole population's offset, which is left in; the track does not."""
+def _is_latency_stated(session: Session, options: GnssOnlyOptions) -> bool:
+    return session.config.gps.position_latency is not None or options.path.position_latency is not None
+
+
+def _unknown_delay(latency_sigma: float) -> tuple[Problem, ...]:
+    """What is to be said where nothing tells how late the fixes are, give or take latency_sigma s."""
+    if latency_sigma == 0.0:
+        return ()
+    text = (
+        f"without a motion sensor nothing tells how late the fixes are: all times may be off by a constant, usually up "
+        f"to {latency_sigma:.2g} s; laps, line and speeds are the same. `position_latency` in session.toml states it"
+    )
+    return (Problem("gps_delay_unknown", text),)
+
+
+def _sigmas(motion: GnssMotion, sigma: GnssPathSigmas, offset_sigma: Array, latency_sigma: float) -> Sigmas:
+    """Absolute position carries the whole population's offset, which is left in, and the delay; the track neither."""
     velocity = motion.velocity_n[:, :2]
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     share = np.where(speed[:, None] > 0.0, velocity / np.where(speed > 0.0, speed, 1.0)[:, None], np.sqrt(0.5)) ** 2
     return Sigmas(
-        position_n=np.hypot(sigma.track_n, offset_sigma),
+        position_n=np.sqrt(sigma.track_n**2 + offset_sigma**2 + (latency_sigma * motion.velocity_n) ** 2),
         velocity_n=sigma.velocity_n,
         speed=np.sqrt(np.sum(share * sigma.velocity_n[:, :2] ** 2, axis=1)),
         attitude=np.full(motion.velocity_n.shape, np.nan),
@@ -139,11 +158,12 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else np.nan
 
 
-def _identified(session: Session, path: GnssPath, options: GnssOnlyOptions) -> dict[str, Identified]:
-    """What the session's values are and where from."""
+def _identified(
+    session: Session, path: GnssPath, options: GnssOnlyOptions, latency_sigma: float
+) -> dict[str, Identified]:
+    """What the session's values are and where from. latency_sigma s: of the position latency, 0 where it is stated."""
     lag, latency = path.velocity_lag, path.position_latency
-    stated = session.config.gps.position_latency is not None or options.path.position_latency is not None
-    latency_sigma = 0.0 if stated else options.position_latency_sigma
+    stated = latency_sigma == 0.0
     has_velocity = bool(np.any(path.velocity_weight > 0.0))
     found = {
         "gps_position_latency": Identified(
@@ -154,7 +174,7 @@ def _identified(session: Session, path: GnssPath, options: GnssOnlyOptions) -> d
             None if lag.source == "configured" else float(np.hypot(lag.sigma, latency_sigma)),
             "s",
             lag.source == "configured" or (stated and lag.observable),
-            lag.source,
+            lag.source if stated or lag.source == "configured" else "default",
         ),
         "gps_velocity_lag": Identified(
             lag.value, lag.sigma, "s", lag.observable or lag.source == "configured", lag.source

@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from smoother.arrays import Array
+from smoother.config import GnssTiming, SessionConfig
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gps_alone import GpsAlone
@@ -70,6 +71,23 @@ def test_sigma_contains_the_slow_offset_and_the_track_does_not(lap_fixes: Make) 
     assert sigmas.position_n[:, 2].min() >= 3.4
     assert np.median(sigmas.track) < 0.15
     assert np.median(sigmas.speed) == pytest.approx(np.median(sigmas.velocity_n[:, :2]), rel=0.05)
+
+
+def test_a_delay_that_nothing_tells_is_said_and_makes_places_unsure_along_the_way_but_not_line_and_speed(
+    circle: Session,
+) -> None:
+    stated = replace(circle, config=SessionConfig(gps=GnssTiming(position_latency=0.0)))
+    known, unknown = (GnssSmoother().estimate(session) for session in (stated, circle))
+    assert [problem.code for problem in known.report.problems] == []
+    assert [problem.code for problem in unknown.report.problems] == ["gps_delay_unknown"]
+    assert known.sigmas is not None
+    assert unknown.sigmas is not None
+    more = unknown.sigmas.position_n**2 - known.sigmas.position_n**2
+    np.testing.assert_allclose(np.sqrt(more[:, :2].sum(axis=1)), 0.15 * RADIUS * RATE, rtol=0.05)
+    np.testing.assert_allclose(unknown.sigmas.velocity_n, known.sigmas.velocity_n)
+    np.testing.assert_allclose(unknown.sigmas.track, known.sigmas.track)
+    latency = unknown.report.identified["gps_velocity_latency"]
+    assert (latency.source, latency.observable) == ("default", False)
 
 
 def test_absolute_sigma_is_honest_over_sessions(lap_fixes: Make, lap_motion: Make) -> None:
