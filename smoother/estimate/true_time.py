@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.samples import Session
+from smoother.samples import Problem, Session
 from smoother.trajectory import JointPosition, Trajectory
 
 CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
@@ -16,22 +16,41 @@ BEYOND_BELIEF = 0.1  # more is not a clock
 FEWEST_FIXES, SHORTEST = 50, 20.0  # s
 ENOUGH = 200  # fixes, evenly taken
 STEADY = 0.05  # s; how far typical fixes may lie off the line
+WORTH_SAYING = 3e-4  # 16 ms of a lap of 53 s, as much as lap times are unsure; crystals are better than that
+READABLE = 0.06  # s over a session, which stamps that jitter by some ms show
 
 
 def clock_scale(session: Session) -> float:
     """Return how many seconds of the session pass in a true one; 1 where its clock is good, or nothing tells."""
+    slope, _ = _against_utc(session)
+    return slope if CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF else 1.0
+
+
+def clock_problems(session: Session) -> tuple[Problem, ...]:
+    """What is to be said of a clock that makes laps look longer or shorter than they were."""
+    slope, lasts = _against_utc(session)
+    off = abs(slope - 1.0)
+    if not max(WORTH_SAYING, READABLE / lasts) < off < BEYOND_BELIEF:
+        return ()
+    runs = f"{100.0 * off:.2g} % {'fast' if slope > 1.0 else 'slow'}"
+    mended = "; taken out of speeds and places" if off > CRYSTAL else ""
+    text = f"the recording's clock runs {runs} against the receiver's UTC{mended}; t_s and lap times are in its seconds"
+    return (Problem("clock_scale", f"{text}, of which a minute has {60.0 * slope:.2f}"),)
+
+
+def _against_utc(session: Session) -> tuple[float, float]:
+    """Seconds of the session in one of UTC, and how many of UTC it lasts; (1, infinite) where nothing tells."""
     unix_s, t = session.gnss.unix_s, session.gnss.t
     assert unix_s is not None
     known = np.flatnonzero(np.isfinite(unix_s))
     if known.size < FEWEST_FIXES or abs(unix_s[known[-1]] - unix_s[known[0]]) < SHORTEST:
-        return 1.0
+        return 1.0, np.inf
     some = known[:: -(-known.size // ENOUGH)]
     utc, t = unix_s[some] - unix_s[some[0]], t[some]
     slope = _slope(utc, t)
     rest = t - slope * utc
     scatter = float(np.median(np.abs(rest - np.median(rest))))
-    is_off = CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF and scatter < STEADY
-    return slope if is_off else 1.0
+    return (slope, float(abs(utc[-1]))) if scatter < STEADY else (1.0, np.inf)
 
 
 def _slope(x: Array, y: Array) -> float:

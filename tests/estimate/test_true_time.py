@@ -7,7 +7,7 @@ import pytest
 
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
+from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset
@@ -28,6 +28,16 @@ def test_a_clock_that_is_far_off_is_found_by_utc(drift: float) -> None:
 
 def test_a_crystal_is_left_alone() -> None:
     assert clock_scale(session(200e-6)) == 1.0
+    assert clock_problems(session(200e-6)) == ()
+
+
+def test_a_clock_by_which_laps_are_wrong_and_speeds_are_right_is_left_alone_but_said() -> None:
+    slow = session(-0.0015)
+    assert clock_scale(slow) == 1.0
+    (problem,) = clock_problems(slow)
+    assert "0.15 % slow" in problem.text or "0.14 % slow" in problem.text or "0.16 % slow" in problem.text
+    assert "taken out" not in problem.text
+    assert "lap times are in its seconds, of which a minute has 59.91" in problem.text
 
 
 def test_without_utc_nothing_is_known() -> None:
@@ -50,7 +60,8 @@ def test_times_come_back_as_they_were() -> None:
     assert trajectory.report.keyframes is not None
     assert trajectory.report.keyframes.t[-1] >= trajectory.t[-1]
     assert [p.text for p in trajectory.report.problems if p.code == "clock_scale"] == [
-        "the recording's clock runs 2.0 % fast against the receiver's UTC; taken out"
+        "the recording's clock runs 2 % fast against the receiver's UTC; taken out of speeds and places; "
+        "t_s and lap times are in its seconds, of which a minute has 61.20"
     ]
     assert trajectory.joint is not None
     north = np.tile([1.0, 0.0, 0.0], (2, 1))

@@ -24,7 +24,7 @@ from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.in_step import in_step
-from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
+from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
@@ -53,13 +53,12 @@ class GraphSmoother:
         Where the clock of the session is far off, `rate` and latencies are in true seconds, times are the session's.
         Where the force is late behind the rate (`accel_delay`), latencies are those against the rate.
         """
-        scale = clock_scale(session)
+        scale, problems = clock_scale(session), clock_problems(session)
         if scale == 1.0:
-            return self._in_true_time(session)
-        found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
-        runs = f"{100.0 * abs(scale - 1.0):.1f} % {'fast' if scale > 1.0 else 'slow'}"
-        problem = Problem("clock_scale", f"the recording's clock runs {runs} against the receiver's UTC; taken out")
-        return replace(found, report=replace(found.report, problems=(*found.report.problems, problem)))
+            found = self._in_true_time(session)
+        else:
+            found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
+        return replace(found, report=replace(found.report, problems=(*found.report.problems, *problems)))
 
     def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None or len(session.gnss) < 10:
