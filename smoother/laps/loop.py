@@ -97,12 +97,11 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     hit = np.zeros((len(places), bins), dtype=np.bool_)
     hit[column, (apart / BIN).astype(np.int64)] = True
     step = driven[-1] / max(1, min(MOST_PLACES, len(driven)) - 1)
-    covered, share = np.zeros(bins), np.zeros(bins)
+    covered, share, possible = np.zeros(bins), np.zeros(bins), _seen_at_both_ends(driven, bins)
     for b in np.flatnonzero(hit.any(axis=0)):
         width = max(1, round(SLACK * b))
         covered[b] = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
-        possible = driven[-1] - driven[0] - (b + 0.5) * BIN
-        share[b] = covered[b] / max(possible, covered[b], LEAST_REPEAT)
+        share[b] = covered[b] / max(possible[b], covered[b], LEAST_REPEAT)
     usable = np.where(share >= REPEATING, covered, 0.0)
     best = int(np.argmax(usable))
     if usable[best] == 0.0:
@@ -110,6 +109,21 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
     first = int(np.flatnonzero((usable >= COMPARABLE * usable[best]) & (share >= COMPARABLE * share[best]))[0])
     near = _around(apart, first)
     return float(np.median(apart[near]))
+
+
+def _seen_at_both_ends(driven: Array, bins: int) -> Array:
+    """Length (bins,) m of the path that could have repeated after so many bins: what is no guess there and here.
+
+    driven (M,) m: places that are no guess. By its autocorrelation.
+    """
+    seen = np.zeros(int((driven[-1] - driven[0]) / BIN) + 1)
+    seen[((driven - driven[0]) / BIN).astype(np.int64)] = 1.0
+    transform = np.fft.rfft(seen, 1 << (2 * len(seen) - 1).bit_length())  # nothing meets its own end
+    both = np.round(np.fft.irfft(np.abs(transform) ** 2)[: len(seen)])
+    out = np.zeros(bins)
+    n = min(bins, len(both))
+    out[:n] = BIN * both[:n]
+    return out
 
 
 def _around(apart: Array, b: int) -> BoolArray:

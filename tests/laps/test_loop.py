@@ -55,6 +55,17 @@ def test_a_loop_is_the_same_however_few_places_are_compared_at_once(
     assert find_loop(plan_path(driven), 100.0) == at_once is not None
 
 
+def test_a_hole_of_more_than_a_lap_leaves_the_lap_what_it_is(driven: Trajectory) -> None:
+    """Few places around it are seen one lap apart, most of them two laps apart."""
+    path = plan_path(driven)
+    whole = find_loop(path, 100.0)
+    assert whole is not None
+    for begin in (70.0, 80.0, 90.0):
+        found = find_loop(path, 100.0, (path.t > begin) & (path.t < begin + 65.0))
+        assert found is not None
+        assert found.length == pytest.approx(whole.length, abs=10.0)
+
+
 def test_values_between_rows_are_what_numpy_makes_of_them() -> None:
     rng = np.random.default_rng(4)
     t, values = np.cumsum(rng.uniform(0.01, 1.0, 200)), rng.normal(size=200)
