@@ -36,7 +36,8 @@ class QualityLimits:
     up to 6.6 sigma and 3 deg, not both.) rattle: how fast roll or floor may swing about their running mean over
     rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
-    faster than driving_speed, in which it is forgiven.
+    faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
+    direction of travel, beyond any banked track; by less, stated axes may be off a box that does not lie level.
     """
 
     near_fix: float = 5.0  # m
@@ -62,6 +63,7 @@ class QualityLimits:
     driving_speed: float = 5.0  # m/s
     sideways: float = 35.0 * DEG
     sideways_share: float = 0.20
+    overturned: float = 25.0 * DEG
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ def _attitude_measures(estimate: Trajectory, limits: QualityLimits) -> dict[str,
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
+        "overturned_rad": float(np.max(np.abs(np.median(angles[:, :2], axis=0)))),
         "largest_lean_step_rad": max(steps),
         "rattling_s": max(_rattling(angles[sure, i], step, limits) for i in range(2)),
     }
@@ -214,6 +217,12 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
     rattling = measures.get("rattling_s", 0.0)
     if rattling > limits.rattle_seconds:
         reasons.append(f"the kart seems to rock from side to side for {rattling:.0f} s: was the box loose?")
+    overturned = measures.get("overturned_rad", 0.0)
+    if overturned > limits.overturned:
+        reasons.append(
+            f"the kart seems to drive {overturned / DEG:.0f} deg off level: are the axes of the samples, and those "
+            "stated for the box, right?"
+        )
     share = measures.get("sideways_share", 0.0)
     if share > limits.sideways_share:
         reasons.append(f"the kart seems to drive sideways for {100.0 * share:.0f} % of the way: did the box move?")

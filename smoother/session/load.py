@@ -15,13 +15,15 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.config import SessionConfig
-from smoother.disc import kept, release, settle, thinned
+from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
+from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import Foreign, SessionFiles, list_files
 from smoother.session.rows import counted
 from smoother.session.settings import load_settings
+from smoother.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from smoother.session.foreign import ForeignReading
@@ -32,6 +34,9 @@ FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
+FROZEN = 1.0  # s for which not one of six noisy values changes
+FROZEN_WAY = 10.0  # m on which it should have
+UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 
@@ -86,6 +91,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
+        imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
     return RawSession(
@@ -155,6 +161,53 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
     if rate > PLAUSIBLE_RATE:
         yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+
+
+def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
+    """The samples without those that repeat one another while the fixes move on: a sensor that stands still.
+
+    A box at rest, or at one speed straight ahead, may repeat itself where a simulation has no noise. Samples of which
+    none ever changes are left for the smoother, which sees that they have nothing to do with the fixes.
+    """
+    frozen = np.zeros(imu.t.size, dtype=np.bool_)
+    for first, last in _repeating(imu):
+        force = float(np.linalg.norm(imu.accel[first])) * imu.accel_scale
+        rate = float(np.linalg.norm(imu.gyro[first])) * imu.gyro_scale
+        is_uniform = abs(force - STANDARD_GRAVITY) < UNIFORM_FORCE and rate < UNIFORM_RATE
+        if not is_uniform and _way(gnss, imu.t[first], imu.t[last]) > FROZEN_WAY:
+            frozen[first + 1 : last + 1] = True
+    lost = int(np.count_nonzero(frozen))
+    if lost == 0 or imu.t.size - lost < FEWEST_IMU_SAMPLES:
+        return imu
+    text = f"{file}: {counted(lost, 'sample')} like the one before while the fixes move on; left out, as not measured"
+    problems.append(Problem("imu_frozen", text, lost))
+    temperature = None if imu.temperature is None else imu.temperature[~frozen]
+    kept_rows = {name: getattr(imu, name)[~frozen] for name in ("t", "accel", "gyro")}
+    return replace(imu, temperature=temperature, **kept_rows)
+
+
+def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
+    """First and last sample of each stretch of at least FROZEN s in which none differs from the one before."""
+    same = np.zeros(imu.t.size + 1, dtype=np.bool_)  # as the one before; after the last one comes another
+    for part in pieces(imu.t.size - 1):
+        before, now = slice(part.start, part.stop), slice(part.start + 1, part.stop + 1)
+        same[now] = np.all(imu.accel[now] == imu.accel[before], axis=1) & np.all(
+            imu.gyro[now] == imu.gyro[before], axis=1
+        )
+        release(imu)
+    edges = np.flatnonzero(np.diff(same))
+    for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+        if imu.t[last] - imu.t[first] > FROZEN:
+            yield first, last
+
+
+def _way(gnss: GnssFixes, begin: float, end: float) -> float:
+    """How far apart the fixes from begin to end s lie, m: the larger of north and west."""
+    inside = (gnss.t >= begin) & (gnss.t <= end)
+    if not inside.any():
+        return 0.0
+    position = gnss.position_n(Origin(float(gnss.lat_deg[0]), float(gnss.lon_deg[0]), 0.0))[inside, :2]
+    return float(np.max(np.ptp(position, axis=0)))
 
 
 def _evened_mag(mag: RawMag | None) -> RawMag | None:

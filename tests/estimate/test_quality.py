@@ -122,6 +122,18 @@ def test_a_kart_that_leans_and_slides_from_corner_to_corner_passes() -> None:
     assert assess(session(), leaning(0.0)).passed
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_kart_that_drives_on_its_side_is_none(axis: int) -> None:
+    angles = [0.0, 0.0, 0.0]
+    angles[axis] = np.radians(-90.0 if axis == 0 else 40.0)
+    quality = assess(session(), leaning(*angles))
+    assert any("deg off level: are the axes of the samples" in reason for reason in quality.reasons), quality.reasons
+
+
+def test_a_kart_on_a_banked_track_passes() -> None:
+    assert assess(session(), leaning(np.radians(18.0))).passed
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> None:
     angles = [half_way(4.0) if i == axis else 0.0 for i in range(3)]

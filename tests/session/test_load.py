@@ -174,6 +174,35 @@ def test_that_no_fix_has_a_height_is_said(folder: Folder) -> None:
     assert "gps_no_height" in [problem.code for problem in raw.problems]
 
 
+def frozen(begin: int, end: int, values: str | None = None) -> str:
+    """An imu.csv whose samples begin to end, exclusive, repeat the first of them, or have these values."""
+    lines = imu_csv().splitlines()
+    for k in range(begin, end):
+        stamp, _, first = lines[1 + k].partition(",")[0], "", lines[1 + begin].partition(",")[2]
+        lines[1 + k] = f"{stamp},{values or first}"
+    return "\n".join(lines) + "\n"
+
+
+def test_samples_that_stand_still_while_the_fixes_move_on_are_left_out_and_counted(folder: Folder) -> None:
+    raw = folder.write(imu__csv=frozen(400, 700, "0.5,1.5,9.0,0.1,0.2,0.3"), gps__csv=gps_csv()).load()
+    assert raw.imu is not None
+    assert raw.imu.t.size == 1000 - 299
+    assert [(p.code, p.count) for p in raw.problems] == [("imu_frozen", 299)]
+
+
+@pytest.mark.parametrize(
+    ("imu", "why"),
+    [
+        (frozen(400, 450, "0.5,1.5,9.0,0.1,0.2,0.3"), "for half a second"),
+        (frozen(400, 700, "0,0,9.80665,0,0,0"), "at one speed straight ahead"),
+        (frozen(0, 1000, "0.5,1.5,9.0,0.1,0.2,0.3"), "none ever changes: the smoother sees what they are worth"),
+    ],
+)
+def test_samples_may_repeat_one_another(folder: Folder, imu: str, why: str) -> None:
+    raw = folder.write(imu__csv=imu, gps__csv=gps_csv()).load()
+    assert raw.imu is not None and raw.imu.t.size == 1000, why
+
+
 def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     session = folder.write(imu__csv=imu_csv(500), gps__csv=gps_csv()).load()
     assert codes(session) == {"gps_outside_imu": 25}
