@@ -84,6 +84,7 @@ def load_raw(path: Path) -> RawSession:
 
 def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     """Apply session.toml and the clock; see to it that what is left can be used."""
+    recording = replace(recording, gnss=_without_fillers(recording.gnss))
     settings = files.find("session.toml")
     config = SessionConfig() if settings is None else load_settings(settings)
     _require_fixes(recording)
@@ -121,6 +122,18 @@ def _require_fixes(recording: Recording) -> None:
             f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
             "the antenna needs a free view of the sky before the start"
         )
+
+
+def _without_fillers(gnss: GnssFixes) -> GnssFixes:
+    """The fixes without heights, or speeds upwards, that are all 0: what a table has where nothing was measured.
+
+    Taken for measured, they would be the surest of all.
+    """
+    velocity_n = gnss.velocity_n
+    if np.nanmax(np.abs(velocity_n[:, 2]), initial=0.0) == 0.0:
+        velocity_n = np.column_stack([velocity_n[:, :2], np.full(len(gnss), np.nan)])
+    alt_m = gnss.alt_m if np.nanmax(np.abs(gnss.alt_m), initial=0.0) > 0.0 else np.full(len(gnss), np.nan)
+    return replace(gnss, velocity_n=velocity_n, alt_m=alt_m)
 
 
 def _missing_heights(recording: Recording) -> Iterator[Problem]:

@@ -168,6 +168,17 @@ def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folde
     assert session.mag is None and codes(session)["mag_unusable"] == 1
 
 
+def test_heights_and_climbs_of_nothing_but_zeros_were_not_measured(folder: Folder) -> None:
+    rows = [f"{k / 5:.2f},{45 + 1e-4 * k:.9f},12.0,0.0,50.0,0.0,0.0" for k in range(50)]
+    table = "\n".join(["t_s,lat_deg,lon_deg,alt_m,vel_n_mps,vel_e_mps,vel_u_mps", *rows])
+    raw = folder.write(imu__csv=imu_csv(), gps__csv=table).load()
+    assert np.isnan(raw.gnss.alt_m).all()
+    assert np.isnan(raw.gnss.velocity_n[:, 2]).all()
+    np.testing.assert_allclose(raw.gnss.velocity_n[:, 0], 50.0)
+    one = folder.write(gps__csv=table.replace("50.0,0.0,0.0", "50.0,0.0,0.1", 1)).load()
+    assert one.gnss.velocity_n[0, 2] == 0.1
+
+
 def test_that_no_fix_has_a_height_is_said(folder: Folder) -> None:
     without = gps_csv().replace("alt_m", "other")
     raw = load_raw(folder.write(**{"imu.csv": imu_csv(), "gps.csv": without}).path)
