@@ -13,6 +13,7 @@ from smoother.arrays import Array, BoolArray
 
 LONGEST_STEP = 2.5  # s; across a longer gap fixes are not compared with one another
 QUICK = 0.3  # s between fixes, up to which their own steps tell a jump from driving
+STEP = 0.2  # s over which these steps are taken; its two ends spoil less than half of VELOCITY_WINDOW
 FEWEST_FIXES = 10  # in a run; fewer do not outvote anything
 VELOCITY_WINDOW = 1.0  # s; a kart's velocity is nearly straight for as long
 DEAD_RECKONING_WINDOW = 24.0  # s; jumps shorter than half of it are outvoted
@@ -69,8 +70,13 @@ def _runs(t: Array, rows: np.ndarray) -> list[np.ndarray]:
 
 
 def _steps(t: Array, position: Array) -> Array:
-    """Velocity (M, 2) from one position (M, 2) to the next; a jump spoils two of them, which the median outvotes."""
-    step = np.diff(position, axis=0) / np.diff(t)[:, None]
+    """Velocity (M, 2) from positions (M, 2) to those STEP later; a jump spoils few of them, which the median outvotes.
+
+    From one to the next, quick fixes that scatter by a metre would tell of nothing but that.
+    """
+    last = len(t) - 1
+    after = np.minimum(np.arange(last) + max(1, round(STEP / float(np.median(np.diff(t))))), last)
+    step = (position[after] - position[:-1]) / (t[after] - t[:-1])[:, None]
     return np.concatenate([step, step[-1:]])
 
 
@@ -97,9 +103,13 @@ def _delay(apart: Array, velocity: Array) -> float:
     return float(np.clip(np.median(share), -LONGEST_DELAY, LONGEST_DELAY))
 
 
-def _running_median(values: Array, size: float, at_ends: Literal["edge", "symmetric"] = "edge") -> Array:
-    """Median of `size` neighbours, rounded to odd, of each column of values (M, 2); `at_ends` as numpy.pad extends."""
+def _running_median(values: Array, size: float, at_ends: Literal["short", "symmetric"] = "short") -> Array:
+    """Median of `size` neighbours, rounded to odd, of each column of values (M, 2).
+
+    at_ends: of those that there are, or of what is there and its mirror image.
+    """
     odd = max(int(size) // 2 * 2 + 1, 1)
-    padded = np.pad(values, ((odd // 2, odd // 2), (0, 0)), mode=at_ends)
-    columns = [pl.Series(padded[:, i]).rolling_median(odd)[odd - 1 :].to_numpy() for i in range(values.shape[1])]
-    return np.stack(columns, axis=1)
+    beyond = odd // 2 if at_ends == "symmetric" else 0
+    padded = np.pad(values, ((beyond, beyond), (0, 0)), mode="symmetric")
+    columns = [pl.Series(padded[:, i]).rolling_median(odd, min_samples=1, center=True) for i in range(values.shape[1])]
+    return np.stack([c.to_numpy()[beyond : beyond + len(values)] for c in columns], axis=1)

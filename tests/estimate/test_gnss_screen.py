@@ -33,6 +33,25 @@ def test_jumps_are_found_without_doppler_when_fixes_come_quickly(lap_fixes: Call
     np.testing.assert_array_equal(good, ~is_bad)
 
 
+@pytest.mark.parametrize("changes", [{"rate": 1.0}, {"rate": 5.0}, {"rate": 10.0, "doppler": None}])
+@pytest.mark.parametrize("jump", [(1.0, 3.0, 20.0), (38.0, 40.0, 20.0), (55.0, 57.0, 20.0), (99.0, 101.0, 20.0)])
+def test_jumps_beside_an_outage_and_at_the_ends_are_found_too(
+    lap_fixes: Callable[..., Any], changes: dict[str, Any], jump: tuple[float, float, float]
+) -> None:
+    good, is_bad = screened(lap_fixes, jumps=(jump,), outages=((40.0, 55.0),), **changes)
+    assert np.any(is_bad)
+    np.testing.assert_array_equal(good, ~is_bad)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jumps_of_quick_fixes_that_scatter_by_more_than_a_metre_are_found(
+    lap_fixes: Callable[..., Any], seed: int
+) -> None:
+    jumps = ((20.0, 21.0, 25.0), (50.0, 50.5, 25.0))
+    good, is_bad = screened(lap_fixes, seed=seed, rate=25.0, doppler=None, white=(1.3, 1.3, 2.2), jumps=jumps)
+    np.testing.assert_array_equal(good, ~is_bad)
+
+
 @pytest.mark.parametrize("changes", [{"rate": 1.0, "doppler": None}, {"rate": 0.2}, {"rate": 10.0}, {"lag": 0.4}])
 def test_a_kart_that_drives_is_not_an_outlier(lap_fixes: Callable[..., Any], changes: dict[str, Any]) -> None:
     good, _ = screened(lap_fixes, **changes)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
@@ -102,7 +102,8 @@ class Priors:
 class Data:
     """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
 
-    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest.
+    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
+    whose positions have no weight, whatever their residuals; None where there are none.
     """
 
     t: Array
@@ -112,6 +113,7 @@ class Data:
     velocity_scale: Array
     still: np.ndarray
     heading: Heading | None = None
+    doubted: BoolArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +239,11 @@ def session_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
     velocity = rw.velocity_rows(state, path, felt, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
-    out = [_robust(position), _robust(velocity), *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau)]
+    out = [
+        _robust(position, d.doubted),
+        _robust(velocity),
+        *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau),
+    ]
     bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
@@ -295,10 +301,10 @@ def constants_sigma(priors: Priors, noise: Noise) -> Array:
     return sigma
 
 
-def _robust(rows: rw.Rows) -> rw.Rows:
+def _robust(rows: rw.Rows, doubted: BoolArray | None = None) -> rw.Rows:
     finite = np.isfinite(rows.sigma)
     squared = np.where(finite, (rows.residual / np.where(finite, rows.sigma, 1.0)) ** 2, 0.0)
     dimension = np.maximum(finite.sum(axis=1), 1)
     distance = np.sqrt(squared.sum(axis=1) / dimension * 2.0)  # as if of two components
     weight = np.minimum(1.0, (ROBUST_LIMIT / np.maximum(distance, 1e-9)) ** 2)
-    return replace(rows, weight=weight)
+    return replace(rows, weight=weight if doubted is None else np.where(doubted, 0.0, weight))

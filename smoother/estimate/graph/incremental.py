@@ -204,7 +204,7 @@ class Stream:
     ) -> None:
         """Add `graph` and `values`, and linearise the measurements of intervals from `window` on (again).
 
-        Those from `new` on are new: they get their full weight, and their linear factors.
+        Those from `new` on are new: they get their full weight unless they are doubted, and their linear factors.
         """
         measured, intervals = gtsam.NonlinearFactorGraph(), []
         for rows in self._rows(window):
@@ -214,7 +214,7 @@ class Stream:
                 if values.exists(X(0)):
                     graph.push_back(_factors(rows, rows.interval >= 0, estimate)[0])
             else:
-                full = replace(rows, weight=np.where(rows.interval >= new, 1.0, rows.weight))
+                full = replace(rows, weight=np.where(rows.interval >= new, rows.weight > 0.0, rows.weight))
                 factors, at = _factors(full, rows.interval >= window, estimate)
                 measured.push_back(factors)
                 intervals += at
@@ -246,6 +246,7 @@ class Stream:
             velocity_n=np.where(use_velocity[use, None], d.velocity_n[use], np.nan),
             position_scale=d.position_scale[use],
             velocity_scale=d.velocity_scale[use],
+            doubted=None if d.doubted is None else d.doubted[use],
             still=still,
             heading=None,
         )

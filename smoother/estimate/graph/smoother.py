@@ -1,7 +1,8 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    force in step with rate -> fixes alone -> align -> first guess -> identify noise and constants, on a part
-    -> keyframes where velocities were felt -> solve and identify, in turns -> magnetometer -> mounting -> output
+    force in step with rate -> fixes alone -> align -> first guess -> jumps beside outages
+    -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
+    -> solve and identify, in turns -> magnetometer -> mounting -> output
 
 When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
@@ -12,14 +13,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from smoother.arrays import BoolArray
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
+from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
-from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start
+from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start, on_path_without
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
@@ -88,8 +91,14 @@ class GraphSmoother:
             text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
             return self._from_fixes(session, (Problem("imu_unusable", text),))
         with watch("solve"):
+            doubted = _jumped(session, start, start.noise, options)
+            if doubted.any():
+                start = make_start(session, options, options.identification_span, doubted)
             constants, biases, noise = identify(start, options, watch.say)
-            start = informed(session, start, options, constants, biases)
+            start = informed(session, start, options, constants, biases, doubted)
+            again = _jumped(session, start, noise, options)  # in all of it, and with its noise
+            if np.any(again != doubted):
+                start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
             mounting = _mounting(session, found.state, start.alignment)
@@ -111,6 +120,11 @@ class GraphSmoother:
             problems=told.problems + solution.problems,
         )
         return replace(trajectory, report=report)
+
+
+def _jumped(session: Session, start: Start, noise: Noise, options: GraphOptions) -> BoolArray:
+    """Mask (N,) of the fixes that jumped beside an outage."""
+    return np.isin(session.gnss.t, jumped_beside_outages(start, noise, options.approaches))
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:

@@ -93,13 +93,16 @@ class Start:
     stated: ImuNoise  # densities from the settings; they are not estimated
 
 
-def make_start(session: Session, options: GraphOptions, span: float = math.inf) -> Start:
+def make_start(
+    session: Session, options: GraphOptions, span: float = math.inf, doubted: BoolArray | None = None
+) -> Start:
     """Return what the fixes alone and the alignment with the inertial samples tell.
 
     Of a session that is much longer than `span` s, keyframes, bins and data are those of its busiest stretch as long.
+    doubted (N,): fixes whose positions are left out.
     """
     assert session.imu is not None
-    path = fit_path(session)
+    path = fit_path(session if doubted is None else without_positions(session, doubted))
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n)
     alignment = align(session.imu, driven)
     priors = _priors(session, alignment, path, options)
@@ -116,7 +119,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf) 
         fine,
         binned,
         _first_noise(session, path, alignment, binned, options),
-        _data(session, path, t, (driven.t >= begin) & (driven.t <= end)),
+        _data(session, path, t, (driven.t >= begin) & (driven.t <= end), doubted),
         priors,
         _receiver(session, options),
         session.config.imu,
@@ -124,11 +127,16 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf) 
 
 
 def informed(
-    session: Session, start: Start, options: GraphOptions, constants: Constants, biases: tuple[Array, Array]
+    session: Session,
+    start: Start,
+    options: GraphOptions,
+    constants: Constants,
+    biases: tuple[Array, Array],
+    doubted: BoolArray | None = None,
 ) -> Start:
     """Return the start of the whole session with better known constants, and biases (3,) of force and rate.
 
-    Keyframes are where the receiver felt its velocities.
+    Keyframes are where the receiver felt its velocities. doubted (N,): fixes whose positions are left out.
     """
     assert session.imu is not None
     gnss, T = session.gnss, options.keyframe_interval
@@ -138,7 +146,22 @@ def informed(
     R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
     state = _first_guess(start.path, t, R_ns, constants, biases)
     everything = np.ones(len(gnss), dtype=np.bool_)
-    return replace(start, state=state, fine=fine, binned=binned, data=_data(session, start.path, t, everything))
+    return replace(
+        start, state=state, fine=fine, binned=binned, data=_data(session, start.path, t, everything, doubted)
+    )
+
+
+def on_path_without(session: Session, start: Start, doubted: BoolArray) -> Start:
+    """Return the start with the path through all fixes but the positions `doubted` (N,)."""
+    path = fit_path(without_positions(session, doubted))
+    return replace(start, path=path, driven=PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n))
+
+
+def without_positions(session: Session, doubted: BoolArray) -> Session:
+    """Return the session with the positions of the fixes `doubted` (N,) unknown, their velocities as they are."""
+    gnss = session.gnss
+    lat_deg, lon_deg, alt_m = (np.where(doubted, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
+    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
 
 
 def _first_guess(
@@ -157,7 +180,7 @@ def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOption
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
-def _data(session: Session, path: GnssPath, t: Array, use: BoolArray) -> Data:
+def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: BoolArray | None) -> Data:
     """Measurements for the keyframes t (K,), of the fixes `use` (N,)."""
     gnss = session.gnss
     assert session.imu is not None
@@ -173,6 +196,7 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray) -> Data:
         path.position_scale[use],
         _relative(gnss.sigma_velocity)[use],
         still,
+        doubted=None if doubted is None else doubted[use],
     )
 
 
@@ -299,6 +323,8 @@ def stretch(start: Start, first: int, last: int) -> Start:
     inside = fixes_between(start, first, last)
     still = data.still[(data.still >= first) & (data.still < last)] - first
     names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
-    part = replace(data, still=still, heading=None, **{name: getattr(data, name)[inside] for name in names})
+    doubted = None if data.doubted is None else data.doubted[inside]
+    of_fixes = {name: getattr(data, name)[inside] for name in names}
+    part = replace(data, still=still, heading=None, doubted=doubted, **of_fixes)
     state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
     return replace(start, state=state, data=part, binned=binned)
