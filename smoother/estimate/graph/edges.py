@@ -4,7 +4,7 @@ In the middle of a drive the fixes around a jump and the samples speak against i
 on the other the path is free to bend, and twenty displaced fixes in a row draw it to themselves and keep full weight.
 So the fixes beside outages are predicted from all others, and a run of them has jumped together that leaves the
 prediction with a step. How far off the path across the outage is has no say: right fixes after an outage are far from
-it as a rule, but not from what follows them.
+it as a rule, but not from what follows them. Where Doppler witnesses (gnss_screen), none of this is needed.
 
 Source: Willsky & Jones 1976 (generalised likelihood ratio of a jump).
 """
@@ -70,6 +70,7 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int) -> Array:
         t = part.data.t
         known = np.flatnonzero(np.isfinite(part.data.position_n[:, 0]))
         beside = [known[fixes] for fixes in beside_outages(t[known])]
+        beside = [fixes for fixes in beside if not _have_doppler(part, fixes)]
         if beside:
             try:
                 solved = _predicted(thinned(part, EVERY), np.concatenate(beside), noise, iterations)
@@ -77,6 +78,11 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int) -> Array:
                 continue
             found += [t[fixes[jumped(t[fixes], _innovations(solved, fixes))]] for fixes in beside]
     return np.unique(np.concatenate(found))
+
+
+def _have_doppler(start: Start, fixes: IntArray) -> bool:
+    """Whether most of the fixes say how fast they move: then the first look at them has seen which of them jumped."""
+    return bool(np.mean(np.isfinite(start.data.velocity_n[fixes, 0])) > 0.5)
 
 
 def _windows(start: Start) -> Iterator[Start]:
