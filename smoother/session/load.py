@@ -34,6 +34,7 @@ PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, m
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +175,7 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:
-    """Raise SessionError if IMU and fixes never run together; say how many fixes have no IMU."""
+    """Raise SessionError if IMU and fixes never run together; say where one of them ran on without the other."""
     if gnss.t[-1] < imu.t[0] or imu.t[-1] < gnss.t[0]:
         raise SessionError(
             f"{recording.imu_file} ({imu.t[0]:.1f} to {imu.t[-1]:.1f} s) and {recording.gnss_file} "
@@ -184,6 +185,20 @@ def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems:
     if outside > 0.01 * len(gnss):
         text = f"{recording.gnss_file}: {outside} of {len(gnss)} fixes lie before or after the IMU's recording"
         problems.append(Problem("gps_outside_imu", text, outside))
+    problems += _without_fixes(recording, imu, gnss)
+
+
+def _without_fixes(recording: Recording, imu: RawImu, gnss: GnssFixes) -> Iterator[Problem]:
+    """What to say where the IMU runs long before the first fix or on after the last: no result is given there."""
+    seconds, share = LEAST_UNFIXED
+    least = max(seconds, share * (imu.t[-1] - imu.t[0]))
+    before, after = gnss.t[0] - imu.t[0], imu.t[-1] - gnss.t[-1]
+    if before > least:
+        text = f"the first fix comes {before:.0f} s after the IMU's first sample; nothing is smoothed before it"
+        yield Problem("imu_before_fixes", f"{recording.gnss_file}: {text}")
+    if after > least:
+        text = f"the last fix comes {after:.0f} s before the IMU's last sample; nothing is smoothed after it"
+        yield Problem("imu_after_fixes", f"{recording.gnss_file}: {text}; did the GPS stop?")
 
 
 def recordings(path: Path) -> list[LogFiles]:

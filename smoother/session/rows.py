@@ -48,8 +48,8 @@ class RowFilter:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return '1 row' or '2 rows'."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    """Return '1 row' or '2 rows', '2 fixes'."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('x') else 's'}"
 
 
 def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:

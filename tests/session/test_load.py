@@ -173,6 +173,25 @@ def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     assert codes(session) == {"gps_outside_imu": 25}
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [
+        (0.0, 100.0, {"imu_after_fixes"}),
+        (50.0, 199.8, {"imu_before_fixes"}),
+        (50.0, 150.0, {"imu_before_fixes", "imu_after_fixes"}),
+        (9.0, 191.0, set()),
+    ],
+)
+def test_an_imu_that_runs_on_long_without_fixes_is_said(
+    folder: Folder, start: float, end: float, expected: set[str]
+) -> None:
+    imu, gps = imu_csv(5000, rate=25.0), gps_csv(int(5 * (end - start)) + 1, start=start)
+    session = folder.write(imu__csv=imu, gps__csv=gps).load()
+    assert set(codes(session)) == expected
+    if "imu_after_fixes" in expected:
+        assert f"last fix comes {200 - end:.0f} s before" in session.problems[-1].text
+
+
 def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) -> None:
     rng = np.random.default_rng(3)
     true_imu, true_fix = np.arange(12_000) * 0.005, np.arange(300) * 0.2
