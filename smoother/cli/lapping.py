@@ -111,6 +111,7 @@ def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> S
         beside.tracks if tracks is None else tracks,
         beside.official if official is None else load_official(official),
         beside.own if tracks is None else (),
+        beside.problems if tracks is None else (),
     )
 
 
