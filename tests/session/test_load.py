@@ -1,6 +1,7 @@
 """A directory, or a file of it, to a RawSession: what is chosen, what is said, what ends in one clear line."""
 
 import functools
+import gzip
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -91,6 +92,14 @@ def test_a_file_of_a_session_stands_for_the_session(folder: Folder, file: str) -
     folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), session__toml="")
     session = folder.load(file)
     assert session.name == "heat2" and session.inputs == ("imu.csv", "gps.csv", "session.toml")
+
+
+@pytest.mark.parametrize("file", ["truth.csv", "truth.csv.gz"])
+def test_the_truth_is_not_smoothed_as_if_it_were_fixes(folder: Folder, file: str) -> None:
+    content = gps_csv().encode()
+    folder.write(gps__csv=gps_csv(), **{file: gzip.compress(content) if file.endswith("gz") else content})
+    with pytest.raises(SessionError, match=r"the truth is no recording; name its folder: smooth evaluate "):
+        folder.load(file)
 
 
 def test_names_may_be_in_capitals_as_cards_write_them(folder: Folder) -> None:
