@@ -119,8 +119,8 @@ def tracks_from(text: str) -> tuple[TrackFile, ...]:
         return (line_from_text(text),)
     near = nearest_known(text)
     raise UsageError(
-        f'--line {text}: {"" if near is None else f"did you mean {near}? It is "}neither a track file, nor "lat,lon;lat,lon", nor one of the tracks known here '
-        f"({', '.join(library())})"
+        f'--line {text}: neither a track file, nor "lat,lon;lat,lon", nor one of the tracks known here '
+        f"({', '.join(library())})" + ("" if near is None else f"; did you mean {near}?")
     )
 
 
