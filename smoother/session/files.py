@@ -151,7 +151,7 @@ def _role(path: Path) -> Role | None:
 
 
 def _table_role(path: Path) -> Role | None:
-    """The part of a table. Raises SessionError for the truth, which looks like fixes and would pass for perfect ones."""
+    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error."""
     if path.name.lower().startswith("truth.csv"):
         raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {path.parent}")
     header = read_header(path)
