@@ -215,6 +215,16 @@ def recordings(path: Path) -> list[LogFiles]:
     return [recording for recording in list_recordings(files.logs()) if not recording.is_calibration]
 
 
+def recording_on_card(file: Path) -> LogFiles | None:
+    """Return the one of several drives on a card that a file belongs to; None where there are not several."""
+    try:
+        found = recordings(file.parent) if file.is_file() else []
+    except SessionError:  # what is wrong is said when the session is read
+        found = []
+    mine = (recording for recording in found if file.name in [path.name for path in recording.paths])
+    return next(mine, None) if len(found) > 1 else None
+
+
 def _read_log(files: SessionFiles) -> Recording:
     from smoother.session.log import list_recordings, read_log, read_mag_calibration
 
