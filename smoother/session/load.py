@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
+LONGEST_PERIOD = 1.0  # s; no sensor is as slow, but one whose times are in milliseconds looks so
+SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
@@ -142,7 +144,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         yield "imu_missing", f"only {counted(imu.t.size, 'usable sample')}"
         return
     if period * SLOWEST_IMU > 1.0:
-        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f})"
+        asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
+        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
     force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
@@ -167,7 +170,10 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
         t = regularize(gnss.t).t
     steps = np.diff(t)
     if steps.size:
-        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * float(np.median(steps)))]
+        if (usual := float(np.median(steps))) > SLOWEST_FIXES:
+            text = f"{recording.gnss_file}: a fix only every {usual:.0f} s; is t_s in seconds?"
+            problems.append(Problem("gps_too_slow", text))
+        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * usual)]
         if gaps.size:
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {gaps.max():.1f} s"
             problems.append(Problem("gps_gap", text, int(gaps.size)))

@@ -149,6 +149,25 @@ def test_utc_comes_in_several_forms(tmp_path: Path, column: str, value: str) -> 
     assert fixes.unix_s[0] == pytest.approx(1717149600.25, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1.0, ""), (3.6, "km/h"), (2.237, "mph"), (1.944, "knots"), (0.2778, "m/s divided by 3.6")]
+)
+@pytest.mark.parametrize("as_components", [False, True])
+def test_speed_in_another_unit_is_found_by_the_positions_and_left_out(
+    tmp_path: Path, factor: float, unit: str, as_components: bool
+) -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 60.0, 0.2)
+    speed = 14.0 + 6.0 * np.sin(t / 3.0)
+    north = 14.0 * t - 18.0 * np.cos(t / 3.0) + 0.3 * rng.standard_normal(t.size)
+    lines = ["t_s,lat_deg,lon_deg," + ("vel_n_mps,vel_e_mps" if as_components else "speed_mps,course_deg")]
+    lines += [f"{a:.1f},{45 + n / 111_132:.8f},12,{factor * v:.3f},0" for a, n, v in zip(t, north, speed, strict=True)]
+    fixes, problems = read_fixes(save(tmp_path, "\n".join(lines) + "\n", "gps.csv"))
+    assert np.isnan(fixes.velocity_n[:, 0]).all() == bool(unit)
+    assert [p.code for p in problems] == (["gps_speed_unit"] if unit else [])
+    assert all(f"as if in {unit}; not used" in p.text for p in problems)
+
+
 def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tmp_path: Path) -> None:
     rows = ["0.0,45,12,31.5.2024 10:00", "0.2,45.00001,12,2024-05-31T10:00:00.2Z", "0.4,45.00002,12,"]
     _, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,utc\n" + "\n".join(rows) + "\n", "gps.csv"))

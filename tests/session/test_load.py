@@ -168,6 +168,13 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
+def test_milliseconds_for_seconds_are_asked_about(folder: Folder) -> None:
+    imu, gps = imu_csv(1000, rate=0.1), gps_csv(50, rate=0.005)
+    told = {problem.code: problem.text for problem in folder.write(imu__csv=imu, gps__csv=gps).load().problems}
+    assert "0.1 samples a second are too few (at least 20); is t_s in seconds?" in told["imu_too_slow"]
+    assert told["gps_too_slow"] == "gps.csv: a fix only every 200 s; is t_s in seconds?"
+
+
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:
     assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
 
