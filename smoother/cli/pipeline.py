@@ -21,10 +21,11 @@ from smoother.cli.lap_stage import (
     stated,
     steps,
 )
-from smoother.cli.output import Progress, duration, no_progress, plain, warn
+from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
+from smoother.words import duration
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality

@@ -31,7 +31,8 @@ from smoother.report.page_data import (
 )
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell
-from smoother.report.page_words import DASH, counted, lap_clock, number
+from smoother.report.page_words import DASH, lap_clock, number
+from smoother.words import counted
 
 MOST_LAPS = 6  # drawn of a session
 TITLE = "Comparison on one reference line"

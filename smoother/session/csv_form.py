@@ -8,8 +8,9 @@ from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.fixes import FixColumns, screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.rows import RowFilter, counted, put_in_time_order
+from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
+from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")

@@ -20,8 +20,8 @@ from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import Foreign, SessionFiles, list_files
-from smoother.session.rows import counted
 from smoother.session.settings import load_settings
+from smoother.words import counted
 
 if TYPE_CHECKING:
     from smoother.session.foreign import ForeignReading

@@ -27,8 +27,8 @@ from smoother.estimate.in_step import in_step
 from smoother.estimate.true_time import clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
-from smoother.session.rows import counted
 from smoother.trajectory import EstimateReport, Trajectory
+from smoother.words import counted
 
 __all__ = ["GraphOptions", "GraphSmoother"]
 
