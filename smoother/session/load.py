@@ -74,6 +74,8 @@ def load_raw(path: Path) -> RawSession:
             return _finish(files, form.read(files))
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
+    if (log := files.unnamed_sentences()) is not None:
+        raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
     raise SessionError(
         f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
         "or a .vbo, .gpx, RaceChrono or AiM file"

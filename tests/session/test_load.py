@@ -264,6 +264,13 @@ def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str
         folder.load(name)
 
 
+def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> None:
+    folder.write(**{"gps.txt": "".join(nmea_epochs(50)), "notes.txt": "hot, 30 degrees"})
+    with pytest.raises(SessionError, match=r"gps.txt holds NMEA sentences; name the file, smooth .*gps.txt, or call"):
+        folder.load()
+    assert len(folder.load("gps.txt").gnss) == 50
+
+
 def test_every_cut_of_both_tables_gives_a_session_or_one_line(folder: Folder) -> None:
     imu, gps = imu_csv(120), gps_csv(6)
     for size in range(0, len(gps), 7):
