@@ -152,7 +152,8 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     rows = [_best_row(one, sectors, least) for one in compared]
     note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma."
-    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), table(heads, rows)]
+    told = table(heads, rows, class_="tight")
+    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told]
 
 
 def _best_row(one: Compared, sectors: int, least: float) -> Element:
