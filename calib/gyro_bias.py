@@ -17,6 +17,7 @@ from smoother.fit.gyro_bias import (
 from smoother.fit.resting import batch_means
 from smoother.fit.six_position import excess_scatter
 from smoother.units import DEG
+from smoother.words import counted
 
 PROCEDURE = "gyroscope bias"
 TEMPERATURE_BATCH = 5.0  # s over which readings are averaged before they are compared with the temperature
@@ -37,7 +38,7 @@ def calibrate(recording: Recording, use_first_samples: bool = False) -> Outcome:
     noise = fit_gyro_bias(recording.rate, at_rest).noise_covariance
     bias, sigma = mean_bias(recording)
     seconds = sum(position.end - position.start for position in recording.positions)
-    remarks = [f"{len(recording.positions)} rests, {seconds:.0f} s in all"]
+    remarks = [f"{counted(len(recording.positions), 'rest')}, {seconds:.0f} s in all"]
     values = [Value("bias", bias / DEG, sigma / DEG, "deg/s")]
     calibration = Calibration(gyro_bias=bias, sigmas={"gyro_bias": sigma})
     drawing: dict[str, object] = {}

@@ -10,6 +10,7 @@ from smoother.fit.ellipsoid import COLUMNS, ROWS, FitError
 from smoother.fit.gyro_turns import fit_gyro_matrix
 from smoother.fit.six_position import AccelFit, fit_accelerometer
 from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import counted
 
 PROCEDURE = "accelerometer"
 TURNS_PROCEDURE = "gyroscope scale"
@@ -33,7 +34,7 @@ def calibrate(recording: Recording) -> Outcome:
         ),
     )
     before = np.linalg.norm(force, axis=1) - STANDARD_GRAVITY
-    remarks = [f"{len(positions)} resting positions"]
+    remarks = [counted(len(positions), "resting position")]
     if not np.all(fit.is_used):
         left_out = ", ".join(f"{p.start:.0f} s" for p, used in zip(positions, fit.is_used, strict=True) if not used)
         remarks.append(f"left out because they contradict the others: at {left_out}")

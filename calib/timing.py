@@ -86,13 +86,13 @@ def _longest_piece(recording: Recording) -> tuple[Array, Array, Array]:
 def _line_values(line: EngineLine, hz: float, is_driven: bool, remarks: list[str]) -> list[Value]:
     name = "engine's line" if is_driven else "strongest line"
     if not line.is_there:
-        remarks.append(f"no {name} in the vibration" if is_driven else "no line in the vibration")
+        remarks.append(line.why_none)
         return []
     frequency = line.frequency[line.is_seen]
     both = line.amplitude[line.is_seen].reshape(-1, 2, 3)  # accelerometer, gyroscope
     amplitude = np.linalg.norm(both, axis=2)
     low, high = np.percentile(frequency, [10.0, 90.0])
-    remarks.append(f"{name} seen in {100 * np.mean(line.is_seen):.0f} % of the time")
+    remarks.append(f"{name} seen in {100.0 * line.share:.0f} % of the time")
     if is_driven:
         speeds = ", ".join(f"{rpm:.0f}" for rpm in revolutions(float(np.median(frequency)), hz))
         remarks.append(f"as sampling folds it, its median frequency could be {speeds or 'no engine speed'} rpm")

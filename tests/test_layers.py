@@ -14,6 +14,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "arrays",
     "disc",
     "units",
+    "words",
     "so3",
     "frames",
     "config",

@@ -17,8 +17,9 @@ from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.laps.clock import local_day
 from smoother.report.page_html import Child, element, row, table, whole_page
-from smoother.report.page_words import DASH, counted, lap_clock, number
+from smoother.report.page_words import DASH, lap_clock, number
 from smoother.units import KMH
+from smoother.words import counted
 
 STATES = {
     "done": "ok",

@@ -12,6 +12,9 @@ EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is 
 
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+recording_option = click.option(
+    "--recording", metavar="N", type=click.IntRange(1), help="Of a card with several recordings: the Nth."
+)
 solver_option = click.option(
     "--solver", type=click.Choice(["batch", "isam2"]), default="batch", help="Whole session at once, or as a stream."
 )

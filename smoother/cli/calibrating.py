@@ -87,7 +87,7 @@ def _run(
             warn(problem.text)
     results = run(recordings, RunOptions(first_samples, place, date), progress)
     if not results.outcomes:
-        reasons = "; ".join(f"{refusal.procedure}: {refusal.reason}" for refusal in results.refusals)
+        reasons = "; ".join(f"{procedure}: {reason}" for procedure, reason in _refused(results))
         raise SessionError(f"{', '.join(map(str, paths))}: nothing could be calibrated ({reasons})")
     return results
 
@@ -156,8 +156,7 @@ def _write_page(results: Results, directory: Path) -> Path:
         if stale not in drawn:
             stale.unlink()
     title = f"Calibration from {', '.join(dict.fromkeys(outcome.recording for outcome in results.outcomes))}"
-    refusals = [(refusal.procedure, refusal.reason) for refusal in results.refusals]
-    write_page(directory / PAGE, title, sections, refusals)
+    write_page(directory / PAGE, title, sections, _refused(results))
     return directory / PAGE
 
 
@@ -189,8 +188,20 @@ def _show(results: Results) -> None:
         say_pairs(f"{outcome.procedure} ({outcome.recording})", pairs)
         say("")
     if results.refusals:
-        say_pairs("not calibrated", [(refusal.procedure, refusal.reason) for refusal in results.refusals])
+        say_pairs("not calibrated", _refused(results))
         say("")
+
+
+def _refused(results: Results) -> list[tuple[str, str]]:
+    """What was not calibrated and why, each reason once; with the recordings that have it where there are several."""
+    recordings: dict[tuple[str, str], list[str]] = {}
+    for refusal in results.refusals:
+        recordings.setdefault((refusal.procedure, refusal.reason), []).append(refusal.recording)
+    several = len({refusal.recording for refusal in results.refusals} | {o.recording for o in results.outcomes}) > 1
+    return [
+        (procedure, f"{reason} ({', '.join(names)})" if several else reason)
+        for (procedure, reason), names in recordings.items()
+    ]
 
 
 def _value_text(value: Value) -> str:

@@ -12,9 +12,11 @@ from smoother.cli.arguments import (
     EXIT_QUALITY,
     EXIT_UNUSABLE,
     json_option,
+    recording_option,
     require_sessions,
     sessions_argument,
 )
+from smoother.cli.card import each
 from smoother.cli.output import progress_on_terminal, say, say_json, say_pairs, warn
 from smoother.cli.pipeline import read
 from smoother.errors import SmootherError
@@ -27,17 +29,19 @@ _MARKS = {"ok": "ok", "warning": "note", "stop": "STOP"}
 
 @click.command(short_help="Is the recording good? Seconds, at the track.")
 @sessions_argument
+@recording_option
 @json_option
-def check(sessions: tuple[Path, ...], as_json: bool) -> int:
+def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> int:
     """Tell in seconds whether a recording is good to drive with, and why.
 
     Make a test recording of a minute with the engine running, check it, then drive. Looks at rates, gaps, fixes,
     clipping and vibration. Exit code 3: something has to be mended first.
     """
     require_sessions(sessions, "smooth check")
-    outcomes = [_attempt(path, is_only=len(sessions) == 1) for path in sessions]
+    paths = each(sessions, recording)
+    outcomes = [_attempt(path, is_only=len(paths) == 1) for path in paths]
     if as_json:
-        documents = [_document(outcome, path) for outcome, path in zip(outcomes, sessions, strict=True)]
+        documents = [_document(outcome, path) for outcome, path in zip(outcomes, paths, strict=True)]
         _say_documents(documents)
     for outcome in outcomes:
         if isinstance(outcome, SmootherError):

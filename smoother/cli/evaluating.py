@@ -12,10 +12,12 @@ from smoother.cli.arguments import (
     EXIT_DONE,
     EXIT_QUALITY,
     json_option,
+    recording_option,
     require_sessions,
     sessions_argument,
     solver_option,
 )
+from smoother.cli.card import one
 from smoother.cli.output import number, progress_on_terminal, say_json, say_table, warn
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, session_directory
 
@@ -47,10 +49,11 @@ _ROWS = (  # what people read, key, digits
 
 @click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.")
 @sessions_argument
+@recording_option
 @solver_option
 @click.option("--skip", metavar="S", type=click.FloatRange(0.0), default=0.0, help="Leave out the first S seconds [0].")
 @json_option
-def evaluate(sessions: tuple[Path, ...], solver: str, skip: float, as_json: bool) -> int:
+def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, skip: float, as_json: bool) -> int:
     """Compare GPS alone, the baseline and the smoother with the truth in SESSION/truth.csv.
 
     Everything is estimated afresh; nothing is written. Figures are root mean squares; "over 1 s" is the error of the
@@ -59,7 +62,7 @@ def evaluate(sessions: tuple[Path, ...], solver: str, skip: float, as_json: bool
     """
     require_sessions(sessions, "smooth evaluate")
     documents, passed = [], True
-    for path in sessions:
+    for path in [one(session, recording) for session in sessions]:
         with progress_on_terminal() as progress:
             document, quality = score(path, Options(solver=solver), skip, progress)
         documents.append(document)

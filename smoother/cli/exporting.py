@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, require_sessions
+from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, recording_option, require_sessions
+from smoother.cli.card import one
 from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
 from smoother.cli.pipeline import unwritable
 from smoother.cli.results import results_of
@@ -21,8 +22,16 @@ FORMAT_NAMES = ("vbo", "racechrono", "motec", "aim", "gpx", "kml", "geojson", "t
 @click.argument("form", metavar="FORMAT", required=False)
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Where to [SESSION/smoothed/NAME.ENDING].")
 @click.option("--rate", metavar="HZ", type=click.FloatRange(0.1, 1000.0), help="Rows a second [as smoothed].")
+@recording_option
 @click.option("--list", "list_them", is_flag=True, help="List the formats and who opens them, and stop.")
-def export(session: Path | None, form: str | None, out: Path | None, rate: float | None, list_them: bool) -> int:
+def export(
+    session: Path | None,
+    form: str | None,
+    out: Path | None,
+    rate: float | None,
+    recording: int | None,
+    list_them: bool,
+) -> int:
     """Write the smoothed session in a FORMAT that other programs open: vbo, racechrono, motec, aim, gpx, kml, geojson
     or tum. The session is smoothed first where that was not done, or something changed since.
 
@@ -40,7 +49,7 @@ def export(session: Path | None, form: str | None, out: Path | None, rate: float
     if form not in FORMAT_NAMES:
         raise UsageError(f"{form!r} is no format; there are {', '.join(FORMAT_NAMES)}")
     with progress_on_terminal() as progress:
-        results, passed = results_of(session, progress)
+        results, passed = results_of(one(session, recording), progress)
         progress("exporting", 0.0)
         written = write(results, form, out, rate)
     say(str(written))

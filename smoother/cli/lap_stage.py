@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from smoother.errors import SmootherError, UsageError
+from smoother.errors import ConfigError, SmootherError, UsageError
 
 if TYPE_CHECKING:
     from smoother.arrays import Array
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from smoother.laps.sigma import Drift
     from smoother.laps.tracks import TrackFile
     from smoother.report.files import LapColumns
-    from smoother.samples import Session
+    from smoother.samples import Problem, Session
     from smoother.trajectory import Trajectory
 
 LAPS, OFFICIAL = "laps.csv", "official.csv"
@@ -32,15 +32,19 @@ def steps(rate: float) -> int:
 
 
 class Stated:
-    """What a session says about its laps: the tracks it may be on, official times. Checked before anything is done."""
+    """What a session says about its laps: the tracks it may be on, official times. Checked before anything is done.
+
+    problems : what it says that could not be used.
+    """
 
     def __init__(
         self,
         tracks: tuple[TrackFile, ...] = (),
         official: tuple[float, ...] = (),
         own: tuple[OwnLine, ...] = (),
+        problems: tuple[Problem, ...] = (),
     ) -> None:
-        self.tracks, self.official, self.own = tracks, official, own
+        self.tracks, self.official, self.own, self.problems = tracks, official, own, problems
 
 
 def stated(config: SessionConfig, directory: Path, recording: Path | None = None) -> Stated:
@@ -49,13 +53,32 @@ def stated(config: SessionConfig, directory: Path, recording: Path | None = None
     Raises SmootherError when a file that is meant is unusable.
     """
     tracks = () if config.track is None else _named(config.track, directory)
-    return Stated(tracks, _official(directory / OFFICIAL), () if tracks or recording is None else _own(recording))
+    own = () if tracks or recording is None else _own(recording)
+    return Stated(tracks, _official(directory / OFFICIAL), own, () if tracks else _only_a_name(config.track))
 
 
 def _named(track: str, directory: Path) -> tuple[TrackFile, ...]:
-    from smoother.laps.tracks import named_tracks
+    """The tracks that session.toml means; none for a name of a track that is not known here.
 
-    return named_tracks(track, directory)
+    Raises ConfigError for a known one with a wrong letter, whose line would be missed in silence.
+    """
+    from smoother.laps.tracks import named_tracks, nearest_known
+
+    tracks = named_tracks(track, directory)
+    if not tracks and (near := nearest_known(track)) is not None:
+        raise ConfigError(f"session.toml: [session] track {track!r} is not known; did you mean {near!r}?")
+    return tracks
+
+
+def _only_a_name(track: str | None) -> tuple[Problem, ...]:
+    """What to say of a track that is called by a name which tells no line."""
+    from smoother.laps.tracks import library
+    from smoother.samples import Problem
+
+    if track is None or not track.strip():
+        return ()
+    text = f"session.toml: track {track!r} is taken as a name only; a line comes with {', '.join(library())} or a file"
+    return (Problem("track_unknown", f'{text} (track = "name.geojson")'),)
 
 
 def _official(path: Path) -> tuple[float, ...]:
@@ -85,7 +108,7 @@ def _own(recording: Path) -> tuple[OwnLine, ...]:
 
 def tracks_from(text: str) -> tuple[TrackFile, ...]:
     """Return what --line means: "lat,lon;lat,lon", a track file (`#name` picks one of several), or a known track."""
-    from smoother.laps.tracks import ENDINGS, library, line_from_text, load_tracks, named_tracks
+    from smoother.laps.tracks import ENDINGS, library, line_from_text, load_tracks, named_tracks, nearest_known
 
     path, _, chosen = text.partition("#")
     if Path(path).is_file() or path.lower().endswith(ENDINGS):
@@ -94,9 +117,10 @@ def tracks_from(text: str) -> tuple[TrackFile, ...]:
         return tracks
     if ";" in text:
         return (line_from_text(text),)
+    near = nearest_known(text)
     raise UsageError(
         f'--line {text}: neither a track file, nor "lat,lon;lat,lon", nor one of the tracks known here '
-        f"({', '.join(library())})"
+        f"({', '.join(library())})" + ("" if near is None else f"; did you mean {near}?")
     )
 
 
@@ -141,12 +165,12 @@ def options_on(smoothed: Trajectory, origin: Origin, say: Stated, drift: Drift |
     from smoother.samples import Problem
 
     if not say.tracks and not say.own:
-        return LapOptions(official=say.official, drift=drift)
+        return LapOptions(official=say.official, drift=drift, problems=say.problems)
     if not say.tracks:
         from smoother.laps.own_lines import trusted_lines
 
         lines = trusted_lines(say.own, origin, plan_path(analysed_rows(smoothed)))
-        said = (lines,) if isinstance(lines, Problem) else ()
+        said = (*say.problems, lines) if isinstance(lines, Problem) else say.problems
         given = None if isinstance(lines, Problem) else lines
         return LapOptions(lines=given, official=say.official, drift=drift, problems=said)
     from smoother.laps.tracks import layout_on

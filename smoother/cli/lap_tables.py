@@ -9,6 +9,7 @@ from typing import Any
 from smoother.cli.output import number, say, say_pairs
 from smoother.laps.clock import lap_clock, local_time
 from smoother.units import KMH, MPH
+from smoother.words import counted
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
@@ -129,7 +130,8 @@ def _rolling(said: dict[str, Any]) -> str:
 
 
 def _consistency(said: dict[str, Any]) -> str:
-    text = f"{said['counted']} laps count, {said['within_tenth']} within 0.1 s of the best"
+    count = said["counted"]
+    text = f"{counted(count, 'lap')} count{'s' if count == 1 else ''}, {said['within_tenth']} within 0.1 s of the best"
     spread = said["spread_s"]
     return text if spread is None or not math.isfinite(spread) else f"{text}, spread {spread:.3f} s"
 

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.arguments import (
+    EXIT_DONE,
+    EXIT_QUALITY,
+    json_option,
+    recording_option,
+    require_sessions,
+    sessions_argument,
+)
+from smoother.cli.card import each
 from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps
 from smoother.cli.output import Progress, progress_on_terminal, say_json
@@ -35,6 +43,7 @@ units_option = click.option(
 
 @click.command(short_help="Laps and sectors, with an error bar on each.")
 @sessions_argument
+@recording_option
 @line_option
 @click.option(
     "--official",
@@ -46,7 +55,13 @@ units_option = click.option(
 @units_option
 @json_option
 def laps(
-    sessions: tuple[Path, ...], line: str | None, official: Path | None, corners: bool, units: str, as_json: bool
+    sessions: tuple[Path, ...],
+    recording: int | None,
+    line: str | None,
+    official: Path | None,
+    corners: bool,
+    units: str,
+    as_json: bool,
 ) -> int:
     """Show laps and sectors of a session, each time with one sigma; it is smoothed first where that was not done.
 
@@ -55,7 +70,7 @@ def laps(
     """
     require_sessions(sessions, "smooth laps")
     documents, passed = [], True
-    for path in sessions:
+    for path in each(sessions, recording):
         with progress_on_terminal() as progress:
             document, unix, good = laps_of(path, line, official, progress)
         passed &= good
@@ -111,6 +126,7 @@ def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> S
         beside.tracks if tracks is None else tracks,
         beside.official if official is None else load_official(official),
         beside.own if tracks is None else (),
+        beside.problems if tracks is None else (),
     )
 
 

@@ -106,14 +106,6 @@ def progress_on_terminal(wanted: bool = True) -> Iterator[Progress]:
         yield lambda stage, share: bar.update(task, description=plain(stage), completed=share)
 
 
-def duration(seconds: float) -> str:
-    """Return 9 min 43 s, or 1 h 2 min for long ones."""
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes >= 60:
-        return f"{minutes // 60} h {minutes % 60} min"
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
-
-
 def number(value: float | None, digits: int = 2) -> str:
     """Return a number, or a dash where there is none."""
     return "-" if value is None or value != value else f"{value:.{digits}f}"

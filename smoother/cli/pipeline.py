@@ -21,10 +21,11 @@ from smoother.cli.lap_stage import (
     stated,
     steps,
 )
-from smoother.cli.output import Progress, duration, no_progress, plain, warn
+from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
+from smoother.words import duration
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
@@ -113,6 +114,14 @@ def session_directory(path: Path) -> Path:
     return path if path.is_dir() else path.parent
 
 
+def usual_output(path: Path) -> Path:
+    """Return where results of a session go: SESSION/smoothed, of one of several recordings a folder in it."""
+    from smoother.session.load import recording_on_card
+
+    directory, recording = session_directory(path) / OUTPUT_DIRECTORY, recording_on_card(path)
+    return directory if recording is None else directory / recording.name
+
+
 def calibrated(raw: RawSession, directory: Path) -> Session:
     """Return the session with calibration.toml applied: that of its directory, else of the directory above."""
     from smoother.calibration import find_calibration
@@ -150,7 +159,7 @@ def estimate_baseline(session: Session, rate: float) -> Trajectory:
 
 
 def smooth_session(path: Path, out: Path | None, options: Options, progress: Progress = no_progress) -> Result:
-    """Smooth one session and write everything about it into `out`, by default SESSION/smoothed."""
+    """Smooth one session and write everything about it into `out`, by default as `usual_output`."""
     watch = Stopwatch()
     progress("reading", 0.0)
     with watch.stage("reading"):
@@ -192,7 +201,7 @@ def output_directory(path: Path, out: Path | None, name: str) -> Path:
             raise UsageError(f"--out {out}: holds a recording, its files would be overwritten; name another place")
         return _created(out)
     try:
-        return _created(source / OUTPUT_DIRECTORY)
+        return _created(usual_output(path))
     except UsageError:
         instead = Path(OUTPUT_DIRECTORY) / (name or "session")
         warn(f"{source} cannot be written to; the results go to {instead}")

@@ -8,12 +8,11 @@ from pathlib import Path
 from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import (
     FIXES,
-    OUTPUT_DIRECTORY,
     SUMMARY,
     TRAJECTORY,
     Options,
-    session_directory,
     smooth_session,
+    usual_output,
 )
 from smoother.errors import UsageError
 
@@ -26,7 +25,7 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     Smooths with the usual options where results are missing, of another recording in the same place, or older than
     any file of the session.
     """
-    directory = session_directory(path) / OUTPUT_DIRECTORY
+    directory = usual_output(path)
     document = _summary(directory / SUMMARY)
     if document is not None and _is_current(path, directory, document):
         passed, reasons = _verdict(document)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from smoother.cli.output import duration as as_duration
 from smoother.cli.output import progress_on_terminal, say, say_pairs
 from smoother.documents import staged
 from smoother.errors import UsageError
+from smoother.words import counted, duration
 
 if TYPE_CHECKING:
     from smoother.sim.simulation import Simulation
@@ -66,9 +66,9 @@ def simulate(
         simulation = simulate_preset(choices["preset"], choices["seed"], **names, **changes)
         progress("writing", 0.5)
         write(simulation, directory, form, told)
-    raw, length = simulation.raw, as_duration(choices["duration"])
+    raw, length = simulation.raw, duration(choices["duration"])
     samples = 0 if raw.imu is None else len(raw.imu.t)
-    text = f"{length}, {len(raw.gnss)} fixes, {samples} IMU samples, seed {choices['seed']}"
+    text = f"{length}, {counted(len(raw.gnss), 'fix')}, {counted(samples, 'IMU sample')}, seed {choices['seed']}"
     say_pairs(raw.name, [("simulated", text)])
     say(str(directory))
     return 0

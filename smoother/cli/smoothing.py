@@ -11,6 +11,7 @@ from smoother.cli.arguments import (
     EXIT_QUALITY,
     EXIT_UNUSABLE,
     json_option,
+    recording_option,
     require_sessions,
     sessions_argument,
     solver_option,
@@ -58,7 +59,7 @@ class SmoothCommand(click.Command):
 @click.command(cls=SmoothCommand, help=HELP)
 @sessions_argument
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed].")
-@click.option("--recording", metavar="N", type=click.IntRange(1), help="Of a card with several recordings: the Nth.")
+@recording_option
 @click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")

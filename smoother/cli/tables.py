@@ -6,8 +6,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from smoother.cli.lap_tables import show_laps
-from smoother.cli.output import duration, number, say, say_pairs
+from smoother.cli.output import number, say, say_pairs
 from smoother.units import DEG, KMH
+from smoother.words import counted, duration, repeated
 
 if TYPE_CHECKING:
     from smoother.cli.pipeline import Result
@@ -34,17 +35,22 @@ _ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_de
 
 def show_result(result: Result) -> None:
     """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at."""
+    from smoother.report.summary import is_told
+
     document: Any = result.document
     about = document["session"]
-    pairs = [("driven", _driven(about)), ("recorded", _recorded(document["counts"], document["mode"]))]
+    pairs = [("driven", _driven(about)), ("recorded", _recorded(document))]
     if document["sigma_median"]:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
         if name in _ONLY_ON_THE_PAGE or (name in _ONLY_IF_SEEN and not identified.observable):
             continue
+        if not is_told(name, identified, document["mode"]):
+            continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
-    pairs += [("problem" if i == 0 else "", _problem(p)) for i, p in enumerate(document["problems"])]
+    problems: list[Problem] = document["problems"]
+    pairs += [("problem" if i == 0 else "", repeated(p.text, p.count)) for i, p in enumerate(problems)]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
     say_pairs(about.get("title") or about["name"], pairs)
@@ -79,9 +85,13 @@ def _driven(about: Any) -> str:
     return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f} km/h"
 
 
-def _recorded(counts: Any, mode: str) -> str:
-    text = f"{counts['fixes']} fixes, {counts['imu_samples']} IMU samples"
-    return text + (", smoothed from GPS only" if mode == "gps-only" else "")
+def _recorded(document: Any) -> str:
+    counts = document["counts"]
+    fixes, samples = counted(counts["fixes"], "fix"), counted(counts["imu_samples"], "IMU sample")
+    if counts["imu_samples"] == 0:
+        is_there = any(problem.code in ("imu_too_slow", "imu_implausible") for problem in document["problems"])
+        samples = "IMU samples of no use" if is_there else "no IMU"
+    return f"{fixes}, {samples}" + (", smoothed from GPS only" if document["mode"] == "gps-only" else "")
 
 
 def _sigma(sigma: Any) -> str:
@@ -131,7 +141,3 @@ def _values(value: Any, factor: float, digits: int) -> str:
     items = [float(item) * factor for item in (value if isinstance(value, (list, tuple)) else [value])]
     digits += 2 if max(map(abs, items)) < 0.1 else 0
     return ", ".join(number(round(item, digits) + 0.0, digits) for item in items)
-
-
-def _problem(problem: Problem) -> str:
-    return problem.text if problem.count == 1 else f"{problem.text} ({problem.count} times)"

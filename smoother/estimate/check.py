@@ -13,6 +13,7 @@ from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
 from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import counted
 
 SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
@@ -114,12 +115,12 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
 
 def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
     rate = measures["fix_rate_hz"]
-    text = f"{measures['fixes']:.0f} fixes in {measures['duration_s']:.0f} s, {rate:.3g} a second"
+    text = f"{counted(int(measures['fixes']), 'fix')} in {measures['duration_s']:.0f} s, {rate:.3g} a second"
     slow = rate < limits.fix_rate
     yield Finding("warning" if slow else "ok", "GPS", text + ("; set the receiver to 5 Hz or more" if slow else ""))
     if measures["fix_gaps"]:
         lost = measures["fix_gap_share"] > limits.fix_gap_stop_share
-        text = f"{_counted(measures['fix_gaps'], 'gap')}, the longest {measures['fix_gap_longest_s']:.1f} s"
+        text = f"{counted(int(measures['fix_gaps']), 'gap')}, the longest {measures['fix_gap_longest_s']:.1f} s"
         yield Finding("stop" if lost else "warning", "GPS", text + "; give the antenna a free view of the sky")
     accuracy = measures["accuracy_median_m"]
     if np.isfinite(accuracy):
@@ -162,7 +163,7 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
     if measures["imu_gaps"]:
         lost = measures["imu_gap_share"] > limits.imu_gap_stop_share
-        text = f"{_counted(measures['imu_gaps'], 'gap')}, the longest {measures['imu_gap_longest_s']:.2f} s"
+        text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {measures['imu_gap_longest_s']:.2f} s"
         yield Finding("stop" if lost else "warning", "IMU", text + "; try another card")
 
 
@@ -206,10 +207,6 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
         return _Part([], {"fixes_with_imu_share": covered})
     text = f"the motion sensor covers only {100 * covered:.0f} % of the fixes"
     return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
-
-
-def _counted(count: float, word: str) -> str:
-    return f"{count:.0f} {word}" + ("" if count == 1.0 else "s")
 
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:

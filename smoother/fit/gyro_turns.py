@@ -19,6 +19,7 @@ from smoother.arrays import Array, frozen
 from smoother.fit.ellipsoid import FitError
 from smoother.fit.resting import RestingPosition
 from smoother.fit.six_position import AccelFit, excess_scatter
+from smoother.words import counted
 
 FEWEST_TURNS = 8
 LONGEST_TURN = 30.0  # s; beyond, the noise has outgrown what the turn shows
@@ -82,7 +83,7 @@ def fit_gyro_matrix(
     turns = _turns(t, rate, positions, up)
     if len(turns) < FEWEST_TURNS:
         raise FitError(
-            f"{len(turns)} turns between resting positions are too few for the gyroscope's scale, which needs "
+            f"{counted(len(turns), 'turn')} between resting positions: too few for the gyroscope's scale, which needs "
             f"{FEWEST_TURNS}; lay the box on more faces and edges"
         )
     matrix = np.eye(3)

@@ -16,6 +16,7 @@ from smoother.arrays import Array, BoolArray, frozen
 from smoother.fit.ellipsoid import COLUMNS, ROWS, FitError
 from smoother.fit.resting import RestingPosition, distinct_directions
 from smoother.units import STANDARD_GRAVITY
+from smoother.words import counted
 
 FEWEST_DIRECTIONS = 6
 PRIOR_OFFSET = 2.0  # m/s^2; ten times the worst data sheet
@@ -76,8 +77,8 @@ def fit_accelerometer(positions: Sequence[RestingPosition], gravity: float = STA
     directions = distinct_directions(force - _middle(force)) if len(force) else force
     if len(directions) < FEWEST_DIRECTIONS:
         raise FitError(
-            f"{len(directions)} different resting positions were found, too few for the accelerometer; lay the box on "
-            "each of its six faces, and better also on edges, ten seconds each"
+            f"{counted(len(directions), 'resting position')} in different directions: too few for the accelerometer; "
+            "lay the box on each of its six faces, and better also on edges, ten seconds each"
         )
     used = np.ones(len(force), dtype=np.bool_)
     parameters, covariance, z = _least_squares(force, noise, used, gravity)

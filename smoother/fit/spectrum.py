@@ -55,7 +55,20 @@ class EngineLine:
     @property
     def is_there(self) -> bool:
         """Whether there is such a line in a good part of the recording."""
-        return bool(self.is_seen.size and np.mean(self.is_seen) >= LEAST_SHARE)
+        return self.share >= LEAST_SHARE
+
+    @property
+    def share(self) -> float:
+        """In which share of the windows a line is seen."""
+        return float(np.mean(self.is_seen)) if self.is_seen.size else 0.0
+
+    @property
+    def why_none(self) -> str:
+        """Say what is meant where there is no line, though windows may have one, and a weak one show in a spectrum."""
+        seen = f"seen in {100.0 * self.share:.1f} % of the time" if np.any(self.is_seen) else "never seen"
+        return (
+            f"no line stands out of the noise within {LINE_WINDOW:g} s ({seen}); a weak one shows in the spectrum only"
+        )
 
 
 def vibration_spectrum(values: Array, rate: float) -> Spectrum:

@@ -19,6 +19,7 @@ from smoother.laps.results import (
     Lap,
     LapAnalysis,
     Line,
+    OfficialTime,
     Reason,
     ReferenceLap,
     ReferenceLine,
@@ -70,7 +71,15 @@ def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None =
     """
     options = options or LapOptions()
     found = _analyse(trajectory, fixes, options)
-    return replace(found, problems=(*options.problems, *found.problems))
+    return replace(found, problems=(*options.problems, *found.problems, *_unmatched(found.official)))
+
+
+def _unmatched(official: tuple[OfficialTime, ...]) -> tuple[Problem, ...]:
+    """What to say where official times were given and none is that of a lap."""
+    if not official or any(time.lap is not None for time in official):
+        return ()
+    text = f"none of the {len(official)} official times is near that of a lap; are they of this session?"
+    return (Problem("official_unmatched", text),)
 
 
 def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> LapAnalysis:

@@ -8,6 +8,7 @@ Pairs of points: `start_a_lat`, `start_a_lng`, `start_b_lat`, `start_b_lng`, the
 which sector 2 begins and so on, `finish_..`, and `lengthFt`; at the top, or one such object per track.
 """
 
+import difflib
 import json
 import re
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from smoother.laps.results import GivenLines
 
 ENDINGS = (".json", ".geojson")
 FOOT = 0.3048  # m
+ALIKE = 0.75  # of difflib, 1 for the same: a letter or two of a name are wrong
 LONGEST_LINE = 500.0  # m; beyond, latitude and longitude were swapped or a point is wrong
 _NUMBER = re.compile(r"\d{1,9}")
 
@@ -76,6 +78,12 @@ def named_tracks(name: str, folder: Path) -> tuple[TrackFile, ...]:
     known = {key.lower(): track for key, track in library().items()}
     track = known.get(name.strip().lower())
     return () if track is None else (track,)
+
+
+def nearest_known(name: str) -> str | None:
+    """Return the track of the library that a name with a wrong letter or two perhaps means, None if none is like it."""
+    near = difflib.get_close_matches(name.strip().lower(), [key.lower() for key in library()], n=1, cutoff=ALIKE)
+    return near[0] if near else None
 
 
 def _inside(folder: Path, name: str) -> Path:

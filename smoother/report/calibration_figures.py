@@ -188,7 +188,7 @@ def spectrum(spectra: Mapping[str, Spectrum], line: EngineLine, rate: float, is_
 
 
 def _line(axes: Axes, line: EngineLine, rate: float) -> None:
-    axes.set_title("the strongest line" if line.is_there else "no line stands out of the noise")
+    axes.set_title("the strongest line" if line.is_there else line.why_none)
     seen = line.is_seen
     if np.any(seen):
         amplitude = np.linalg.norm(line.amplitude[seen, :3], axis=1)

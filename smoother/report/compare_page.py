@@ -31,7 +31,8 @@ from smoother.report.page_data import (
 )
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell
-from smoother.report.page_words import DASH, counted, lap_clock, number
+from smoother.report.page_words import DASH, lap_clock, number
+from smoother.words import counted
 
 MOST_LAPS = 6  # drawn of a session
 TITLE = "Comparison on one reference line"
@@ -151,7 +152,8 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     rows = [_best_row(one, sectors, least) for one in compared]
     note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma."
-    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), table(heads, rows)]
+    told = table(heads, rows, class_="tight")
+    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told]
 
 
 def _best_row(one: Compared, sectors: int, least: float) -> Element:

@@ -15,11 +15,12 @@ from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
-from smoother.report.page_words import DASH, counted, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, merged
+from smoother.report.page_words import DASH, lap_clock, number, with_sigma
+from smoother.report.summary import distance_driven, is_told, merged
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
+from smoother.words import counted, duration, repeated
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -88,9 +89,7 @@ def summary(told: Told) -> Element:
     cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
-    minutes = f"{int(length // 60)} min {int(length % 60)} s"
-    hours = f"{int(length // 3600)} h {int(length % 3600 // 60)} min"
-    cards.append(_card("Driven", driven, f"in {hours if length >= 3600.0 else minutes}"))
+    cards.append(_card("Driven", driven, f"in {duration(length)}"))
     passed = told.quality.passed
     verdict = "Yes" if passed else "No"
     trust = element("span", verdict, class_="good" if passed else "bad")
@@ -307,7 +306,7 @@ def trust(told: Told) -> list[Element]:
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
     problems = merged([*told.session.problems, *told.smoothed.report.problems])
-    said = [element("li", p.text if p.count == 1 else f"{p.text} ({p.count} times)") for p in problems]
+    said = [element("li", repeated(p.text, p.count)) for p in problems]
     made = [verdict, element("ul", *sentences)]
     if said:
         made += [element("h3", "What was lived with"), element("ul", *said)]
@@ -400,7 +399,8 @@ _NAMES = {
 
 def identified_table(told: Told) -> Element:
     """What was found out of the session, each with its sigma."""
-    rows = [_identified(name, value) for name, value in told.smoothed.report.identified.items()]
+    report = told.smoothed.report
+    rows = [_identified(name, value) for name, value in report.identified.items() if is_told(name, value, report.mode)]
     return table(["", "value", "± one sigma", "unit", "from"], rows, "What was identified", "words")
 
 

@@ -23,8 +23,3 @@ def with_sigma(value: float, sigma: float, digits: int, signed: bool = False) ->
     """Return value ± sigma, or the value alone."""
     text = number(value, digits, signed)
     return text if text == DASH or not (math.isfinite(sigma) and sigma > 0.0) else f"{text} ± {number(sigma, digits)}"
-
-
-def counted(count: int, word: str) -> str:
-    """Return 1 lap, 2 laps."""
-    return f"{count} {word}" + ("" if count == 1 else "s")

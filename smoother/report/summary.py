@@ -9,9 +9,12 @@ import smoother
 from smoother.arrays import median
 from smoother.estimate.quality import Quality
 from smoother.samples import Problem, Session
-from smoother.trajectory import Trajectory
+from smoother.trajectory import Identified, Trajectory
 
 Document = dict[str, object]
+
+
+OF_THE_IMU = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
 
 
 def summary(
@@ -44,6 +47,11 @@ def summary(
 def merged(problems: list[Problem]) -> list[Problem]:
     """Return the problems without repetitions: the reader and an estimator may have met the same one."""
     return list(dict.fromkeys(problems))
+
+
+def is_told(name: str, found: Identified, mode: str) -> bool:
+    """Whether an identified value says something: of fixes alone, those of the inertial sensor stand for nothing."""
+    return mode != "gps-only" or name not in OF_THE_IMU or found.source != "default"
 
 
 def distance_driven(estimate: Trajectory) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray, is_increasing, median
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
-from smoother.session.rows import counted
 from smoother.units import MICROSECOND
+from smoother.words import counted
 
 FEWEST_SAMPLES = 32
 PERIOD_WINDOW = 128  # samples over which a period is measured: longer than the bursts in which samples may arrive

@@ -10,6 +10,7 @@ from smoother.session.fixes import FixColumns, screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
+from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
@@ -66,7 +67,17 @@ def read_fixes(path: Path) -> tuple[GnssFixes, list[Problem]]:
         unix_s=_unix_seconds(table),
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
-    return screen_fixes(columns, path.name)
+    fixes, problems = screen_fixes(columns, path.name)
+    return fixes, [*problems, *_unread_times(table)]
+
+
+def _unread_times(table: Table) -> list[Problem]:
+    """What to say where times of day were written in a way that is not understood."""
+    count = table.unread.get("utc", 0)
+    if not count:
+        return []
+    text = f"{table.file}: utc of {counted(count, 'row')} is no ISO 8601 time (2026-05-16T10:00:00.2Z); not used"
+    return [Problem("gps_utc_unread", text, count)]
 
 
 def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:

@@ -11,6 +11,7 @@ Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
+UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
 
 
@@ -81,6 +82,11 @@ class SessionFiles:
         found = [(kind, path) for path in paths if (kind := foreign_kind(path)) is not None]
         return sorted(found, key=lambda file: (FOREIGN.index(file[0]), -file[1].stat().st_size, file[1].name))
 
+    def unnamed_sentences(self) -> Path | None:
+        """A file with NMEA sentences that is not called so, and is read only if a person names it."""
+        paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
+        return next((path for path in paths if _holds_sentences(path)), None)
+
     def session_name(self) -> str:
         """Name of the directory, or of the file where one of several recordings in it was named."""
         own_names = {"imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME}
@@ -102,6 +108,14 @@ def list_files(path: Path) -> SessionFiles:
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
     return SessionFiles(directory, names, None if role is None else (path, role))
+
+
+def _holds_sentences(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return b"$G" in file.read(HEAD_BYTES)
+    except OSError:
+        return False  # it is not what anybody asked for
 
 
 def foreign_kind(path: Path) -> Foreign | None:
@@ -151,6 +165,9 @@ def _role(path: Path) -> Role | None:
 
 
 def _table_role(path: Path) -> Role | None:
+    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error."""
+    if path.name.lower().startswith("truth.csv"):
+        raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {path.parent}")
     header = read_header(path)
     if "lat_deg" in header or path.name.lower().startswith("gps.csv"):
         return "fixes"

@@ -14,7 +14,7 @@ import numpy as np
 from smoother.errors import SessionError
 from smoother.samples import Problem
 from smoother.session.foreign import ForeignReading, fixes_from, seconds_since_first
-from smoother.session.rows import counted
+from smoother.words import counted
 
 WHAT = "GPX file"
 CHUNK_BYTES = 1 << 16

@@ -21,15 +21,17 @@ from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import Foreign, SessionFiles, list_files
-from smoother.session.rows import counted
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
+from smoother.words import counted
 
 if TYPE_CHECKING:
     from smoother.session.foreign import ForeignReading
     from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
+LONGEST_PERIOD = 1.0  # s; no sensor is as slow, but one whose times are in milliseconds looks so
+SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
@@ -39,6 +41,7 @@ FROZEN_WAY = 10.0  # m on which it should have
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,8 @@ def load_raw(path: Path) -> RawSession:
             return _finish(files, form.read(files))
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
+    if (log := files.unnamed_sentences()) is not None:
+        raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
     raise SessionError(
         f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
         "or a .vbo, .gpx, RaceChrono or AiM file"
@@ -166,7 +171,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         yield "imu_missing", f"only {counted(imu.t.size, 'usable sample')}"
         return
     if period * SLOWEST_IMU > 1.0:
-        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f})"
+        asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
+        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
     force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
@@ -238,7 +244,10 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
         t = regularize(gnss.t).t
     steps = np.diff(t)
     if steps.size:
-        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * float(np.median(steps)))]
+        if (usual := float(np.median(steps))) > SLOWEST_FIXES:
+            text = f"{recording.gnss_file}: a fix only every {usual:.0f} s; is t_s in seconds?"
+            problems.append(Problem("gps_too_slow", text))
+        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * usual)]
         if gaps.size:
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {gaps.max():.1f} s"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
@@ -246,7 +255,7 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:
-    """Raise SessionError if IMU and fixes never run together; say how many fixes have no IMU."""
+    """Raise SessionError if IMU and fixes never run together; say where one of them ran on without the other."""
     if gnss.t[-1] < imu.t[0] or imu.t[-1] < gnss.t[0]:
         raise SessionError(
             f"{recording.imu_file} ({imu.t[0]:.1f} to {imu.t[-1]:.1f} s) and {recording.gnss_file} "
@@ -256,6 +265,20 @@ def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems:
     if outside > 0.01 * len(gnss):
         text = f"{recording.gnss_file}: {outside} of {len(gnss)} fixes lie before or after the IMU's recording"
         problems.append(Problem("gps_outside_imu", text, outside))
+    problems += _without_fixes(recording, imu, gnss)
+
+
+def _without_fixes(recording: Recording, imu: RawImu, gnss: GnssFixes) -> Iterator[Problem]:
+    """What to say where the IMU runs long before the first fix or on after the last: no result is given there."""
+    seconds, share = LEAST_UNFIXED
+    least = max(seconds, share * (imu.t[-1] - imu.t[0]))
+    before, after = gnss.t[0] - imu.t[0], imu.t[-1] - gnss.t[-1]
+    if before > least:
+        text = f"the first fix comes {before:.0f} s after the IMU's first sample; nothing is smoothed before it"
+        yield Problem("imu_before_fixes", f"{recording.gnss_file}: {text}")
+    if after > least:
+        text = f"the last fix comes {after:.0f} s before the IMU's last sample; nothing is smoothed after it"
+        yield Problem("imu_after_fixes", f"{recording.gnss_file}: {text}; did the GPS stop?")
 
 
 def recordings(path: Path) -> list[LogFiles]:
@@ -270,6 +293,16 @@ def recordings(path: Path) -> list[LogFiles]:
     from smoother.session.log import list_recordings
 
     return [recording for recording in list_recordings(files.logs()) if not recording.is_calibration]
+
+
+def recording_on_card(file: Path) -> LogFiles | None:
+    """Return the one of several drives on a card that a file belongs to; None where there are not several."""
+    try:
+        found = recordings(file.parent) if file.is_file() else []
+    except SessionError:  # what is wrong is said when the session is read
+        found = []
+    mine = (recording for recording in found if file.name in [path.name for path in recording.paths])
+    return next(mine, None) if len(found) > 1 else None
 
 
 def _read_log(files: SessionFiles) -> Recording:

@@ -20,8 +20,8 @@ from smoother.session.log_format import (
     TEMPERATURE,
     LogRecords,
 )
-from smoother.session.rows import counted
 from smoother.units import MICROSECOND
+from smoother.words import counted
 
 _NOUNS = {IMU: "IMU sample", MAG: "compass reading", TEMPERATURE: "temperature", GPS: "GPS sentence", PPS: "pulse"}
 _REASONS = {

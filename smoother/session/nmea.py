@@ -21,8 +21,9 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
 from smoother.session.fixes import FixColumns, screen_fixes
-from smoother.session.rows import counted, over_midnight
+from smoother.session.rows import over_midnight
 from smoother.units import DAY, KMH, KNOT
+from smoother.words import counted
 
 # [t_s,]$<talker><kind>,<data>[*<checksum>]; a garbled byte ends the match and so leaves the checksum out
 _SENTENCE = re.compile(

@@ -15,7 +15,7 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.rows import counted
+from smoother.words import counted
 
 BLOCK_BYTES = 4 << 20
 LONGEST_LINE = 1 << 20  # bytes; the rows of a car with 400 channels have 6000

@@ -9,6 +9,7 @@ from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.units import DAY
+from smoother.words import counted
 
 MICROSECOND_WRAP = 2.0**32 * 1e-6  # s; Arduino's micros() starts again after 71.6 minutes
 MILLISECOND_WRAP = 2.0**32 * 1e-3  # s; millis() after 49.7 days
@@ -45,11 +46,6 @@ class RowFilter:
     def say(self, code: str, sentence: str, count: int) -> None:
         """Report without dropping."""
         self.problems.append(Problem(f"{self.prefix}_{code}", f"{self.file}: {sentence}", count))
-
-
-def counted(count: int, noun: str) -> str:
-    """Return '1 row' or '2 rows'."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:

@@ -1,4 +1,7 @@
-"""CSV tables: a header line, comma separated columns in any order, rows that may be damaged.
+"""CSV tables: a header line, columns in any order, rows that may be damaged.
+
+Columns stand between commas; the header line tells where they stand between semicolons or tabs instead, and numbers may
+then have a decimal comma. Cells may be quoted.
 
 A file whose cells are all numbers is read as such, four times faster; else every cell is read as text and cast
 leniently, so a bad row costs itself and never the file. What can be wrong with a file as a whole (empty, no header, a
@@ -6,6 +9,7 @@ missing column) is a SessionError that names the file and what it has.
 """
 
 import contextlib
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +30,27 @@ PART_BYTES = 32 << 20
 LARGEST_UNPACKED = 2 << 30  # bytes of a file that cannot be read as it lies on the disk
 PACKED_STEP = 4096  # bytes; unpacked at most four megabytes
 GZIP = zlib.MAX_WBITS | 16
-_ISO_FORMATS = ("%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%dT%H:%M:%S%.f%:z", "%Y-%m-%dT%H:%M:%S%.f%z")
+SEPARATORS = ",;\t"  # of as many the first
+_ISO_FORMATS = tuple(
+    f"{form}{zone}" for form in ("%Y-%m-%dT%H:%M:%S%.f", "%Y%m%dT%H%M%S%.f") for zone in ("", "%:z", "%z")
+)
+_QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
+_DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What is read of a table, and what stands between its cells."""
+
+    numbers: tuple[str, ...]
+    required: tuple[str, ...]
+    times: tuple[str, ...]
+    separator: str
+
+    @property
+    def flags(self) -> list[str]:
+        """The columns of true and false: required cells that hold nothing, times that are not understood."""
+        return [*(f"empty {name}" for name in self.required), *(f"unread {name}" for name in self.times)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +58,14 @@ class Table:
     """Numbers of a CSV file: `columns` maps lower-case names to (N,) float64, NaN where a cell is no number.
 
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
+    `unread` counts, for each column of times, the cells that hold something which is no time.
     """
 
     file: str
     columns: dict[str, Array]
     empty: dict[str, BoolArray]
     length: int
+    unread: dict[str, int]
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -59,10 +85,14 @@ class Table:
 
 def read_header(path: Path) -> tuple[str, ...]:
     """Column names of a CSV file, lower case and trimmed; () if it is empty. Raises SessionError if unreadable."""
-    for line in _text_head(path).splitlines():
-        if line.strip():
-            return tuple(_unique_names(line.split(",")))
-    return ()
+    line = _header_line(path)
+    separator = _separator(line)
+    bare = _unquoted(line.encode(), separator).decode()
+    return tuple(_unique_names(bare.split(separator))) if line.strip() else ()
+
+
+def _header_line(path: Path) -> str:
+    return next((line for line in _text_head(path).splitlines() if line.strip()), "")
 
 
 def read_table(
@@ -70,7 +100,8 @@ def read_table(
 ) -> Table:
     """Read the named columns of a CSV file, plain or gzip; others are ignored, blank lines too.
 
-    iso_times : optional columns of ISO 8601 times, returned as seconds since 1970 (UTC where no zone is given).
+    iso_times : optional columns of ISO 8601 times, of the extended form or the basic one, returned as seconds since
+    1970 (UTC where no zone is given).
     Raises SessionError for an empty file, no rows, a missing column or an unreadable file.
     """
     header = read_header(path)
@@ -79,34 +110,36 @@ def read_table(
     for name in required:
         if name not in header:
             raise SessionError(f"{path.name}: no column {name}; has {_shortened(header)}")
-    numbers = [name for name in (*required, *optional) if name in header]
-    times = [name for name in iso_times if name in header]
-    columns, empty = _gathered(path, numbers, required, times)
+    numbers = tuple(name for name in (*required, *optional) if name in header)
+    times = tuple(name for name in iso_times if name in header)
+    separator = _separator(_header_line(path))
+    columns, flags = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
     length = len(columns[required[0]])
     if length == 0:
         raise SessionError(f"{path.name}: a header line, but no rows; was the recording started?")
-    return Table(path.name, columns, empty, length)
+    empty = {name: flags[f"empty {name}"] for name in required}
+    return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times})
 
 
-def _gathered(
-    path: Path, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]
-) -> tuple[dict[str, Array], dict[str, BoolArray]]:
-    """The columns by name, and where the required ones hold nothing; of a long file from all its parts."""
+def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray]]:
+    """The columns by name, and those of true and false; of a long file from all its parts."""
+    names = (*wanted.numbers, *wanted.times)
     try:
-        source = _source(path)
+        source, is_quoted = _source(path), '"' in _text_head(path)
         if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
-            frame = _read_cells(source, numbers, required, times)
-            columns = {name: _column(frame, name) for name in (*numbers, *times)}
-            return columns, {name: frame[f"empty {name}"].to_numpy() for name in required}
-        growing = {name: Growing() for name in (*numbers, *times)}
-        nothing = {name: Growing(dtype=np.bool_) for name in required}
+            if is_quoted:
+                source = _unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
+            frame = _read_cells(source, wanted)
+            return {name: _column(frame, name) for name in names}, {n: frame[n].to_numpy() for n in wanted.flags}
+        growing = {name: Growing() for name in names}
+        flags = {name: Growing(dtype=np.bool_) for name in wanted.flags}
         for part in _parts(path):
-            frame = _read_cells(part, numbers, required, times)
+            frame = _read_cells(_unquoted(part, wanted.separator) if is_quoted else part, wanted)
             for name, column in growing.items():
                 column.add(_column(frame, name))
-            for name, column in nothing.items():
-                column.add(frame[f"empty {name}"].to_numpy())
-        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in nothing.items()}
+            for name, column in flags.items():
+                column.add(frame[name].to_numpy())
+        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in flags.items()}
     except pl.exceptions.PolarsError as error:
         raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
     except OSError as error:
@@ -123,20 +156,21 @@ def _parts(path: Path) -> Iterator[bytes]:
             yield header + lines + file.readline(LONGEST_LINE)
 
 
-def _read_cells(
-    source: Path | bytes, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]
-) -> pl.DataFrame:
-    clean = _scan(source, numbers).select(*numbers, *_times(times), *_nothing_empty(required))
+def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
+    """The columns and flags of a table: as numbers throughout, or else cell by cell."""
+    nothing = [pl.lit(value=False).alias(f"empty {name}") for name in wanted.required]
+    clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
     frame = clean.collect(engine="streaming")
-    if frame.select(numbers).null_count().sum_horizontal().sum() == 0:
+    if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
         return frame
-    return _lenient(source, numbers, required, times).collect(engine="streaming")
+    return _lenient(source, wanted).collect(engine="streaming")
 
 
-def _scan(source: Path | bytes, numbers: Sequence[str] = ()) -> pl.LazyFrame:
+def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) -> pl.LazyFrame:
     """The file with the columns `numbers` as numbers, null where a cell is none; the others as text."""
     return pl.scan_csv(
         source,
+        separator=wanted.separator,
         infer_schema=False,
         schema_overrides=dict.fromkeys(numbers, pl.Float64),
         ignore_errors=True,
@@ -147,29 +181,36 @@ def _scan(source: Path | bytes, numbers: Sequence[str] = ()) -> pl.LazyFrame:
     )
 
 
-def _lenient(
-    source: Path | bytes, numbers: Sequence[str], required: Sequence[str], times: Sequence[str]
-) -> pl.LazyFrame:
+def _lenient(source: Path | bytes, wanted: _Wanted) -> pl.LazyFrame:
     """The same from a file with cells that are padded, empty or no numbers; blank lines are left out."""
-    blank = {name: _cell(name).is_null() | (_cell(name) == "") for name in required}
+    blank = {name: _is_blank(name) for name in wanted.required}
     chosen = [
-        *(_cell(name).cast(pl.Float64, strict=False).alias(name) for name in numbers),
-        *_times(times),
-        *(blank[name].alias(f"empty {name}") for name in required),
+        *(_number(name).alias(name) for name in wanted.numbers),
+        *_times(wanted),
+        *(blank[name].alias(f"empty {name}") for name in wanted.required),
     ]
-    return _scan(source).filter(~pl.all_horizontal(blank.values())).select(chosen)
+    return _scan(source, wanted).filter(~pl.all_horizontal(blank.values())).select(chosen)
 
 
 def _cell(name: str) -> pl.Expr:
     return pl.col(name).str.strip_chars(" \t\r")
 
 
-def _times(names: Sequence[str]) -> list[pl.Expr]:
-    return [_unix_seconds(_cell(name)).alias(name) for name in names]
+def _number(name: str) -> pl.Expr:
+    """A cell as a number; a comma in it is a decimal one, as it does not part cells."""
+    return _cell(name).str.replace(",", ".", literal=True).cast(pl.Float64, strict=False)
 
 
-def _nothing_empty(names: Sequence[str]) -> list[pl.Expr]:
-    return [pl.lit(value=False).alias(f"empty {name}") for name in names]
+def _is_blank(name: str) -> pl.Expr:
+    return _cell(name).is_null() | (_cell(name) == "")
+
+
+def _times(wanted: _Wanted) -> Iterator[pl.Expr]:
+    """The columns of times in seconds since 1970, and of each where it holds something else."""
+    for name in wanted.times:
+        seconds = _unix_seconds(_cell(name))
+        yield seconds.alias(name)
+        yield (seconds.is_null() & ~_is_blank(name)).alias(f"unread {name}")
 
 
 def _column(frame: pl.DataFrame, name: str) -> Array:
@@ -180,6 +221,7 @@ def _column(frame: pl.DataFrame, name: str) -> Array:
 
 def _unix_seconds(cell: pl.Expr) -> pl.Expr:
     text = cell.str.replace(r"(?i)\s*(z|utc)$", "").str.replace(" ", "T", literal=True)
+    text = text.str.replace(",", ".", literal=True)
     parsed = [text.str.to_datetime(form, strict=False, time_unit="us").dt.epoch("us") for form in _ISO_FORMATS]
     return pl.coalesce(parsed).cast(pl.Float64) / 1e6
 
@@ -230,6 +272,25 @@ def _text_head(path: Path) -> str:
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
     return _plain_bytes(head, path.name).decode("utf-8", errors="replace")
+
+
+def _separator(header: str) -> str:
+    """What stands between the cells: whichever of SEPARATORS the header line has most of."""
+    return max(SEPARATORS, key=header.count)
+
+
+def _unquoted(data: bytes, separator: str) -> bytes:
+    """The same without quotation marks. What is quoted ends with its line at the latest, so that a mark in a damaged
+    row costs that row; a separator in quotes is a decimal comma or only text."""
+
+    def bare(cell: re.Match[bytes]) -> bytes:
+        inside = cell[1]
+        if separator.encode() not in inside:
+            return inside
+        number = _DECIMAL_COMMA.fullmatch(inside)
+        return b".".join(number.groups()) if number else inside.replace(separator.encode(), b" ")
+
+    return _QUOTED.sub(bare, data)
 
 
 def _whole(path: Path) -> bytes:

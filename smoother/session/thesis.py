@@ -25,8 +25,9 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.nmea import fixes_from_sentences
-from smoother.session.rows import RowFilter, counted, put_in_time_order
+from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.units import DEG, MILLISECOND, STANDARD_GRAVITY
+from smoother.words import counted
 
 RECORD_START = b"YY"
 IMU_STRUCT = struct.Struct("<I6h")  # start time in ms (wraps at 2^32), ax ay az gx gy gz in counts

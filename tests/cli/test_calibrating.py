@@ -43,6 +43,21 @@ def test_it_writes_the_calibration_and_a_page_and_prints_before_and_after(
     np.testing.assert_allclose(found.hard_iron, [20.0, -30.0, 10.0], atol=0.3)
 
 
+def test_what_two_recordings_lack_alike_is_said_once_and_of_which(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("still", "again"):
+        (tmp_path / name).mkdir()
+        rows = (bench / "imu.csv").read_text().splitlines()
+        (tmp_path / name / "imu.csv").write_text("\n".join(rows[:6000]) + "\n")
+    still = [str(tmp_path / name) for name in ("still", "again")]
+    assert run(["calibrate", *still, "--out", str(tmp_path), "--no-figures"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("1 resting position in different directions: too few") == 1
+    assert "ten seconds each (still, again)" in said
+    assert "1 rest, " in said
+
+
 def test_json_holds_every_value_with_its_sigma(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["calibrate", str(bench), "--out", str(tmp_path), "--no-figures", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

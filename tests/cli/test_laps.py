@@ -1,6 +1,7 @@
 """smooth laps and smooth compare as a person calls them, on two short simulated sessions."""
 
 import json
+import shutil
 from pathlib import Path
 
 import polars as pl
@@ -95,6 +96,27 @@ def test_official_times_are_shown_beside_ours(lapped: Path, tmp_path: Path, caps
     assert max(abs(one["difference_s"]) for one in found) < 0.2
 
 
+def with_settings(lapped: Path, folder: Path, settings: str) -> Path:
+    """A copy of a smoothed session with other settings."""
+    copy = Path(shutil.copytree(lapped / "saturday", folder / "copy"))
+    (copy / "session.toml").write_text(settings)
+    return copy
+
+
+def test_a_known_track_with_a_wrong_letter_is_not_passed_over(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    session = with_settings(lapped, tmp_path, '[session]\ntrack = "tinbran"\n')
+    for command in (["laps", str(session)], [str(session), *TABLES_ONLY]):
+        assert run(command) == 2
+        assert "track 'tinbran' is not known; did you mean 'tinbarn'?" in capsys.readouterr().err
+
+
+def test_a_track_that_tells_no_line_is_said_to_be_only_a_name(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    session = with_settings(lapped, tmp_path, '[session]\ntrack = "Some Raceway"\n')
+    assert run(["laps", str(session), "--json"]) == 0
+    (problem,) = json.loads(capsys.readouterr().out)["lap_analysis"]["problems"]
+    assert problem["code"] == "track_unknown" and "'Some Raceway' is taken as a name only" in problem["text"]
+
+
 def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -> None:
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -123,6 +145,7 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
     [
         (["laps"], "which session?"),
         (["laps", "SESSION", "--line", "nowhere"], "neither a track file"),
+        (["laps", "SESSION", "--line", "tinbran"], "did you mean tinbarn?"),
         (["laps", "SESSION", "--line", "gone.geojson"], "cannot be read"),
         (["laps", "SESSION", "--line", "1,2;1,2"], "the line is 0.0 m long"),
         (["compare", "SESSION"], "needs two sessions"),

@@ -106,6 +106,19 @@ def test_fixes_alone_are_smoothed_as_such_and_said_so(monday: Path, capsys: Capt
     assert np.isnan(attitude).all()
 
 
+def test_fixes_alone_show_nothing_of_a_box_that_was_not_used(monday: Path, capsys: Captured) -> None:
+    samples = pl.read_csv(monday / "imu.csv")
+    samples[::20].write_csv(monday / "imu.csv")
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    text = capsys.readouterr().out
+    assert "IMU samples of no use, smoothed from GPS only" in text and "GPS wander" in text
+    for row in ("box in the kart", "antenna from box", "accelerometer noise", "gyroscope noise"):
+        assert row not in text
+    (monday / "imu.csv").unlink()
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    assert "fixes, no IMU, smoothed from GPS only" in capsys.readouterr().out
+
+
 def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_path: Path, capsys: Captured) -> None:
     tuesday = Path(shutil.copytree(simulated, tmp_path / "tuesday"))
     for place in (monday, tuesday):

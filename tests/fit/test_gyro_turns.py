@@ -75,7 +75,7 @@ def test_the_jacobian_of_a_turn_is_the_numerical_one():
 
 def test_few_turns_are_refused():
     _, t, rate, positions, accel = handled(3)
-    with pytest.raises(FitError, match="turns between resting positions are too few"):
+    with pytest.raises(FitError, match="between resting positions: too few"):
         fit_gyro_matrix(t, rate, positions[:5], accel, DENSITY)
 
 

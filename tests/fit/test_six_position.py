@@ -100,9 +100,9 @@ def test_scatter_is_one_unless_chance_is_ruled_out():
 @pytest.mark.parametrize(
     ("directions", "says"),
     [
-        ([], "0 different resting positions"),
-        (FACES[:3], "3 different resting positions"),
-        (np.tile(FACES[:1], (20, 1)), "1 different resting positions"),
+        ([], "^0 resting positions in different directions"),
+        (FACES[:3], "^3 resting positions in different directions"),
+        (np.tile(FACES[:1], (20, 1)), "^1 resting position in different directions"),
         (np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0.0, 6.0, 12)]), "too much alike"),
     ],
     ids=["none", "three", "one often", "one plane"],

@@ -43,6 +43,16 @@ def test_noise_alone_has_no_line_even_when_it_falls_with_frequency():
     assert not engine_line(T, np.cumsum(white, axis=0), RATE).is_there
 
 
+def test_a_line_too_weak_to_be_followed_is_said_to_show_in_the_spectrum_and_how_often_it_was_seen():
+    rng = np.random.default_rng(4)
+    values = rng.standard_normal((len(T), 3)) + 0.45 * np.sin(2.0 * np.pi * 60.0 * T)[:, None]
+    spectrum, line = vibration_spectrum(values, RATE), engine_line(T, values, RATE)
+    at = np.argmin(np.abs(spectrum.frequency - 60.0))
+    assert spectrum.density[at, 0] > 5.0 * np.median(spectrum.density[:, 0])
+    assert not line.is_there and 0.0 < line.share < 0.05
+    assert f"(seen in {100.0 * line.share:.1f} % of the time); a weak one shows in the spectrum only" in line.why_none
+
+
 def test_the_engine_speeds_behind_a_folded_line():
     assert revolutions(80.0, 200.0) == pytest.approx([4800.0, 7200.0, 16800.0, 19200.0])
 

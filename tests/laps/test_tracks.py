@@ -157,6 +157,29 @@ def lap(number: int, time: float) -> Lap:
     return Lap(number, 0.0, time, time, 0.02, (), nothing, nothing, time, 1000.0, 20.0, 10.0)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "62,345\n61,5\n",
+        "1:02,345\n1:01,5\n",
+        "lap_time_s\n62,345\n61,5\n",
+        "lap,lap_time,driver\n1,62,345,A\n2,61,5,B\n",
+        'lap,lap_time\n1,"62,345"\n2,61.5\n',
+        "lap;lap_time\n1;62,345\n2;1:01,5\n",
+    ],
+)
+def test_official_times_may_have_a_decimal_comma(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "official.csv"
+    path.write_text(text)
+    assert load_official(path) == pytest.approx((62.345, 61.5))
+
+
+def test_whole_seconds_beside_the_number_of_the_lap_are_no_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "official.csv"
+    path.write_text("1,62\n2,61\n3,62\n")
+    assert load_official(path) == (62.0, 61.0, 62.0)
+
+
 def test_official_times_stand_beside_the_laps_they_belong_to() -> None:
     laps = (lap(0, np.nan), lap(1, 58.60), lap(2, 57.31), lap(3, 56.49), lap(4, 55.90))
     found = official_times((57.320, 56.479, 55.889, 55.834), laps)  # theirs begins a lap later and goes on longer
@@ -169,3 +192,4 @@ def test_official_times_of_another_session_belong_to_no_lap(circle: Trajectory) 
     path = FixPath(circle.t[::10], circle.position_n[::10, :2])
     found = analyse(circle, path, LapOptions(official=(90.0, 91.0)))
     assert [one.lap for one in found.official] == [None, None]
+    assert [problem.code for problem in found.problems] == ["official_unmatched"]

@@ -21,7 +21,7 @@ from smoother.report.page_html import LONG, element, json_in_script, row, table,
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
-from smoother.trajectory import EstimateReport, Sigmas, Trajectory
+from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 
 NASTY = "<script>alert(1)</script>"
 GOOD = Quality(True, (), {"far_fix_share": 0.0})
@@ -243,3 +243,21 @@ def test_a_long_table_scrolls_by_itself() -> None:
     for count, is_long in ((LONG - 1, False), (LONG, True)):
         made = table(["lap"], [row(str(i)) for i in range(count)])
         assert ("long" in (made.get("class") or "").split()) == is_long
+
+
+def test_fixes_alone_list_no_place_of_a_box(report: Report) -> None:
+    placeholder = Identified([0.0, 0.0, 0.0], None, "m", False, "default")
+    found = {"lever_arm_b": placeholder, "gps_offset_tau": Identified(60.0, None, "s", False, "default")}
+    told = {}
+    for mode in ("gps-only", "full"):
+        estimate = replace(report.smoothed.report, identified=found, mode=mode)
+        told[mode] = page(replace(report, smoothed=replace(report.smoothed, report=estimate)))
+    assert "GPS wander time" in told["gps-only"] and "GPS wander time" in told["full"]
+    assert "antenna from the box" in told["full"] and "antenna from the box" not in told["gps-only"]
+
+
+def test_the_page_says_the_length_of_the_drive_as_the_terminal_does(report: Report) -> None:
+    trajectory = report.smoothed
+    length = float(trajectory.t[-1] - trajectory.t[0])
+    stretched = replace(trajectory, t=trajectory.t[0] + (trajectory.t - trajectory.t[0]) * (199.7 / length))
+    assert "in 3 min 20 s" in page(replace(report, smoothed=stretched))

@@ -219,10 +219,28 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     opened.refresh()
     assert opened.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    assert opened.execute_script(
+        "return [...document.querySelectorAll('caption')].every(c => c.getBoundingClientRect().right <= innerWidth)"
+    )
+    assert opened.execute_script(
+        "const boxes = [...document.querySelectorAll('#traces text.corner')].map(t => t.getBoundingClientRect());"
+        "return boxes.length > 3 && boxes.every((b, i) => i === 0 || boxes[i - 1].right <= b.left)"
+    )
     opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])
     assert document.startswith(b"%PDF") and len(document) > 30_000
+
+
+def test_the_tables_of_a_comparison_fit_a_small_laptop(opened_comparison: Any) -> None:
+    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    opened_comparison.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    cut = opened_comparison.execute_script(
+        "return [...document.querySelectorAll('.scroll')].filter(s => s.scrollWidth > s.clientWidth)"
+        ".map(s => s.textContent + s.scrollWidth + ' ' + s.clientWidth)"
+    )
+    assert cut == []
+    opened_comparison.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_a_comparison_is_picked_looked_at_and_printed_like_a_report(opened_comparison: Any) -> None:

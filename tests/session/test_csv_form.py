@@ -88,7 +88,7 @@ def test_gzip_is_read_and_a_cut_archive_gives_what_is_whole(tmp_path: Path, kept
         (IMU_HEADER, r"^imu.csv: a header line, but no rows"),
         (IMU_HEADER + "\n\n", r"^imu.csv: a header line, but no rows"),
         ("t_s,ax,ay,az,gx,gy\n0,1,2,3,4,5\n", r"^imu.csv: no column gz; has t_s, ax, ay, az, gx, gy$"),
-        ("t_s;ax;ay\n0;1;2\n", r"^imu.csv: no column t_s; has t_s;ax;ay$"),
+        ("t_s|ax|ay\n0|1|2\n", r"^imu.csv: no column t_s; has t_s\|ax\|ay$"),
         (b"\x00\x01\xff" * 300, r"^imu.csv: no column t_s"),
     ],
 )
@@ -138,6 +138,8 @@ def test_every_optional_column_of_fixes_reaches_its_place(tmp_path: Path) -> Non
         ("utc", "2024-05-31 10:00:00.25"),
         ("utc", "2024-05-31T12:00:00.25+02:00"),
         ("utc", "2024-05-31T10:00:00.250000Z"),
+        ("utc", "20240531T100000.250Z"),
+        ("utc", "20240531T120000.25+0200"),
         ("unix_s", "1717149600.25"),
         ("utc_ms", "1717149600250"),
     ],
@@ -145,6 +147,32 @@ def test_every_optional_column_of_fixes_reaches_its_place(tmp_path: Path) -> Non
 def test_utc_comes_in_several_forms(tmp_path: Path, column: str, value: str) -> None:
     fixes, _ = read_fixes(save(tmp_path, f"t_s,lat_deg,lon_deg,{column}\n0,45,12,{value}\n", "gps.csv"))
     assert fixes.unix_s[0] == pytest.approx(1717149600.25, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1.0, ""), (3.6, "km/h"), (2.237, "mph"), (1.944, "knots"), (0.2778, "m/s divided by 3.6")]
+)
+@pytest.mark.parametrize("as_components", [False, True])
+def test_speed_in_another_unit_is_found_by_the_positions_and_left_out(
+    tmp_path: Path, factor: float, unit: str, as_components: bool
+) -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 60.0, 0.2)
+    speed = 14.0 + 6.0 * np.sin(t / 3.0)
+    north = 14.0 * t - 18.0 * np.cos(t / 3.0) + 0.3 * rng.standard_normal(t.size)
+    lines = ["t_s,lat_deg,lon_deg," + ("vel_n_mps,vel_e_mps" if as_components else "speed_mps,course_deg")]
+    lines += [f"{a:.1f},{45 + n / 111_132:.8f},12,{factor * v:.3f},0" for a, n, v in zip(t, north, speed, strict=True)]
+    fixes, problems = read_fixes(save(tmp_path, "\n".join(lines) + "\n", "gps.csv"))
+    assert np.isnan(fixes.velocity_n[:, 0]).all() == bool(unit)
+    assert [p.code for p in problems] == (["gps_speed_unit"] if unit else [])
+    assert all(f"as if in {unit}; not used" in p.text for p in problems)
+
+
+def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tmp_path: Path) -> None:
+    rows = ["0.0,45,12,31.5.2024 10:00", "0.2,45.00001,12,2024-05-31T10:00:00.2Z", "0.4,45.00002,12,"]
+    _, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,utc\n" + "\n".join(rows) + "\n", "gps.csv"))
+    assert [(problem.code, problem.count) for problem in problems] == [("gps_utc_unread", 1)]
+    assert "utc of 1 row is no ISO 8601 time" in problems[0].text
 
 
 def test_what_a_file_does_not_say_is_unknown(tmp_path: Path) -> None:
@@ -295,7 +323,7 @@ def test_one_odd_cell_changes_no_number_of_another_row(tmp_path: Path, cell: str
     others = np.delete(np.arange(200), 70)
     for name in IMU_HEADER.split(","):
         np.testing.assert_array_equal(odd.column(name)[others], clean.column(name)[others])
-    np.testing.assert_array_equal(odd.column("az")[70], 1.5 if cell == "1.5 " else np.nan)
+    np.testing.assert_array_equal(odd.column("az")[70], 1.5 if "1.5" in cell else np.nan)
     assert np.flatnonzero(odd.empty["az"]).tolist() == ([] if cell else [70])
 
 

@@ -1,6 +1,7 @@
 """A directory, or a file of it, to a RawSession: what is chosen, what is said, what ends in one clear line."""
 
 import functools
+import gzip
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -93,6 +94,14 @@ def test_a_file_of_a_session_stands_for_the_session(folder: Folder, file: str) -
     assert session.name == "heat2" and session.inputs == ("imu.csv", "gps.csv", "session.toml")
 
 
+@pytest.mark.parametrize("file", ["truth.csv", "truth.csv.gz"])
+def test_the_truth_is_not_smoothed_as_if_it_were_fixes(folder: Folder, file: str) -> None:
+    content = gps_csv().encode()
+    folder.write(gps__csv=gps_csv(), **{file: gzip.compress(content) if file.endswith("gz") else content})
+    with pytest.raises(SessionError, match=r"the truth is no recording; name its folder: smooth evaluate "):
+        folder.load(file)
+
+
 def test_names_may_be_in_capitals_as_cards_write_them(folder: Folder) -> None:
     assert folder.write(IMU__CSV=imu_csv(), GPS__CSV=gps_csv()).load().inputs == ("IMU.CSV", "GPS.CSV")
 
@@ -159,6 +168,13 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
+def test_milliseconds_for_seconds_are_asked_about(folder: Folder) -> None:
+    imu, gps = imu_csv(1000, rate=0.1), gps_csv(50, rate=0.005)
+    told = {problem.code: problem.text for problem in folder.write(imu__csv=imu, gps__csv=gps).load().problems}
+    assert "0.1 samples a second are too few (at least 20); is t_s in seconds?" in told["imu_too_slow"]
+    assert told["gps_too_slow"] == "gps.csv: a fix only every 200 s; is t_s in seconds?"
+
+
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:
     assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
 
@@ -219,6 +235,25 @@ def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     assert codes(session) == {"gps_outside_imu": 25}
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [
+        (0.0, 100.0, {"imu_after_fixes"}),
+        (50.0, 199.8, {"imu_before_fixes"}),
+        (50.0, 150.0, {"imu_before_fixes", "imu_after_fixes"}),
+        (9.0, 191.0, set()),
+    ],
+)
+def test_an_imu_that_runs_on_long_without_fixes_is_said(
+    folder: Folder, start: float, end: float, expected: set[str]
+) -> None:
+    imu, gps = imu_csv(5000, rate=25.0), gps_csv(int(5 * (end - start)) + 1, start=start)
+    session = folder.write(imu__csv=imu, gps__csv=gps).load()
+    assert set(codes(session)) == expected
+    if "imu_after_fixes" in expected:
+        assert f"last fix comes {200 - end:.0f} s before" in session.problems[-1].text
+
+
 def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) -> None:
     rng = np.random.default_rng(3)
     true_imu, true_fix = np.arange(12_000) * 0.005, np.arange(300) * 0.2
@@ -273,6 +308,13 @@ def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str
     folder.write(notes__pdf=b"%PDF")
     with pytest.raises(SessionError, match=r"no such file|no known kind of recording"):
         folder.load(name)
+
+
+def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> None:
+    folder.write(**{"gps.txt": "".join(nmea_epochs(50)), "notes.txt": "hot, 30 degrees"})
+    with pytest.raises(SessionError, match=r"gps.txt holds NMEA sentences; name the file, smooth .*gps.txt, or call"):
+        folder.load()
+    assert len(folder.load("gps.txt").gnss) == 50
 
 
 def test_every_cut_of_both_tables_gives_a_session_or_one_line(folder: Folder) -> None:

@@ -44,3 +44,42 @@ def test_a_long_table_is_read_in_parts_as_it_is_at_once(tmp_path: Path, monkeypa
     for name, column in at_once.columns.items():
         np.testing.assert_array_equal(in_parts.columns[name], column, err_msg=name)
     np.testing.assert_array_equal(in_parts.empty["t_s"], at_once.empty["t_s"])
+
+
+PLAIN = 't_s,x,note\n0.5,-1.25,"a"\n1.5,2e-3,b\n'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", "\t"),
+        PLAIN.replace(",", ";").replace(".", ","),
+        PLAIN.replace(",", "\t").replace(".", ","),
+        '"","t_s","x","note"\n"1","0.5",-1.25,"a, b"\n"2","1.5","2e-3","c"\n',
+        '"note","t_s","x"\r\n"a, b","0,5","-1,25"\r\n"c","1,5","0,002"\r\n',
+        '"t_s";"x";"note"\n"0,5";"-1,25";"a; b"\n1,5;0,002;say ""so""\n',
+    ],
+)
+def test_a_table_is_read_as_the_spreadsheet_of_any_country_writes_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_text(text)
+    table = read_table(path, ("t_s", "x"))
+    np.testing.assert_array_equal(table.stack("t_s", "x"), [[0.5, -1.25], [1.5, 0.002]])
+
+
+@pytest.mark.parametrize("damage", ['"', '5,"6', '","', '"5,6', '5"",6', '"\r'])
+@pytest.mark.parametrize("is_long", [False, True])
+def test_a_stray_quotation_mark_costs_no_row_but_its_own(
+    tmp_path: Path, damage: str, is_long: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [f"{i},{2 * i}" for i in range(300)]
+    rows[100] = rows[200] = damage
+    path = tmp_path / "gps.csv"
+    path.write_text("t_s,x\n" + "\n".join(rows) + "\n")
+    if is_long:
+        monkeypatch.setattr(tables, "LONG_FILE", 0)
+        monkeypatch.setattr(tables, "PART_BYTES", 500)
+    read = read_table(path, ("t_s", "x")).stack("t_s", "x")
+    whole = read[np.isfinite(read).all(axis=1) & (read[:, 1] == 2 * read[:, 0])]
+    np.testing.assert_array_equal(whole[:, 0], [i for i in range(300) if i not in (100, 200)])

@@ -31,11 +31,17 @@ from smoother.estimate.true_time import clock_problems, clock_scale, in_session_
 from smoother.fit.force_delay import UNSEEN
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Trajectory
+from smoother.words import counted
 
 __all__ = ["GraphOptions", "GraphSmoother"]
 
 Progress = Callable[[str, float], None]
 
+UNLIKE = (
+    "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone. Is t_s of "
+    "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
+)
+FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 STRANGE = (
     0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
@@ -64,11 +70,10 @@ class GraphSmoother:
         return replace(found, report=replace(found.report, problems=(*found.report.problems, *problems)))
 
     def _in_true_time(self, session: Session) -> Trajectory:
-        if session.imu is None or len(session.gnss) < 10:
+        if session.imu is None:
             return self._from_fixes(session, ())
-        if _overlap(session.imu, session.gnss) < SHORTEST_OVERLAP:
-            text = "the inertial samples and the fixes have no time in common; smoothed from the fixes alone"
-            return self._from_fixes(session, (Problem("imu_elsewhere", text),))
+        if (problem := _too_little(session.imu, session.gnss)) is not None:
+            return self._from_fixes(session, (problem,))
         watch = Stopwatch(self.progress)
         try:
             return self._from_graph(session, watch)
@@ -88,8 +93,7 @@ class GraphSmoother:
             # densities and constants are known to some per cent from two minutes of driving
             start = make_start(session, options, options.identification_span)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
-            text = "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone"
-            return self._from_fixes(session, (Problem("imu_unusable", text),))
+            return self._from_fixes(session, (Problem("imu_unusable", UNLIKE),))
         with watch("solve"):
             doubted = _jumped(session, start, start.noise, options)
             if doubted.any():
@@ -125,6 +129,21 @@ class GraphSmoother:
 def _jumped(session: Session, start: Start, noise: Noise, options: GraphOptions) -> BoolArray:
     """Mask (N,) of the fixes that jumped beside an outage."""
     return np.isin(session.gnss.t, jumped_beside_outages(start, noise, options.approaches))
+
+
+def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:
+    """Why samples and fixes are too few, or too short a time together, to place one by the other; None if not."""
+    if len(fixes) < FEWEST_FIXES:
+        text = f"{counted(len(fixes), 'fix')} can not tell how the box lies (at least {FEWEST_FIXES})"
+        return Problem("gps_too_few", f"{text}; smoothed from the fixes alone")
+    together = _overlap(imu, fixes)
+    if together <= 0.0:
+        text = "the inertial samples and the fixes have no time in common; smoothed from the fixes alone"
+        return Problem("imu_elsewhere", text)
+    if together < SHORTEST_OVERLAP:
+        text = f"the inertial samples and the fixes have only {together:.1f} s in common"
+        return Problem("imu_too_short", f"{text} (at least {SHORTEST_OVERLAP:.0f}); smoothed from the fixes alone")
+    return None
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:

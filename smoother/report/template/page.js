@@ -212,7 +212,13 @@
       top += p.height;
     }
     const range = data.corners.filter((c) => c.apex > x0 && c.apex < x1);
-    for (const c of range) write(svg, frame.X(c.apex), 30, c.number, "corner", "middle");
+    let free = 0; // numbers that would stand in one another are left out; the bands of their corners are there
+    for (const c of range) {
+      const x = frame.X(c.apex), half = 4 * String(c.number).length + 1;
+      if (x - half < free) continue;
+      write(svg, x, 30, c.number, "corner", "middle");
+      free = x + half;
+    }
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
     if (data.axis === "distance") write(svg, MARGIN.left - 12, top + 17, "m", "", "end");
     const cursor = make("path", { class: "cursor" }, svg);

@@ -381,7 +381,8 @@ class TestDegrading:
         assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
         if kind in ("stuck", "dead", "noise", "late"):
             assert s.trajectory.report.mode == "gps-only"
-            assert "imu_unusable" in [p.code for p in s.trajectory.report.problems]
+            told = {p.code: p.text for p in s.trajectory.report.problems}
+            assert "one clock" in told["imu_unusable"] and "[gps] position_latency" in told["imu_unusable"]
 
     def test_a_kart_that_never_moved_stays_where_it_is(self) -> None:
         s = smoothed(simulate_preset("white", 4, duration=28.0))
@@ -395,6 +396,17 @@ class TestDegrading:
         trajectory = GraphSmoother().estimate(few)
         assert trajectory.report.mode == "gps-only"
         assert np.all(np.isfinite(trajectory.position_n[:, :2]))
+        assert [p.text.partition(" can")[0] for p in trajectory.report.problems if p.code == "gps_too_few"] == [
+            "6 fixes"
+        ]
+
+    def test_seconds_together_that_are_too_few_are_not_called_none(self) -> None:
+        session = prepare(simulate_preset("white", 4, duration=60.0, motion_standstill=5.0, mag=None).raw)
+        assert session.imu is not None
+        trajectory = GraphSmoother().estimate(replace(session, imu=session.imu.between(20.0, 24.5)))
+        told = {p.code: p.text for p in trajectory.report.problems}
+        assert trajectory.report.mode == "gps-only" and "imu_elsewhere" not in told
+        assert "only 4.5 s in common (at least 5)" in told["imu_too_short"]
 
     def test_inertial_samples_of_another_day_do_no_harm(self) -> None:
         simulation = simulate_preset("white", 4, duration=60.0, motion_standstill=5.0, mag=None)

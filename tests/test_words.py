@@ -1,0 +1,35 @@
+"""Counts and lengths of time in words."""
+
+import pytest
+
+from smoother.words import counted, duration, repeated
+
+
+@pytest.mark.parametrize(
+    ("count", "noun", "text"), [(1, "lap", "1 lap"), (2, "lap", "2 laps"), (1, "fix", "1 fix"), (0, "fix", "0 fixes")]
+)
+def test_one_thing_is_singular(count: int, noun: str, text: str) -> None:
+    assert counted(count, noun) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(199.6, "3 min 20 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3599.7, "1 h 0 min")]
+)
+def test_a_length_of_time_is_rounded_and_never_has_60_seconds(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "count", "said"),
+    [
+        ("a.nmea: 14 sentences without a fix", 14, "a.nmea: 14 sentences without a fix"),
+        ("10 of 975 fixes lie outside", 10, "10 of 975 fixes lie outside"),
+        ("all were 14.", 14, "all were 14."),
+        ("a gap of 14.5 s", 14, "a gap of 14.5 s (14 times)"),
+        ("the longest is 0.14 s", 14, "the longest is 0.14 s (14 times)"),
+        ("stopped at 140", 14, "stopped at 140 (14 times)"),
+        ("it stopped", 1, "it stopped"),
+    ],
+)
+def test_how_often_is_said_once(text: str, count: int, said: str) -> None:
+    assert repeated(text, count) == said
