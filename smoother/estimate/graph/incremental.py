@@ -42,13 +42,15 @@ class IncrementalOptions:
     chunk: 5 s at five keyframes a second, over which a kart's inertial sensor predicts to some metres. window: how
     far back fixes are linearised again; attitude and weights are settled after 10 s. context: before the window, from
     which the noise of the inertial shape is judged. growth: of the stream,
-    after which GTSAM may linearise all of it again; a factor, so that the cost stays linear.
+    after which GTSAM may linearise all of it again; a factor, so that the cost stays linear. factorization: CHOLESKY,
+    or QR, which has twice the digits and takes some times as long.
     """
 
     chunk: int = 25
     window: int = 50
     context: int = 100
     growth: float = 1.3
+    factorization: str = "CHOLESKY"
 
 
 # Steps, in rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again. A pose's chart couples turn and
@@ -84,7 +86,14 @@ def solve_incrementally(
     Raises NotPositiveDefiniteError when the measurements do not determine the keyframes.
     """
     options = options or IncrementalOptions()
-    stream = Stream(data, binned, priors, noise, start, constants, options)
+    try:
+        return _streamed(Stream(data, binned, priors, noise, start, constants, options))
+    except NotPositiveDefiniteError:  # quick fixes without speeds tell little before they tell it well; digits run out
+        exact = replace(options, factorization="QR")
+        return _streamed(Stream(data, binned, priors, noise, start, constants, exact))
+
+
+def _streamed(stream: "Stream") -> ChainState:
     for end in stream.chunk_ends():
         stream.advance(end)
     return stream.finish()
@@ -108,7 +117,7 @@ class Stream:
         self._state = _own_copy(start, constants)
         self._position_at = _interval_of(start, data.t - constants.position_latency)
         self._velocity_at = _interval_of(start, data.t - constants.velocity_latency)
-        self._tree = gtsam.ISAM2(_parameters())
+        self._tree = gtsam.ISAM2(_parameters(options.factorization))
         self._end = 0
         self._held, self._n_held = gtsam.KeyList(), 0  # variables that stay where they were linearised, and keyframes
         self._last_relinearized = 0  # end of the stream when all were free to be
@@ -311,8 +320,9 @@ def _linear_factor(
     return gtsam.LinearContainerFactor(gtsam.CustomFactor(model, keys, error).linearize(values), values)
 
 
-def _parameters() -> gtsam.ISAM2Params:
+def _parameters(factorization: str) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
+    parameters.setFactorization(factorization)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(_WILDFIRE))
     thresholds = gtsam.ISAM2ThresholdMap()
     for symbol, limit in _RELINEARIZE.items():
