@@ -94,9 +94,13 @@ def solve_incrementally(
 
 
 def _streamed(stream: "Stream") -> ChainState:
-    for end in stream.chunk_ends():
-        stream.advance(end)
-    return stream.finish()
+    try:
+        for end in stream.chunk_ends():
+            stream.advance(end)
+        return stream.finish()
+    except RuntimeError as error:  # what GTSAM's exceptions are in Python
+        said = str(error).strip().partition("\n")[0] or "a number is not finite"
+        raise NotPositiveDefiniteError(said) from error
 
 
 class Stream:
@@ -230,10 +234,7 @@ class Stream:
         n_other = graph.size()
         graph.push_back(measured)
         old = [index for of_interval in self._indices[window:] for index in of_interval]
-        try:
-            indices = self._tree.update(graph, values, old, None, self._held).getNewFactorsIndices()
-        except RuntimeError as error:  # what GTSAM's exceptions are in Python
-            raise NotPositiveDefiniteError(str(error).strip().splitlines()[0]) from error
+        indices = self._tree.update(graph, values, old, None, self._held).getNewFactorsIndices()
         self._indices[window:] = [[] for _ in range(self._end - 1 - window)]
         for interval, index in zip(intervals, indices[n_other:], strict=True):
             self._indices[interval].append(index)
