@@ -4,14 +4,13 @@ In the middle of a drive the fixes around a jump and the samples speak against i
 on the other the path is free to bend, and twenty displaced fixes in a row draw it to themselves and keep full weight.
 So the fixes beside outages are predicted from all others, and a run of them has jumped together that leaves the
 prediction with a step. How far off the path across the outage is has no say: right fixes after an outage are far from
-it as a rule, but not from what follows them. Where Doppler witnesses (gnss_screen), none of this is needed.
+it as a rule, but not from what follows them.
 
 Source: Willsky & Jones 1976 (generalised likelihood ratio of a jump).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -29,7 +28,8 @@ LEAST_JUMP = 5.0  # m; receivers wander by less within seconds, and karts slide 
 SURE = 30.0  # squared size of a jump over its variance, of two components; 5 sigmas leave 3e-7
 WELL_PREDICTED = 4.0  # mean squared innovation over its variance, beyond which the prediction is no judge
 MOST_RUNS = 4  # beside one outage; of a receiver that jumps more often nobody knows what is right
-WINDOW, OVERLAP = 1200.0, 60.0  # s; long sessions are looked at bit by bit, lest the memory grow
+AROUND = 45.0  # s to either side of an outage that predict the fixes beside it; the offset lasts as long
+LONGEST_WINDOW = 1200.0  # s; more at once would take the memory of long sessions
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +59,10 @@ class Run:
     certainty: float
 
 
-def jumped_beside_outages(start: Start, noise: Noise, iterations: int) -> Array:
+def jumped_beside_outages(start: Start, noise: Noise, iterations: int, *, with_doppler: bool = True) -> Array:
     """Return the times (J,) s of the fixes that jumped beside an outage.
 
+    with_doppler: also of fixes with Doppler, most of which the first look at them has seen already (gnss_screen).
     One keyframe in EVERY predicts well enough, after `iterations` Gauss-Newton steps at most. A prediction that fails
     finds nothing.
     """
@@ -70,7 +71,7 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int) -> Array:
         t = part.data.t
         known = np.flatnonzero(np.isfinite(part.data.position_n[:, 0]))
         beside = [known[fixes] for fixes in beside_outages(t[known])]
-        beside = [fixes for fixes in beside if not _have_doppler(part, fixes)]
+        beside = [fixes for fixes in beside if with_doppler or not _have_doppler(part, fixes)]
         if beside:
             try:
                 solved = _predicted(thinned(part, EVERY), np.concatenate(beside), noise, iterations)
@@ -81,19 +82,24 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int) -> Array:
 
 
 def _have_doppler(start: Start, fixes: IntArray) -> bool:
-    """Whether most of the fixes say how fast they move: then the first look at them has seen which of them jumped."""
+    """Whether most of the fixes say how fast they move."""
     return bool(np.mean(np.isfinite(start.data.velocity_n[fixes, 0])) > 0.5)
 
 
 def _windows(start: Start) -> Iterator[Start]:
+    """Yield the stretches around the outages, those that overlap together, up to some length."""
+    known = start.data.t[np.isfinite(start.data.position_n[:, 0])]
+    before = np.flatnonzero(np.diff(known) > OUTAGE)
+    reaches: list[tuple[float, float]] = []
+    for begin, end in zip(known[before] - AROUND, known[before + 1] + AROUND, strict=True):
+        if reaches and begin < reaches[-1][1] and end - reaches[-1][0] < LONGEST_WINDOW:
+            reaches[-1] = reaches[-1][0], end
+        else:
+            reaches.append((begin, end))
     t = start.state.t
-    n = round(float(t[-1] - t[0]) / WINDOW)
-    if n < 2:
-        yield start
-        return
-    for first, last in pairwise(np.linspace(t[0], t[-1], n + 1)):
-        begin, end = np.searchsorted(t, [first - OVERLAP, last + OVERLAP])
-        yield stretch(start, int(begin), min(int(end), len(t) - 1))
+    for begin, end in reaches:
+        first, last = np.searchsorted(t, [begin, end])
+        yield stretch(start, int(first), min(int(last), len(t) - 1))
 
 
 def beside_outages(t: Array) -> Iterator[IntArray]:

@@ -95,7 +95,7 @@ class GraphSmoother:
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             return self._from_fixes(session, (Problem("imu_unusable", UNLIKE),))
         with watch("solve"):
-            doubted = _jumped(session, start, start.noise, options)
+            doubted = _jumped(session, start, start.noise, options, with_doppler=False)
             if doubted.any():
                 start = make_start(session, options, options.identification_span, doubted)
             constants, biases, noise = identify(start, options, watch.say)
@@ -126,9 +126,12 @@ class GraphSmoother:
         return replace(trajectory, report=report)
 
 
-def _jumped(session: Session, start: Start, noise: Noise, options: GraphOptions) -> BoolArray:
-    """Mask (N,) of the fixes that jumped beside an outage."""
-    return np.isin(session.gnss.t, jumped_beside_outages(start, noise, options.approaches))
+def _jumped(
+    session: Session, start: Start, noise: Noise, options: GraphOptions, *, with_doppler: bool = True
+) -> BoolArray:
+    """Mask (N,) of the fixes that jumped beside an outage; with_doppler: also of those that say how fast they move."""
+    found = jumped_beside_outages(start, noise, options.approaches, with_doppler=with_doppler)
+    return np.isin(session.gnss.t, found)
 
 
 def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:

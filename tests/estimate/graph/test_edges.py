@@ -184,8 +184,8 @@ def test_long_sessions_are_looked_at_bit_by_bit_with_the_same_result(monkeypatch
     simulation = simulated(gnss_jumps=jumps_of(AFTER, BEFORE))
     start = make_start(prepare(simulation.raw), GraphOptions())
     whole = jumped_beside_outages(start, start.noise, 4)
-    monkeypatch.setattr(edges, "WINDOW", 50.0)
-    monkeypatch.setattr(edges, "OVERLAP", 20.0)
+    monkeypatch.setattr(edges, "AROUND", 20.0)
+    monkeypatch.setattr(edges, "LONGEST_WINDOW", 50.0)
     assert whole.size == np.count_nonzero(np.any(simulation.gnss.jump_n != 0.0, axis=1))
     np.testing.assert_array_equal(jumped_beside_outages(start, start.noise, 4), whole)
 
