@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
@@ -78,7 +78,7 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
     moving = path.speed > MIN_SPEED
     inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
-    use = np.flatnonzero(moving & inside)
+    use = np.flatnonzero(moving & inside & ~_in_gap(imu.t, path.t))
     if use.size < 30:
         return _level_only(imu)
     averages, axes = _Averages(imu), _path_axes(path)
@@ -90,6 +90,18 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     few, use = _thinned(use, ENOUGH_FOR_LAG), _thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
     return _fit(axes[use], *averages.around(path.t[use] - lag, WINDOW), lag)
+
+
+def _in_gap(sampled: Array, t: Array) -> BoolArray:
+    """Mask (N,) of times t s in a stretch without samples, or a second from it, where averages are made up.
+
+    sampled (M,) s: times of the samples.
+    """
+    before = np.flatnonzero(np.diff(sampled) > WINDOW)
+    if not len(before):
+        return np.zeros(len(t), dtype=np.bool_)
+    latest = np.searchsorted(sampled[before] - 1.0, t) - 1
+    return np.asarray((latest >= 0) & (t < sampled[before + 1][np.maximum(latest, 0)] + 1.0))
 
 
 def _peak(x: Array, y: Array) -> float:

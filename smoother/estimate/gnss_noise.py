@@ -23,6 +23,7 @@ START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly 
 LEAST_JERK = np.array([0.2, 0.1])
 START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
+WORST_REPORTED = 1e6  # times the usual; damaged files say more, of which squares would overflow
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
 # What nobody need call an outlier, m and m/s, added to sigma when weighing. Receivers wander and converge again by
@@ -75,7 +76,9 @@ def _relative(reported: Array) -> Array:
     known = np.isfinite(reported)
     if not known.any():
         return np.ones_like(reported)
-    return np.where(known, np.maximum(reported / np.median(reported[known]), 1.0), 1.0)
+    with np.errstate(over="ignore"):
+        ratio = reported / np.median(reported[known])
+    return np.where(known, np.clip(ratio, 1.0, WORST_REPORTED), 1.0)
 
 
 def normalised_sizes(done: Round, n_fixes: int) -> Array:

@@ -293,7 +293,7 @@ def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
         return t_receive, False
     utc = unix_s - unix_s[known][0]
     delay = t_receive - utc
-    odd = ~(np.abs(delay - np.median(delay[known])) < ODD_UTC)
+    odd = ~(np.abs(delay - median(delay[known])) < ODD_UTC)
     if np.mean(odd) > 0.5:
         return t_receive, False
     envelope = _envelope(utc[~odd], delay[~odd])

@@ -162,3 +162,15 @@ class TestRotationToUp:
         R = rotation_to_up(np.array([tiny, 0.0, sign]))
         np.testing.assert_allclose(R @ [0.0, 0.0, sign], [0.0, 0.0, 1.0], atol=1e-9)
         assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
+    """What would be averages across them were never measured."""
+    R_bs = random_rotation(1)
+    imu = box(truth, R_bs, np.zeros(3))
+    seen = np.ones(len(imu.t), dtype=np.bool_)
+    for begin in (15.0, 35.0, 55.0, 75.0):
+        seen &= (imu.t < begin) | (imu.t > begin + 12.0)
+    found = align(ImuSamples(imu.t[seen], imu.specific_force_s[seen], imu.angular_rate_s[seen]), fixes(truth))
+    assert turn_between(found.R_bs, R_bs) < 4.0 * DEG
+    assert found.share_explained > 0.8

@@ -62,3 +62,7 @@ def test_a_rejected_run_comes_back_from_its_ends_only() -> None:
     assert weight.tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]
     early = noise.robust_weights(size, before, 2.0)[:, system.HORIZONTAL_POSITION]  # limits still wide: nothing returns
     assert early.tolist() == [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def test_wild_reported_accuracies_overflow_nowhere() -> None:
+    assert np.max(noise._relative(np.array([1e-300, 1e-300, 1e-300, 1e300]))) < 1e7

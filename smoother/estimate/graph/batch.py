@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
@@ -52,6 +52,8 @@ STILL_TURN = 3e-4  # rad between keyframes, likewise
 # m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
 # are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
 LEVEL_GROUND = 2.0
+FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone carry a height
+HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: one of them may be wild
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,8 @@ class Data:
     """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
 
     position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
-    whose positions have no weight, whatever their residuals; None where there are none.
+    whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and
+    height m of all fixes of the session that have one; None asks nothing of the ground.
     """
 
     t: Array
@@ -114,6 +117,7 @@ class Data:
     still: np.ndarray
     heading: Heading | None = None
     doubted: BoolArray | None = None
+    heights: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,13 +252,31 @@ def session_rows(
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
     out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
-    if not prior.has_height:
-        out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval)))
+    if d.heights is not None:
+        at, height = _far_from_heights(d.heights, state.t)
+        if len(at):
+            out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
     if len(d.still):
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
     if d.heading is not None:
         out.append(rw.heading_rows(state, d.heading))
     return out
+
+
+def _far_from_heights(heights: Array, t: Array) -> tuple[IntArray, Array]:
+    """Keyframes of t (K,) s, but the last, that are far from any of the heights (H, 2), and the nearest one (n,) m.
+
+    That of the origin where there is none at all.
+    """
+    if not len(heights):
+        return np.arange(len(t) - 1), np.zeros(len(t) - 1)
+    times = heights[:, 0]
+    after = np.clip(np.searchsorted(times, t[:-1]), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    near = np.where(np.abs(times[after] - t[:-1]) < np.abs(times[before] - t[:-1]), after, before)
+    far = np.flatnonzero(np.abs(times[near] - t[:-1]) > FAR_FROM_HEIGHT)
+    around = np.clip(near[far, None] + HEIGHTS_AROUND, 0, len(times) - 1)
+    return far, np.median(heights[around, 1], axis=1)
 
 
 def converged(step: Array) -> bool:

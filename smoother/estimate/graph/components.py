@@ -45,6 +45,7 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 # Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
 # this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
+MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
 TOGETHER = 256  # rows whose covariances are worked on together
 
 
@@ -303,7 +304,11 @@ def _offset_ratio(solved: Solved) -> Array:
         chi2 += np.sum(rows.residual**2 * rows.information, axis=0)
         redundancy += np.sum(1.0 - posterior_variance(rows, solved.solution) * rows.information, axis=0)
     chi2[:2], redundancy[:2] = chi2[:2].mean(), redundancy[:2].mean()
-    return np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
+    ratio = np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
+    has_height = np.isfinite(solved.rows["gps_position"].sigma[:, 2])
+    if np.mean(has_height) < MOST_HEIGHTS:  # level ground has none, and says nothing of the receiver's
+        ratio[2] = 1.0
+    return ratio
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:

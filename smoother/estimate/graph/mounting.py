@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.state import ChainState
 from smoother.fit.running import gaussian_mean
@@ -20,6 +20,7 @@ from smoother.trajectory import Keyframes
 from smoother.units import DEG
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
+MOSTLY_MISSING = 0.5  # share of an interval
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
@@ -36,10 +37,20 @@ class FittedMounting:
     is_fitted: bool = False
 
 
-def fit_mounting(state: ChainState, rough_R_bs: Array) -> FittedMounting:
-    """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed."""
-    speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
-    use = speed > 1.5 * MIN_SPEED
+def are_driven(state: ChainState) -> BoolArray:
+    """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
+    return np.asarray(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > 1.5 * MIN_SPEED)
+
+
+def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = None) -> FittedMounting:
+    """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
+
+    missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up.
+    """
+    use = are_driven(state)
+    if missing is not None:
+        sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
+        use &= sampled[1:] | sampled[:-1]
     if np.count_nonzero(use) < MIN_KEYFRAMES:
         return FittedMounting(rough_R_bs, np.full(3, np.pi / 4.0), False)
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]

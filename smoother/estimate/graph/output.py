@@ -25,7 +25,7 @@ from smoother.estimate.graph.imu import (
     motion_at,
 )
 from smoother.estimate.graph.joint import ChainJoint
-from smoother.estimate.graph.mounting import FittedMounting, swing_on_the_wheel
+from smoother.estimate.graph.mounting import MIN_KEYFRAMES, FittedMounting, are_driven, swing_on_the_wheel
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -62,6 +62,7 @@ ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
     "position, speed, lap times and accelerations along the path are not affected"
 )
+LEAST_BETWEEN = 0.25  # of the smaller variance of two keyframes: no less is left anywhere between them
 _MOTION = slice(ROTATION.start, VELOCITY.stop)
 
 
@@ -107,16 +108,23 @@ def estimated(solved: Solved) -> Estimated:
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
         np.zeros((3, 3))
         if factor is None
-        else _common_attitude(factor, solved.solution.covariance[:, ROTATION, ROTATION]),
+        else _common_attitude(factor, solved.solution.covariance[:, ROTATION, ROTATION], _told(state)),
     )
 
 
-def _common_attitude(factor: ChainFactor, attitude: Array) -> Array:
+def _told(state: ChainState) -> IntArray:
+    """Keyframes that the mounting is fitted to, all where they are few: what it takes out of others' errors is less."""
+    driven = are_driven(state)
+    return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else np.ones_like(driven))
+
+
+def _common_attitude(factor: ChainFactor, attitude: Array, told: IntArray) -> Array:
     """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes over the session.
 
-    attitude (K, 3, 3) rad^2: covariance of each keyframe's own error.
+    attitude (K, 3, 3) rad^2: covariance of each keyframe's own error; told: those that the mounting is fitted to.
     """
-    known = _usually_known(attitude[:-1])
+    told = told[told < len(attitude) - 1]
+    known = told[_usually_known(attitude[told])]
     at = np.repeat(known[np.linspace(0, len(known) - 1, SAMPLES).astype(np.int64)], 3)
     left = np.zeros((len(at), KEYFRAME_SIZE))
     left[:, ROTATION] = np.tile(np.eye(3), (SAMPLES, 1))
@@ -321,7 +329,8 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -
     """
     if not mounting.is_fitted:
         return np.ones(3)
-    some = slice(None, None, max(1, len(R_nb) // (10 * SAMPLES)))
+    told = _told(found.state)
+    some = told[:: max(1, len(told) // (10 * SAMPLES))]
     attitude = R_nb[some].transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb[some]
     attitude = attitude[_usually_known(attitude)]
     common = mounting.R_bs @ found.common_attitude @ mounting.R_bs.T
@@ -390,7 +399,8 @@ def _sigmas(
     bent = 4.0 * later * (1.0 - later)
     diagonal = between(np.einsum("kii->ki", covariance)[:, 3:9])
     diagonal[:, 0:3] += bent[:, None] * np.einsum("kii->ki", bend)[i]
-    diagonal = np.maximum(diagonal, 0.0)
+    ends = np.einsum("kii->ki", covariance)[:, 3:9]
+    diagonal = np.maximum(diagonal, LEAST_BETWEEN * np.minimum(ends[i], ends[i + 1]))
     by_turn = euler_jacobian(R_nb) @ R_nb.transpose(0, 2, 1)
     attitude = np.einsum("nri,nri->nr", by_turn @ between(covariance[:, 0:3, 0:3]), by_turn)
     x, y = (velocity_n[:, :2] / np.maximum(np.linalg.norm(velocity_n[:, :2], axis=1), 1e-12)[:, None]).T

@@ -211,18 +211,17 @@ def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float,
     return Rows("standstill", interval, residual, sigma, left, right, constants, np.ones(len(interval)))
 
 
-def ground_rows(state: ChainState, sigma: float) -> Rows:
-    """Height at every keyframe of a kart whose fixes have none: that of the origin, give or take the slow offset.
+def ground_rows(state: ChainState, sigma: float, at: IntArray, height: Array) -> Rows:
+    """Height at the keyframes `at` (n,) of a kart far from fixes with a height: height (n,) m, but for the slow offset.
 
     The samples alone would let it run away, by kilometres within minutes, and take the digits of all else with it. The
     offset upwards stands for the hills here, and how high they are is found as the receiver's would be. sigma m.
     """
-    n = len(state.t) - 1
-    left, right, constants = _empty(n, 1)
+    left, right, constants = _empty(len(at), 1)
     left[:, 0, OFFSET.start + 2] = 1.0
-    left[:, 0, TRANSLATION] = state.R_ns[:-1, 2, :]  # a step is in the axes of the pose
-    residual = (state.position_n[:-1, 2] + state.offset_n[:-1, 2])[:, None]
-    return Rows("ground", np.arange(n), residual, np.full((n, 1), sigma), left, right, constants, np.ones(n))
+    left[:, 0, TRANSLATION] = state.R_ns[at, 2, :]  # a step is in the axes of the pose
+    residual = (state.position_n[at, 2] + state.offset_n[at, 2] - height)[:, None]
+    return Rows("ground", at, residual, np.full((len(at), 1), sigma), left, right, constants, np.ones(len(at)))
 
 
 def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows]:

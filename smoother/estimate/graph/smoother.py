@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.arrays import BoolArray
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
@@ -105,7 +105,7 @@ class GraphSmoother:
                 start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
-            mounting = _mounting(session, found.state, start.alignment)
+            mounting = _mounting(session, found.state, start.alignment, start.fine.missing)
             trajectory = build_trajectory(
                 session,
                 found,
@@ -191,8 +191,8 @@ def _solve(
     return estimated(whole.solved), whole
 
 
-def _mounting(session: Session, state: ChainState, alignment: Alignment) -> FittedMounting:
+def _mounting(session: Session, state: ChainState, alignment: Alignment, missing: Array) -> FittedMounting:
     stated = session.config.mounting.R_bs
     if stated is not None:
         return FittedMounting(stated, np.zeros(3), True)
-    return fit_mounting(state, alignment.R_bs)
+    return fit_mounting(state, alignment.R_bs, missing)

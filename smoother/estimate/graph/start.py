@@ -197,7 +197,15 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
         _relative(gnss.sigma_velocity)[use],
         still,
         doubted=None if doubted is None else doubted[use],
+        heights=_heights(session),
     )
+
+
+def _heights(session: Session) -> Array:
+    """Time s and height m (H, 2) of the fixes that have one."""
+    up = session.fix_position_n[:, 2]
+    known = np.isfinite(up)
+    return np.column_stack([session.gnss.t[known], up[known]])
 
 
 def _relative(reported: Array) -> Array:

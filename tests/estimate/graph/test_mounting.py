@@ -135,3 +135,15 @@ def test_a_box_that_turns_with_the_steering_wheel_is_noticed(column: float) -> N
 )
 def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, unsure: float) -> None:
     assert swing_on_the_wheel(keyframes_of_drive(wheel, lean, unsure)) is None
+
+
+def test_attitudes_in_a_hole_of_the_samples_have_no_say() -> None:
+    R_bs = random_rotation(2)
+    state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
+    missing = np.zeros(len(state.t) - 1)
+    missing[100 : len(missing) // 2] = 1.0
+    made_up = np.flatnonzero(missing)[1:]  # between the keyframes on either side
+    R_ns = state.R_ns.copy()
+    R_ns[made_up] = R_ns[made_up] @ so3.exp(np.array([0.4, -0.3, 0.5]))
+    found = fit_mounting(replace(state, R_ns=R_ns), R_bs, missing)
+    assert np.max(np.abs(so3.log(found.R_bs @ R_bs.T))) < 0.3 * DEG

@@ -248,7 +248,7 @@ class TestOtherJacobians:
 
     def test_ground(self, seed: int) -> None:
         state, _ = random_state(seed, turning=1.0)
-        assert_jacobians(lambda s: ground_rows(s, 1.0), state)
+        assert_jacobians(lambda s: ground_rows(s, 1.0, np.array([0, 2, 5]), np.array([3.0, 3.0, -4.0])), state)
 
     def test_offset(self, seed: int) -> None:
         state, _ = random_state(seed, turning=1.0)

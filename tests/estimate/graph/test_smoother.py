@@ -587,3 +587,36 @@ def test_fixes_without_a_height_are_as_good_on_the_level(solver: str) -> None:
     assert np.all((sigmas.position_n[:, 2] > 100.0) & (sigmas.position_n[:, 2] < 110.0))
     climb = (without.velocity_error_n[:, 2] / sigmas.velocity_n[:, 2])[driving]
     assert 0.5 < np.sqrt(np.mean(climb**2)) < 1.5
+
+
+@pytest.mark.parametrize("solver", ["batch", "isam2"])
+def test_one_height_is_enough_for_a_session(solver: str) -> None:
+    """From there the samples would carry it away by kilometres."""
+    simulation = simulate_preset("kart", 61, duration=110.0, gnss_outages=(), motion_standstill=None)
+    session = prepare(simulation.raw)
+    first = np.where(np.arange(len(session.gnss)) == 0, session.gnss.alt_m, np.nan)
+    found = smoothed(simulation, replace(session, gnss=replace(session.gnss, alt_m=first)), GraphOptions(solver=solver))
+    assert found.trajectory.report.mode == "full"
+    sigmas = found.trajectory.sigmas
+    assert sigmas is not None
+    assert np.max(np.abs(found.error_n[:, 2])) < 15.0
+    assert np.sqrt(np.mean((found.velocity_error_n[:, 2] / sigmas.velocity_n[:, 2]) ** 2)) < 1.6
+
+
+def test_attitudes_of_a_kart_that_mostly_stands_are_as_unsure_as_they_are() -> None:
+    """What all parked keyframes have in common is no measure of what the mounting takes out of driven ones."""
+    z = []
+    for seed in (120, 121, 122):
+        changes = {"gnss_outages": (), "motion_standstill": 200.0}
+        made = smoothed(simulate_preset("kart", seed, duration=250.0, **changes))
+        driving = made.truth.speed > 5.0
+        assert made.trajectory.sigmas is not None
+        z.append((made.euler_error / made.trajectory.sigmas.attitude)[driving])
+    assert np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.35
+
+
+def test_no_velocity_is_known_exactly() -> None:
+    """Beside a standstill that is detected, less than nothing seemed to be left between two keyframes."""
+    made = smoothed(simulate_preset("kart", 1, track="longmeadow", duration=100.0, motion_standstill=100.0))
+    assert made.trajectory.sigmas is not None
+    assert np.min(made.trajectory.sigmas.velocity_n) > 1e-3
