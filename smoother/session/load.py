@@ -39,6 +39,7 @@ PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for rad
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
+MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
@@ -132,12 +133,14 @@ def _require_fixes(recording: Recording) -> None:
 def _without_fillers(gnss: GnssFixes) -> GnssFixes:
     """The fixes without heights, or speeds upwards, that are all 0: what a table has where nothing was measured.
 
-    Taken for measured, they would be the surest of all.
+    Taken for measured, they would be the surest of all. Of a height that never changes, only the first one counts.
     """
     velocity_n = gnss.velocity_n
     if np.nanmax(np.abs(velocity_n[:, 2]), initial=0.0) == 0.0:
         velocity_n = np.column_stack([velocity_n[:, :2], np.full(len(gnss), np.nan)])
     alt_m = gnss.alt_m if np.nanmax(np.abs(gnss.alt_m), initial=0.0) > 0.0 else np.full(len(gnss), np.nan)
+    if len(alt_m) >= MANY_HEIGHTS and np.all(alt_m == alt_m[0]):
+        alt_m = np.where(np.arange(len(alt_m)) == 0, alt_m, np.nan)
     return replace(gnss, velocity_n=velocity_n, alt_m=alt_m)
 
 

@@ -195,6 +195,13 @@ def test_heights_and_climbs_of_nothing_but_zeros_were_not_measured(folder: Folde
     assert one.gnss.velocity_n[0, 2] == 0.1
 
 
+def test_a_height_that_never_changes_was_measured_once_at_most(folder: Folder) -> None:
+    constant = folder.write(imu__csv=imu_csv(count=1400), gps__csv=gps_csv(count=60)).load()
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(constant.gnss.alt_m)), [0])
+    rough = folder.write(gps__csv=gps_csv(count=60).replace("12.0,8.0", "12.0,8.1", 1)).load()
+    assert np.isfinite(rough.gnss.alt_m).all()
+
+
 def test_that_no_fix_has_a_height_is_said(folder: Folder) -> None:
     without = gps_csv().replace("alt_m", "other")
     raw = load_raw(folder.write(**{"imu.csv": imu_csv(), "gps.csv": without}).path)
