@@ -105,8 +105,8 @@ class Data:
     """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
 
     position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
-    whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and
-    height m of all fixes of the session that have one; None asks nothing of the ground.
+    whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
+    in n, m, of all fixes of the session that have a height; None asks nothing of the ground.
     """
 
     t: Array

@@ -212,7 +212,7 @@ def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float,
 
 
 def ground_rows(state: ChainState, sigma: float, at: IntArray, height: Array) -> Rows:
-    """Height at the keyframes `at` (n,) of a kart far from fixes with a height: height (n,) m, but for the slow offset.
+    """Height at the keyframes `at` (n,), far from fixes that have one: `height` (n,) m in n, less the slow offset.
 
     The samples alone would let it run away, by kilometres within minutes, and take the digits of all else with it. The
     offset upwards stands for the hills here, and how high they are is found as the receiver's would be. sigma m.

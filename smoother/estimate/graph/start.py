@@ -202,7 +202,7 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
 
 
 def _heights(session: Session) -> Array:
-    """Time s and height m (H, 2) of the fixes that have one."""
+    """Time s and up in n, m, (H, 2) of the fixes that have a height."""
     up = session.fix_position_n[:, 2]
     known = np.isfinite(up)
     return np.column_stack([session.gnss.t[known], up[known]])
