@@ -163,6 +163,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
     corners = make_corners(circuit.curve, traces, given.trajectory, path, index, elapsed, valid, given.errors)
     lines = circuit.sector_lines or _sectors(circuit, corners, valid)
     laps = _laps(given, circuit, passages, why, lines)
+    gates = (circuit.start_line, *lines, circuit.finish_line or circuit.start_line)
     return LapAnalysis(
         laps=laps,
         start_line=circuit.start_line,
@@ -171,7 +172,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
         reference=circuit.curve.line,
         traces=traces,
         corners=corners,
-        statistics=statistics_of(laps, traces, circuit.curve, path, given.errors),
+        statistics=statistics_of(laps, gates, traces, circuit.curve, path, given.errors),
         reference_lap=index,
         reference_name="" if options.reference_lap is None else options.reference_lap.name,
         official=official_times(options.official, laps),

@@ -123,6 +123,11 @@ class Crossed:
     normal_n: Array
     velocity_n: Array
 
+    @property
+    def closing(self) -> Array:
+        """Speed (m,) m/s over the line."""
+        return np.asarray(np.maximum(np.sum(self.normal_n * self.velocity_n, axis=1), SLOWEST))
+
 
 def time_covariance(errors: JointPosition, crossed: Crossed) -> Array:
     """Covariance (m, m) s^2 of crossing times."""
@@ -131,10 +136,9 @@ def time_covariance(errors: JointPosition, crossed: Crossed) -> Array:
 
 def time_covariances(errors: JointPosition, groups: Sequence[Crossed]) -> list[Array]:
     """Covariance (m, m) s^2 of the crossing times of each group."""
-    closing = [np.maximum(np.sum(g.normal_n * g.velocity_n, axis=1), SLOWEST) for g in groups]
     directions = [np.concatenate([g.normal_n, np.zeros((len(g.t), 1))], axis=1) for g in groups]
     along = covariances(errors, [g.t for g in groups], directions)
-    return [c / (speed[:, None] * speed[None, :]) for c, speed in zip(along, closing, strict=True)]
+    return [c / (speed[:, None] * speed[None, :]) for c, speed in zip(along, (g.closing for g in groups), strict=True)]
 
 
 def covariances(errors: JointPosition, t: Sequence[Array], direction_n: Sequence[Array]) -> Iterator[Array]:

@@ -1,14 +1,13 @@
 """Figures of all laps together: best, theoretical and rolling best, consistency; official times beside ours."""
 
-from statistics import NormalDist
-
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
-from smoother.laps.results import Lap, OfficialTime, Statistics, Traces
+from smoother.laps.results import Lap, Line, OfficialTime, Statistics, Traces
 from smoother.laps.sigma import Crossed, sigma_of, time_covariance
+from smoother.laps.theoretical import theoretical_best
 from smoother.trajectory import JointPosition
 
 TENTH = 0.1  # s
@@ -17,43 +16,20 @@ SAME_LAP = 1.5  # s of difference at most between an official time and ours
 BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
 
 
-def expected_minimum(count: int) -> float:
-    """Mean of the least of `count` standard normal values, 0 for one. Source: Blom 1958, alpha = 0.375."""
-    return NormalDist().inv_cdf((1.0 - 0.375) / (count + 0.25))
-
-
-def least_without_luck(values: Array, sigmas: Array) -> tuple[float, float]:
-    """Return the least of the true values behind noisy `values` (K,) with `sigmas` (K,), and its sigma.
-
-    The least of K noisy values lies below the least of the true ones, the more so the more alike these are. With true
-    values spread normally (sigma s) and noise e, it does by c(K) (sqrt(s^2 + e^2) - s), c the mean of the least of K
-    standard normal values. No sigma: the least as it is.
-    """
-    least = float(values.min())
-    noise = float(np.sqrt(np.mean(sigmas**2)))
-    if not np.isfinite(noise) or len(values) < 2:
-        return least, noise
-    total = float(np.var(values, ddof=1))
-    spread = float(np.sqrt(max(total - noise**2, 0.0)))
-    luck = -expected_minimum(len(values)) * (np.hypot(spread, noise) - spread)
-    if spread == 0.0:
-        return min(least + luck, float(values.mean())), noise / np.sqrt(len(values))
-    return least + luck, noise * spread / np.hypot(spread, noise)
-
-
 def statistics_of(
     laps: tuple[Lap, ...],
+    gates: tuple[Line, ...],
     traces: Traces | None,
     curve: Curve,
     path: PlanPath,
     errors: JointPosition | None,
 ) -> Statistics:
-    """Return the figures of the laps that count."""
+    """Return the figures of the laps that count; gates: start, the ends of the sectors in driving order, finish."""
     counting = [i for i, lap in enumerate(laps) if lap.is_valid]
     times = np.array([laps[i].time for i in counting])
     sigmas = np.array([laps[i].sigma for i in counting])
     best = counting[int(np.argmin(times))] if counting else None
-    theoretical, theoretical_sigma, raw = _theoretical([laps[i] for i in counting])
+    theoretical, theoretical_sigma, raw = theoretical_best([laps[i] for i in counting], gates, path, errors)
     rolling = _rolling(laps, traces, curve, path, errors)
     noise = float(np.mean(sigmas**2)) if len(times) and np.isfinite(sigmas).all() else 0.0
     spread = float(np.sqrt(max(np.var(times, ddof=1) - noise, 0.0))) if len(times) > 1 else np.nan
@@ -74,21 +50,6 @@ def statistics_of(
         within_tenth=int(np.count_nonzero(times <= times.min() + TENTH)) if len(times) else 0,
         counted=len(counting),
     )
-
-
-def _theoretical(laps: list[Lap]) -> tuple[float, float, float]:
-    """Sum of the best sectors without luck, its sigma, and as it is."""
-    if not laps or len(laps[0].sector_time) == 0:
-        return np.nan, np.nan, np.nan
-    times = np.stack([lap.sector_time for lap in laps])
-    sigmas = np.stack([lap.sector_sigma for lap in laps])
-    known = np.isfinite(times)
-    if not known.any(axis=0).all():
-        return np.nan, np.nan, np.nan
-    best = [least_without_luck(t[k], s[k]) for t, s, k in zip(times.T, sigmas.T, known.T, strict=True)]
-    raw = float(np.sum(np.min(np.where(known, times, np.inf), axis=0)))
-    whole = min(lap.time for lap in laps)  # the sum of its sectors was driven, so the best sectors take no longer
-    return min(float(sum(b[0] for b in best)), whole), float(np.sqrt(sum(b[1] ** 2 for b in best))), raw
 
 
 def _rolling(

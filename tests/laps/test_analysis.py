@@ -18,7 +18,6 @@ from smoother.laps.clock import lap_clock
 from smoother.laps.delta import zones
 from smoother.laps.document import analysis_document, lap_rows, lap_table
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
-from smoother.laps.statistics import expected_minimum, least_without_luck
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
 from smoother.samples import Problem
@@ -151,24 +150,6 @@ def test_a_loss_is_real_only_beyond_two_of_its_sigma(driven: Trajectory, fixes: 
 def test_zones_have_hysteresis() -> None:
     along = np.array([0.0, -1.5, -2.5, -1.5, -0.5, -1.5, -1.2, 0.0, 0.5, 0.8, 0.4, 0.2])
     np.testing.assert_array_equal(zones(along), [0, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 0])
-
-
-def test_the_best_of_noisy_times_is_corrected_for_luck() -> None:
-    rng = np.random.default_rng(3)
-    bias_raw, bias = [], []
-    for _ in range(2000):
-        true = 50.0 + rng.normal(0.0, 0.05, 8)
-        seen = true + rng.normal(0.0, 0.1, 8)
-        bias_raw.append(seen.min() - true.min())
-        bias.append(least_without_luck(seen, np.full(8, 0.1))[0] - true.min())
-    assert np.mean(bias_raw) < -0.08
-    assert abs(np.mean(bias)) < 0.02  # a fifth of the noise; the spread is itself estimated from eight times
-
-
-def test_expected_minimum_is_that_of_normal_values() -> None:
-    drawn = np.random.default_rng(1).normal(size=(20_000, 10)).min(axis=1).mean()
-    assert expected_minimum(10) == pytest.approx(drawn, abs=0.03)
-    assert expected_minimum(1) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_statistics_hang_together(found: LapAnalysis) -> None:
