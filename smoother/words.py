@@ -1,7 +1,11 @@
 """Counts and lengths of time as people read them, the same on the terminal, on pages and in problems. Imports nothing
 of this project."""
 
+import math
 import re
+from collections.abc import Sequence
+
+MOST_DIGITS = 7  # behind the point; a sigma below a millionth is that of something exact
 
 
 def counted(count: int, noun: str) -> str:
@@ -20,3 +24,21 @@ def duration(seconds: float) -> str:
 def repeated(text: str, count: int) -> str:
     """Return what was met `count` times, saying so unless the text does."""
     return text if count == 1 or re.search(rf"(?<![\d.]){count}(?![\d.]*\d)", text) else f"{text} ({count} times)"
+
+
+def sigma_digits(sigma: float) -> int | None:
+    """Return how many digits behind the point show two of `sigma` that count; None where it is unknown or zero."""
+    if not (sigma > 0.0 and math.isfinite(sigma)):
+        return None
+    return min(max(0, 1 - math.floor(math.log10(sigma))), MOST_DIGITS)
+
+
+def measured(values: Sequence[float], sigmas: Sequence[float], digits: int) -> tuple[str, str]:
+    """Return values, and their sigmas, each list with commas between; each sigma says how many digits both have.
+
+    digits behind the point where a sigma is unknown. No sigmas: the second text is empty.
+    """
+    places = [sigma_digits(sigma) for sigma in sigmas] if sigmas else [None] * len(values)
+    known = [digits if place is None else place for place in places]
+    shown = [f"{round(value, place) + 0.0:.{place}f}" for value, place in zip(values, known, strict=True)]
+    return ", ".join(shown), ", ".join(f"{sigma:.{place}f}" for sigma, place in zip(sigmas, known, strict=False))

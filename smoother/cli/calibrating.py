@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from smoother.cli.arguments import EXIT_DONE, json_option, require_sessions, ses
 from smoother.cli.output import plain, progress_on_terminal, say, say_json, say_pairs, warn
 from smoother.cli.pipeline import session_directory, unwritable
 from smoother.errors import SessionError, UsageError
+from smoother.words import MOST_DIGITS, sigma_digits
 
 if TYPE_CHECKING:
     from calib.outcome import Comparison, Outcome, Value
@@ -173,7 +173,7 @@ def _section(outcome: Outcome, number: int, folder: Path) -> Section:
             figure = folder / f"{name}_{number + 1}.png"
         draw(function, **outcome.drawing).savefig(figure, format="png")
     rows = [(value.name, _with_sigma(value), value.unit, value.note) for value in outcome.values]
-    comparisons = [(c.name, f"{c.before:.4g} {c.unit}", f"{c.after:.4g} {c.unit}") for c in outcome.comparisons]
+    comparisons = [(c.name, *_before_and_after(c)) for c in outcome.comparisons]
     return Section(f"{outcome.procedure} ({outcome.recording})", rows, comparisons, outcome.remarks, figure)
 
 
@@ -213,7 +213,20 @@ def _value_text(value: Value) -> str:
 
 
 def _comparison_text(comparison: Comparison) -> str:
-    return f"{comparison.before:.4g} {comparison.unit} before, {comparison.after:.4g} {comparison.unit} after"
+    before, after = _before_and_after(comparison)
+    return f"{before} before, {after} after"
+
+
+def _before_and_after(comparison: Comparison) -> tuple[str, str]:
+    """Both with four digits of the larger; what is zero with these was taken out as well as the recording can tell."""
+    digits = sigma_digits(max(comparison.before, comparison.after))
+    places = 2 if digits is None else digits + 2
+    return _at_least(comparison.before, places, comparison.unit), _at_least(comparison.after, places, comparison.unit)
+
+
+def _at_least(value: float, places: int, unit: str) -> str:
+    least = 10.0**-places
+    return f"{value:.{places}f} {unit}" if value >= least or value == 0.0 else f"below {least:.{places}f} {unit}"
 
 
 def _with_sigma(value: Value) -> str:
@@ -235,10 +248,10 @@ def _with_sigma(value: Value) -> str:
 
 def _pair(value: float, sigma: float) -> str:
     """A number and its sigma, this with two digits that count."""
-    if not (sigma > 0.0 and math.isfinite(sigma)):
+    digits = sigma_digits(sigma)
+    if digits is None:
         return f"{value:.6g} ± {sigma:.2g}"
-    digits = max(0, 1 - math.floor(math.log10(sigma)))
-    if digits > 7:
+    if digits >= MOST_DIGITS:
         return f"{value:.4g} ± {sigma:.2g}"
     return f"{round(value, digits) + 0.0:.{digits}f} ± {sigma:.{digits}f}"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from smoother.cli.lap_tables import show_laps
 from smoother.cli.output import number, say, say_pairs
 from smoother.units import DEG, KMH
-from smoother.words import counted, duration, repeated
+from smoother.words import counted, duration, measured, repeated
 
 if TYPE_CHECKING:
     from smoother.cli.pipeline import Result
@@ -113,9 +113,10 @@ def _identified(name: str, identified: Identified) -> str:
     if name == "R_bs":
         return f"{_mounting(identified.value)} ({source})"
     unit, factor, digits = _shown_unit(identified.unit)
-    text = _values(identified.value, factor, digits)
-    if identified.sigma is not None:
-        text += f" ± {_values(identified.sigma, factor, digits)}"
+    values = _scaled(identified.value, factor)
+    digits += 2 if max(map(abs, values)) < 0.1 else 0
+    text, sigma = measured(values, [] if identified.sigma is None else _scaled(identified.sigma, factor), digits)
+    text += f" ± {sigma}" if sigma else ""
     axes = " forward, left, up" if name == "lever_arm_b" else ""
     return f"{text} {unit}{axes} ({source})"
 
@@ -125,19 +126,16 @@ def _mounting(R_bs: Any) -> str:
 
     from smoother.frames import euler_from_rotation
 
-    roll, pitch, yaw = (float(angle) / DEG for angle in euler_from_rotation(np.asarray(R_bs)))
+    roll, pitch, yaw = (round(float(angle) / DEG, 1) + 0.0 for angle in euler_from_rotation(np.asarray(R_bs)))
     return f"rolled {roll:.1f}, pitched {pitch:.1f}, yawed {yaw:.1f} deg"
 
 
 def _shown_unit(unit: str) -> tuple[str, float, int]:
-    """Unit for people, its factor, and digits."""
+    """Unit for people, its factor, and the digits of what has no sigma."""
     if unit.startswith("rad"):
         return unit.replace("rad", "deg", 1), 1.0 / DEG, 2
     return unit, 1.0, 3 if unit == "s" else 2
 
 
-def _values(value: Any, factor: float, digits: int) -> str:
-    """Numbers with commas between, two digits more where all of them are small."""
-    items = [float(item) * factor for item in (value if isinstance(value, (list, tuple)) else [value])]
-    digits += 2 if max(map(abs, items)) < 0.1 else 0
-    return ", ".join(number(round(item, digits) + 0.0, digits) for item in items)
+def _scaled(value: Any, factor: float) -> list[float]:
+    return [float(item) * factor for item in (value if isinstance(value, (list, tuple)) else [value])]

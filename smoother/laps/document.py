@@ -11,8 +11,9 @@ from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
 from smoother.units import DEG
 
-# times have more digits than are shown: rounded twice, a lap would be a thousandth off the best lap that it is
-TIME_DIGITS, SIGMA_DIGITS, DIGITS = 6, 4, 3
+# times and their sigmas have more digits than are shown: rounded twice, a lap would be a thousandth off the best lap
+# that it is, and not as sure
+TIME_DIGITS, DIGITS = 6, 3
 Document = dict[str, Any]
 
 
@@ -27,14 +28,14 @@ def _row(lap: Lap, sectors: int) -> Document:
         "start_s": round(lap.start, TIME_DIGITS),
         "end_s": round(lap.end, TIME_DIGITS),
         "lap_time_s": round(lap.time, TIME_DIGITS),
-        "lap_time_sigma_s": round(lap.sigma, SIGMA_DIGITS),
+        "lap_time_sigma_s": round(lap.sigma, TIME_DIGITS),
         "valid": lap.is_valid,
         "reason": " ".join(lap.reasons),
     }
     for i in range(sectors):
         known = i < len(lap.sector_time)
         row[f"sector{i + 1}_s"] = round(float(lap.sector_time[i]), TIME_DIGITS) if known else np.nan
-        row[f"sector{i + 1}_sigma_s"] = round(float(lap.sector_sigma[i]), SIGMA_DIGITS) if known else np.nan
+        row[f"sector{i + 1}_sigma_s"] = round(float(lap.sector_sigma[i]), TIME_DIGITS) if known else np.nan
     row["raw_time_s"] = round(lap.raw_time, TIME_DIGITS)
     row["distance_m"] = round(lap.distance, DIGITS)
     row["top_speed_mps"] = round(lap.top_speed, DIGITS)
@@ -147,7 +148,7 @@ def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
     for i, lap in enumerate(analysis.laps):
         if not lap.is_timed:
             continue
-        values = {name: round(float(column[i]), 4) for name, column in columns.items()}
+        values = {name: round(float(column[i]), TIME_DIGITS) for name, column in columns.items()}
         laps.append({"lap": lap.number, **values, "is_real": bool(corner.is_real[i])})
     return {
         "number": corner.number,

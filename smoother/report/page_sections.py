@@ -20,7 +20,7 @@ from smoother.report.summary import distance_driven, is_told, merged
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
-from smoother.words import counted, duration, repeated
+from smoother.words import counted, duration, measured, repeated
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -411,12 +411,14 @@ def _identified(name: str, found: Identified) -> Element:
         value, unit, factor = _angles(value), "deg", 1.0 / DEG
     elif unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
-    errors = np.empty(0) if sigma is None else np.atleast_1d(np.asarray(sigma, dtype=np.float64)) * factor
+    values = np.atleast_1d(value).ravel() * factor
+    errors = np.empty(0) if sigma is None else np.atleast_1d(np.asarray(sigma, dtype=np.float64)).ravel() * factor
+    shown = measured(values.tolist(), errors.tolist(), _digits(values))
     source = "weakly identified" if found.source == "identified" and not found.observable else found.source
     return row(
         _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")),
-        _listed(np.atleast_1d(value) * factor),
-        _listed(errors) if errors.size else DASH,
+        shown[0],
+        shown[1] or DASH,
         unit,
         source,
     )
@@ -426,7 +428,7 @@ def _angles(R_bs: Array) -> Array:
     return np.array([float(angle) for angle in euler_from_rotation(R_bs)])
 
 
-def _listed(values: Array) -> str:
+def _digits(values: Array) -> int:
+    """Digits behind the point of values (N,) that have no sigma."""
     largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
-    digits = 1 if largest >= 10.0 else 2 if largest >= 1.0 else 3 if largest >= 0.1 else 4
-    return ", ".join(number(float(value), digits) for value in values.ravel())
+    return 1 if largest >= 10.0 else 2 if largest >= 1.0 else 3 if largest >= 0.1 else 4

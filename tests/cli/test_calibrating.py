@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.outcome import Comparison
 from smoother.calibration import load_calibration
+from smoother.cli.calibrating import _comparison_text
 from smoother.cli.main import run
 from smoother.sim.bench import BenchPlan, simulate_bench, write_bench
 from smoother.sim.record import write_csv
@@ -149,3 +151,8 @@ def test_a_recording_that_tells_nothing_is_refused_with_the_reasons(
     (tmp_path / "mag.csv").write_text("t_s,mx,my,mz\n" + rows + "\n")
     assert run(["calibrate", str(tmp_path)]) == 2
     assert "the points are constant" in capsys.readouterr().err
+
+
+def test_what_a_fit_leaves_of_its_own_data_is_said_to_be_below_what_shows() -> None:
+    said = _comparison_text(Comparison("mean rate at rest, rms", 1.2344, 8.022e-07, "deg/s"))
+    assert said == "1.234 deg/s before, below 0.001 deg/s after"

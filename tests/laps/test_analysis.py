@@ -302,3 +302,8 @@ def test_a_lap_is_shown_with_the_time_of_the_best_lap_that_it_is(found: LapAnaly
     for time in (52.79152, 52.79148, 61.00049):
         laps = lap_rows(replace(found, laps=[replace(lap, time=time) for lap in found.laps]))
         assert {lap_clock(lap["lap_time_s"]) for lap in laps} == {lap_clock(time)}
+
+
+def test_a_lap_is_shown_as_sure_as_the_best_lap_that_it_is(found: LapAnalysis) -> None:
+    laps = lap_rows(replace(found, laps=[replace(lap, sigma=0.02654) for lap in found.laps]))
+    assert {f"{lap['lap_time_sigma_s']:.3f}" for lap in laps} == {"0.027"}  # 0.0265 rounded again is 0.026

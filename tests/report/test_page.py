@@ -199,7 +199,7 @@ def test_what_failed_its_gate_is_not_to_be_trusted(report: Report) -> None:
 
 def test_identified_values_stand_with_their_sigma(session: Session, trajectory: Trajectory) -> None:
     text = page(Report(session, trajectory, None, None, GOOD))
-    assert "<td>GPS position delay</td><td>0.120</td><td>0.0100</td><td>s</td><td>identified</td>" in text
+    assert "<td>GPS position delay</td><td>0.120</td><td>0.010</td><td>s</td><td>identified</td>" in text
     assert "box in the kart: roll, pitch, yaw" in text
 
 
