@@ -35,7 +35,8 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
     """Tell in seconds whether a recording is good to drive with, and why.
 
     Make a test recording of a minute with the engine running, check it, then drive. Looks at rates, gaps, fixes,
-    clipping and vibration. Exit code 3: something has to be mended first.
+    clipping and vibration. Exit code 3: something has to be mended first. Of a logger that has no motion sensor the
+    fixes alone are judged.
     """
     require_sessions(sessions, "smooth check")
     paths = each(sessions, recording)
@@ -70,7 +71,7 @@ def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
 def _show(result: Check) -> None:
     say_pairs(result.name, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
     if result.is_good:
-        say("GOOD TO DRIVE")
+        say("GOOD TO DRIVE, GPS only: no roll, pitch, sideslip" if result.is_gps_only else "GOOD TO DRIVE")
     else:
         say("NOT GOOD TO DRIVE: " + "; ".join(result.reasons))
 
@@ -81,6 +82,7 @@ def _document(outcome: Check | SmootherError, path: Path) -> dict[str, object]:
     return {
         "session": outcome.name,
         "good": outcome.is_good,
+        "gps_only": outcome.is_gps_only,
         "reasons": outcome.reasons,
         "findings": outcome.findings,
         "measures": outcome.measures,

@@ -19,6 +19,7 @@ SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slo
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
+_WITH_SENSOR = (".klg", "out.txt", "imu.csv", "imu.csv.gz", "simulation")  # ends of inputs that promise a motion sensor
 _JUDGED_HERE = ("gps_gap", "imu_gap")  # problems of the reader that the checks below judge by themselves
 
 
@@ -55,11 +56,12 @@ class Finding:
 
 @dataclass(frozen=True)
 class Check:
-    """All findings about a recording and the numbers behind them."""
+    """All findings about a recording and the numbers behind them. is_gps_only: its logger has no motion sensor."""
 
     name: str
     findings: tuple[Finding, ...]
     measures: dict[str, float]
+    is_gps_only: bool = False
 
     @property
     def is_good(self) -> bool:
@@ -83,13 +85,21 @@ class _Part:
 def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     """Judge a recording as it was read."""
     limits = CheckLimits() if limits is None else limits
-    parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits), _check_mag(raw.mag)]
+    gps_only = _is_gps_only(raw)
+    parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits, gps_only), _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts.append(_check_clocks(raw.gnss, raw.imu))
-    notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in _JUDGED_HERE]
+    judged = (*_JUDGED_HERE, "imu_missing") if gps_only else _JUDGED_HERE
+    notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
     measures = {name: value for part in parts for name, value in part.measures.items()}
-    return Check(raw.name, (*findings, *notes), measures)
+    return Check(raw.name, (*findings, *notes), measures, gps_only)
+
+
+def _is_gps_only(raw: RawSession) -> bool:
+    """Whether nothing of the recording promises a motion sensor: a VBO, NMEA or GPX file, fixes in columns."""
+    promised = raw.mag is not None or any(name.lower().endswith(_WITH_SENSOR) for name in raw.inputs)
+    return raw.imu is None and not promised
 
 
 def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
@@ -134,7 +144,10 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
         yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
 
 
-def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
+def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part:
+    if gps_only:
+        text = "no motion sensor; the GPS alone tells no roll, pitch or sideslip"
+        return _Part([Finding("warning", "IMU", text)], {})
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
     span, limit = float(imu.t[-1] - imu.t[0]), max(limits.imu_gap, 5.0 * _median_step(imu.t))

@@ -31,6 +31,16 @@ def test_check_says_what_has_to_be_mended_with_exit_code_3(monday: Path, capsys:
     )
 
 
+def test_check_says_of_a_gps_alone_that_it_is_good_for_what_that_tells(monday: Path, capsys: Captured) -> None:
+    for name in ("imu.csv", "mag.csv"):
+        (monday / name).unlink()
+    assert run(["check", str(monday)]) == 0
+    said = capsys.readouterr().out.rstrip("\n").splitlines()
+    assert said[-1] == "GOOD TO DRIVE, GPS only: no roll, pitch, sideslip"
+    assert run(["check", str(monday), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gps_only"] is True
+
+
 def test_check_json_has_verdict_findings_and_numbers(simulated: Path, tmp_path: Path, capsys: Captured) -> None:
     assert run(["check", str(simulated), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -66,8 +66,25 @@ def test_fixes_without_speed_are_a_warning(kart: RawSession) -> None:
     assert "no speed and course" in texts(check(changed(kart, gnss=blank)), "warning")
 
 
-def test_no_motion_sensor_is_not_good(kart: RawSession) -> None:
-    assert "no usable motion sensor" in texts(check(changed(kart, imu=None)), "stop")
+@pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])
+def test_no_motion_sensor_where_there_is_one_is_not_good(kart: RawSession, inputs: tuple[str, ...]) -> None:
+    result = check(changed(kart, imu=None, mag=None, inputs=inputs))
+    assert "no usable motion sensor" in texts(result, "stop")
+    assert not result.is_gps_only
+
+
+def test_a_compass_without_its_motion_sensor_is_not_good(kart: RawSession) -> None:
+    assert kart.mag is not None
+    assert not check(changed(kart, imu=None, inputs=("gps.csv", "mag.csv"))).is_good
+
+
+@pytest.mark.parametrize("inputs", [("race.vbo",), ("race.nmea",), ("race.gpx", "session.toml"), ("gps.csv",)])
+def test_a_logger_without_a_motion_sensor_is_good_and_said_to_be_gps_only(
+    kart: RawSession, inputs: tuple[str, ...]
+) -> None:
+    result = check(changed(kart, imu=None, mag=None, inputs=inputs))
+    assert result.is_good and result.is_gps_only
+    assert "no motion sensor" in texts(result, "warning")
 
 
 def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
