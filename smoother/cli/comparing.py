@@ -211,7 +211,7 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
                 *(lap_clock(float(t)) for t in lap.sector_time),
                 *["-"] * (sectors - len(lap.sector_time)),
                 lap_clock(said.theoretical),
-                number(said.spread, 3),
+                "in noise" if said.spread == 0.0 else number(said.spread, 3),
                 number(lap.top_speed / SPEED_UNITS[units], 1),
             ]
         start = "-" if unix is None else local_time(unix + float(one.stored.trajectory.t[0]))

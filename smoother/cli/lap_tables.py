@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from smoother.cli.output import number, say, say_pairs
-from smoother.laps.clock import lap_clock, local_time
+from smoother.laps.clock import lap_clock, local_time, spread_said
 from smoother.units import KMH, MPH
 from smoother.words import counted
 
@@ -132,8 +132,8 @@ def _rolling(said: dict[str, Any]) -> str:
 def _consistency(said: dict[str, Any]) -> str:
     count = said["counted"]
     text = f"{counted(count, 'lap')} count{'s' if count == 1 else ''}, {said['within_tenth']} within 0.1 s of the best"
-    spread = said["spread_s"]
-    return text if spread is None or not math.isfinite(spread) else f"{text}, spread {spread:.3f} s"
+    spread = spread_said(said["spread_s"], "")
+    return f"{text}, spread {spread}" if spread else text
 
 
 def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: str) -> None:

@@ -62,6 +62,7 @@ class _Given:
     fixes: FixPath
     options: LapOptions
     errors: JointPosition | None
+    source: SigmaSource
 
 
 def analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions | None = None) -> LapAnalysis:
@@ -86,7 +87,7 @@ def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> Lap
     if len(trajectory) < 3 or not np.isfinite(trajectory.position_n[:, :2]).all():
         return without_laps(trajectory, Problem("no_laps", "the trajectory is too short for laps"))
     errors, source = _errors(trajectory, fixes, options.drift)
-    given = _Given(trajectory, plan_path(trajectory), fixes, options, errors)
+    given = _Given(trajectory, plan_path(trajectory), fixes, options, errors, source)
     blind = in_gaps(given.path.t, fixes)
     circuit = find_circuit(given.path, options.lines, options.reference, options.shortest, blind)
     if isinstance(circuit, Problem):
@@ -95,7 +96,7 @@ def _analyse(trajectory: Trajectory, fixes: FixPath, options: LapOptions) -> Lap
     if not any(passage.is_timed for passage in passages):
         none = Problem("no_laps", "no whole lap: the line was not passed twice")
         return _empty_circuit(without_laps(trajectory, *circuit.problems, none), circuit, passages, given)
-    return replace(_analysed(given, circuit, passages), sigma_source=source)
+    return _analysed(given, circuit, passages)
 
 
 def _beside(trajectory: Trajectory) -> float:
@@ -172,11 +173,11 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
         reference=circuit.curve.line,
         traces=traces,
         corners=corners,
-        statistics=statistics_of(laps, gates, traces, circuit.curve, path, given.errors),
+        statistics=statistics_of(laps, gates, traces, circuit.curve, path, given.errors, given.source),
         reference_lap=index,
         reference_name="" if options.reference_lap is None else options.reference_lap.name,
         official=official_times(options.official, laps),
-        sigma_source="none",
+        sigma_source=given.source,
         lap_of_row=_lap_of_row(path, passages),
         lap_distance=_lap_distance(circuit),
         track="" if options.lines is None else options.lines.name,

@@ -12,6 +12,15 @@ def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str
     return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
 
 
+def spread_said(spread: float | None, unknown: str = "-") -> str:
+    """Return how far lap times are spread, 0.123 s; in words where the timing is no surer than that."""
+    if spread is None or not math.isfinite(spread):
+        return unknown
+    if spread == 0.0:
+        return "within the timing noise"
+    return f"{spread:.3f} s" if spread >= 0.0005 else "below 0.001 s"
+
+
 def local_time(unix: float) -> str:
     """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
     return _local(unix).strftime("%H:%M:%S")

@@ -179,8 +179,8 @@ class Statistics:
     the expected gain from picking the luckiest of noisy times taken out, theoretical_sigma; theoretical_raw s without
     that correction. rolling s: fastest whole lap from any place of the track to the same place, rolling_sigma;
     rolling_from m, the track distance where it began, and rolling_t s when. mean, median s; spread s, standard
-    deviation of the laps with the timing noise taken out; within_tenth: how many lie within 0.1 s of the best, itself
-    counted; counted: how many count.
+    deviation of the laps with the timing noise taken out where that is known and not assumed, 0 within it;
+    within_tenth: how many lie within 0.1 s of the best, itself counted; counted: how many count.
     """
 
     best_lap: int | None

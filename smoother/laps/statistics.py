@@ -5,7 +5,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
-from smoother.laps.results import Lap, Line, OfficialTime, Statistics, Traces
+from smoother.laps.results import Lap, Line, OfficialTime, SigmaSource, Statistics, Traces
 from smoother.laps.sigma import Crossed, sigma_of, time_covariance
 from smoother.laps.theoretical import theoretical_best
 from smoother.trajectory import JointPosition
@@ -23,6 +23,7 @@ def statistics_of(
     curve: Curve,
     path: PlanPath,
     errors: JointPosition | None,
+    source: SigmaSource,
 ) -> Statistics:
     """Return the figures of the laps that count; gates: start, the ends of the sectors in driving order, finish."""
     counting = [i for i, lap in enumerate(laps) if lap.is_valid]
@@ -31,8 +32,7 @@ def statistics_of(
     best = counting[int(np.argmin(times))] if counting else None
     theoretical, theoretical_sigma, raw = theoretical_best([laps[i] for i in counting], gates, path, errors)
     rolling = _rolling(laps, traces, curve, path, errors)
-    noise = float(np.mean(sigmas**2)) if len(times) and np.isfinite(sigmas).all() else 0.0
-    spread = float(np.sqrt(max(np.var(times, ddof=1) - noise, 0.0))) if len(times) > 1 else np.nan
+    is_measured = source in ("joint", "stored") and bool(np.isfinite(sigmas).all())
     return Statistics(
         best_lap=best,
         best=float(times.min()) if len(times) else np.nan,
@@ -46,10 +46,18 @@ def statistics_of(
         rolling_t=rolling[3],
         mean=float(times.mean()) if len(times) else np.nan,
         median=float(np.median(times)) if len(times) else np.nan,
-        spread=spread,
+        spread=_spread(times, sigmas if is_measured else np.zeros(len(sigmas))),
         within_tenth=int(np.count_nonzero(times <= times.min() + TENTH)) if len(times) else 0,
         counted=len(counting),
     )
+
+
+def _spread(times: Array, sigmas: Array) -> float:
+    """Standard deviation s of lap times (K,) without the variance of timing them; NaN of fewer than two."""
+    if len(times) < 2:
+        return np.nan
+    seen, noise = float(np.var(times, ddof=1)), float(np.mean(sigmas**2))
+    return float(np.sqrt(max(seen - noise, 0.0)))
 
 
 def _rolling(

@@ -164,7 +164,11 @@ def _best_row(one: Compared, sectors: int, least: float) -> Element:
     lap = one.analysis.laps[said.best_lap]
     times: list[Child] = [time_cell(float(t), float(s)) for t, s in zip(lap.sector_time, lap.sector_sigma, strict=True)]
     times += [DASH] * (sectors - len(times))
-    known: list[Child] = [lap_clock(said.theoretical), number(said.spread, 3), speed_cell(lap.top_speed)]
+    known: list[Child] = [
+        lap_clock(said.theoretical),
+        "in noise" if said.spread == 0.0 else number(said.spread, 3),
+        speed_cell(lap.top_speed),
+    ]
     first: list[Child] = [
         one.name,
         started,

@@ -10,7 +10,7 @@ from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
-from smoother.laps.clock import local_day, local_time
+from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
@@ -82,7 +82,7 @@ def summary(told: Told) -> Element:
         cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
         start = "" if not said.rolling_from > 0.0 else f", from {said.rolling_from:.0f} m"
         cards.append(_card("Rolling best", lap_clock(said.rolling), f"± {number(said.rolling_sigma, 3)} s{start}"))
-        spread = f"spread {number(said.spread, 3)} s; " if np.isfinite(said.spread) else ""
+        spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
         within = f"{spread}{said.within_tenth} within 0.1 s of the best"
         cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
     top = element("span", number(float(smoothed.speed.max()) / KMH, 1), data_mps=f"{smoothed.speed.max():.4f}")

@@ -12,6 +12,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.cli.lap_stage import analyse_rows, analysed_rows, lap_columns
+from smoother.cli.lap_tables import figures
 from smoother.frames import Origin
 from smoother.laps.analysis import LapOptions, analyse, reference_lap_of
 from smoother.laps.clock import lap_clock
@@ -307,3 +308,23 @@ def test_a_lap_is_shown_with_the_time_of_the_best_lap_that_it_is(found: LapAnaly
 def test_a_lap_is_shown_as_sure_as_the_best_lap_that_it_is(found: LapAnalysis) -> None:
     laps = lap_rows(replace(found, laps=[replace(lap, sigma=0.02654) for lap in found.laps]))
     assert {f"{lap['lap_time_sigma_s']:.3f}" for lap in laps} == {"0.027"}  # 0.0265 rounded again is 0.026
+
+
+def test_a_spread_within_the_timing_noise_is_said_in_words_and_an_assumed_noise_is_not_taken_out(
+    rings: Trajectory, fixes: Fixes
+) -> None:
+    class Unsure:
+        def covariance(self, t: Array, direction_n: Array) -> Array:
+            return 4.0**2 * np.eye(len(t)) * (direction_n @ direction_n.T)
+
+    measured = analyse(Trajectory(**{**vars(rings), "joint": Unsure()}), fixes(rings), LapOptions(lines=GATE))
+    assumed = analyse(rings, fixes(rings), LapOptions(lines=GATE))
+    assert (measured.sigma_source, assumed.sigma_source) == ("joint", "model")
+    assert measured.statistics is not None and assumed.statistics is not None
+    assert measured.statistics.spread == 0.0
+    times = [lap.time for lap in assumed.laps if lap.is_valid]
+    assert assumed.statistics.spread == pytest.approx(np.std(times, ddof=1), abs=1e-9)
+    for analysis, words in ((measured, "spread within the timing noise"), (assumed, "spread 0.")):
+        document = json.loads(to_json(analysis_document(analysis, ORIGIN)))
+        said = dict(figures(document))["consistency"]
+        assert words in said and "0.000" not in said
