@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,7 +32,7 @@ def show_laps(
     if laps:
         say_columns(title, *lap_table(laps, analysis, unix_at_zero, units))
     odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
-    if pairs := [*figures(analysis), *odd]:
+    if pairs := [*figures(analysis), *_sectors(laps), *odd]:
         say_pairs("", pairs)
 
 
@@ -98,6 +99,18 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     if source := SIGMA_SOURCES.get(analysis["sigma_source"], ""):
         pairs.append(("error bars", source))
     return pairs
+
+
+def _sectors(laps: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """How sure the sectors of laps that count are against those of the best, which is how a driver compares them."""
+    known: list[list[float]] = []
+    while laps and f"sector{len(known) + 1}_gap_sigma_s" in laps[0]:
+        sigmas = [lap[f"sector{len(known) + 1}_gap_sigma_s"] for lap in laps if lap["valid"]]
+        known.append([sigma for sigma in sigmas if sigma])  # of the best against itself there is none
+    if len(known) < 2 or not all(known):
+        return []
+    typical = (f"S{i + 1} ± {number(statistics.median(sigmas), 3)}" for i, sigmas in enumerate(known))
+    return [("sectors", f"{', '.join(typical)} s (typical, against the same sector of the best lap)")]
 
 
 def _slide(analysis: dict[str, Any]) -> str:

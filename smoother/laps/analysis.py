@@ -163,7 +163,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
         traces = replace(traces, delta_sigma=np.hypot(sigma, _sigma_elsewhere(traces.distance, options)))
     corners = make_corners(circuit.curve, traces, given.trajectory, path, index, elapsed, valid, given.errors)
     lines = circuit.sector_lines or _sectors(circuit, corners, valid)
-    laps = _laps(given, circuit, passages, why, lines)
+    laps = _laps(given, circuit, passages, why, lines, quickest)
     gates = (circuit.start_line, *lines, circuit.finish_line or circuit.start_line)
     return LapAnalysis(
         laps=laps,
@@ -203,7 +203,7 @@ def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passa
 def _untimed(given: _Given, passage: Passage) -> Lap:
     reason: Reason = "in-lap" if passage.starts_at_line else "out-lap"
     empty = np.full(1, np.nan)
-    return _lap(given, passage, (reason,), np.nan, empty, empty, np.nan)
+    return _lap(given, passage, (reason,), np.nan, empty, empty, empty, np.nan)
 
 
 def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
@@ -246,12 +246,13 @@ def _laps(
     passages: tuple[Passage, ...],
     why: tuple[tuple[Reason, ...], ...],
     lines: tuple[Line, ...],
+    best: int | None,
 ) -> tuple[Lap, ...]:
     times = line_times(given.path, circuit, passages, lines)
-    sigma, sector_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors)
+    sigma, sector_sigma, gap_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors, best)
     raw = _raw_times(given, circuit, passages)
     return tuple(
-        _lap(given, passage, why[i], float(sigma[i]), np.diff(times[i]), sector_sigma[i], float(raw[i]))
+        _lap(given, passage, why[i], float(sigma[i]), np.diff(times[i]), sector_sigma[i], gap_sigma[i], float(raw[i]))
         for i, passage in enumerate(passages)
     )
 
@@ -263,6 +264,7 @@ def _lap(
     sigma: float,
     sector_time: Array,
     sector_sigma: Array,
+    sector_gap_sigma: Array,
     raw_time: float,
 ) -> Lap:
     path = given.path
@@ -278,6 +280,7 @@ def _lap(
         reasons=why,
         sector_time=sector_time,
         sector_sigma=sector_sigma,
+        sector_gap_sigma=sector_gap_sigma,
         raw_time=raw_time,
         distance=float(driven[1] - driven[0]),
         top_speed=float(speed.max()),

@@ -40,6 +40,9 @@ def _row(lap: Lap, sectors: int) -> Document:
     row["distance_m"] = round(lap.distance, DIGITS)
     row["top_speed_mps"] = round(lap.top_speed, DIGITS)
     row["min_speed_mps"] = round(lap.min_speed, DIGITS)
+    for i in range(sectors):
+        known = i < len(lap.sector_gap_sigma)
+        row[f"sector{i + 1}_gap_sigma_s"] = round(float(lap.sector_gap_sigma[i]), TIME_DIGITS) if known else np.nan
     return row
 
 

@@ -47,8 +47,10 @@ class Lap:
 
     number: 0 for what was driven before the first crossing, 1 for the first whole lap, counting on. start, end s: of
     the lap's crossings, or of the recording where one is missing. time s and sigma s: NaN unless both ends are
-    crossings. sector_time, sector_sigma (S,) s, NaN for a sector not crossed at both ends. reasons: empty if the lap
-    counts. raw_time s: between straight-line crossings of the raw fixes, NaN where they have a gap. distance m, driven.
+    crossings. sector_time, sector_sigma (S,) s, NaN for a sector not crossed at both ends; sector_gap_sigma (S,) s, of
+    the difference from the same sector of the best lap, without what both share of the GPS offset, 0 for that lap.
+    reasons: empty if the lap counts. raw_time s: between straight-line crossings of the raw fixes, NaN where they have
+    a gap. distance m, driven.
     """
 
     number: int
@@ -59,6 +61,7 @@ class Lap:
     reasons: tuple[Reason, ...]
     sector_time: Array
     sector_sigma: Array
+    sector_gap_sigma: Array
     raw_time: float
     distance: float
     top_speed: float

@@ -59,24 +59,35 @@ def line_times(path: PlanPath, circuit: Circuit, passages: tuple[Passage, ...], 
 
 
 def lap_sigmas(
-    path: PlanPath, circuit: Circuit, lines: tuple[Line, ...], times: Array, errors: JointPosition | None
-) -> tuple[Array, Array]:
-    """Sigma (L,) s of each lap time and (L, S) s of its sectors, from the joint covariance of all its crossings."""
+    path: PlanPath,
+    circuit: Circuit,
+    lines: tuple[Line, ...],
+    times: Array,
+    errors: JointPosition | None,
+    best: int | None,
+) -> tuple[Array, Array, Array]:
+    """Sigma (L,) s of each lap time, (L, S) s of its sectors, and of their differences (L, S) s from those of the lap
+    `best`, from the joint covariance of all its crossings and of that lap's."""
     last = circuit.finish_line or circuit.start_line
     normal = np.array([forward_normal(line) for line in (circuit.start_line, *lines, last)])
-    lap_sigma, sector_sigma = np.full(len(times), np.nan), np.full((len(times), len(lines) + 1), np.nan)
-    if errors is None:
-        return lap_sigma, sector_sigma
-    weights = np.zeros((len(lines) + 2, len(lines) + 2))  # the lap, then its sectors
-    weights[0, [0, -1]] = -1.0, 1.0
-    for s in range(len(lines) + 1):
-        weights[s + 1, [s, s + 1]] = -1.0, 1.0
+    sigmas = np.full((len(times), 2 * len(lines) + 3), np.nan)
     laps = np.flatnonzero(np.count_nonzero(np.isfinite(times), axis=1) >= 2)
-    known = [np.isfinite(times[lap]) for lap in laps]
-    at = [times[lap, there] for lap, there in zip(laps, known, strict=True)]
-    groups = [Crossed(t, normal[there], path.at(t)[1]) for t, there in zip(at, known, strict=True)]
-    for lap, there, covariance in zip(laps, known, time_covariances(errors, groups), strict=True):
-        sigma = sigma_of(covariance, weights[:, there])
-        sigma = np.where(np.all(there[None, :] | (weights == 0.0), axis=1), sigma, np.nan)
-        lap_sigma[lap], sector_sigma[lap] = sigma[0], sigma[1:]
-    return lap_sigma, sector_sigma
+    if errors is not None and laps.size:
+        sector = np.diff(np.eye(len(lines) + 2), axis=0)
+        none = np.zeros_like(sector)
+        weights = np.concatenate(  # the lap, its sectors, these against the best lap's; crossings of it and of the best
+            [sector.sum(axis=0)[None] @ np.eye(len(lines) + 2, 2 * len(lines) + 4)]
+            + [np.concatenate(pair, axis=1) for pair in ((sector, none), (sector, -sector))]
+        )
+        against = np.full(len(lines) + 2, np.nan) if best is None else times[best]
+        both = [np.concatenate([times[lap], against]) for lap in laps]
+        known = [np.isfinite(t) for t in both]
+        normals = np.concatenate([normal, normal])
+        groups = [Crossed(t[k], normals[k], path.at(t[k])[1]) for t, k in zip(both, known, strict=True)]
+        for lap, there, covariance in zip(laps, known, time_covariances(errors, groups), strict=True):
+            is_known = np.all(there[None, :] | (weights == 0.0), axis=1)
+            sigmas[lap] = np.where(is_known, sigma_of(covariance, weights[:, there]), np.nan)
+    sectors = len(lines) + 1
+    if best is not None:
+        sigmas[best, sectors + 1 :] *= 0.0
+    return sigmas[:, 0], sigmas[:, 1 : sectors + 1], sigmas[:, sectors + 1 :]

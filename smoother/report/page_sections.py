@@ -28,6 +28,9 @@ SIGMA_SOURCES = {
     "model": "The ± of times assume a usual wander of the GPS, as this session cannot show its own.",
     "none": "There are no ± of times: the estimator gave no sigmas.",
 }
+OF_SECTORS = (
+    "That of a sector is against the same sector of the best lap, where the GPS offset that both share cancels. "
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +135,7 @@ def _missing(told: Told) -> Iterator[str]:
 
 
 def lap_section(told: Told) -> list[Element]:
-    """The table of laps and sectors; nothing without a lap."""
+    """The table of laps and sectors, these with their sigma against the best lap's; nothing without a lap."""
     laps = told.laps
     if laps is None or not laps.laps:
         return []
@@ -165,14 +168,21 @@ def lap_section(told: Told) -> list[Element]:
         "file": "The start/finish line is the one in the recording. ",
     }.get(source, "")
     length = f"A lap is {laps.reference.length:.0f} m long. " if laps.reference is not None else ""
-    note = f"{line}{length}± is one sigma. {SIGMA_SOURCES[laps.sigma_source]} Raw GPS: straight lines between fixes."
+    of_sectors = "" if laps.sigma_source == "none" or laps.sectors < 2 else OF_SECTORS
+    source_note = f"{SIGMA_SOURCES[laps.sigma_source]} {of_sectors}"
+    note = f"{line}{length}± is one sigma. {source_note}Raw GPS: straight lines between fixes."
     made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]
     return [*made, *(element("p", p.text) for p in laps.problems)]
 
 
 def _sector(lap: Lap, k: int) -> tuple[float, float]:
     known = k < len(lap.sector_time)
-    return (float(lap.sector_time[k]), float(lap.sector_sigma[k])) if known else (np.nan, np.nan)
+    return (float(lap.sector_time[k]), _or_unknown(float(lap.sector_gap_sigma[k]))) if known else (np.nan, np.nan)
+
+
+def _or_unknown(sigma: float) -> float:
+    """The sigma of a difference; of the best lap against itself there is none to show."""
+    return sigma if sigma > 0.0 else np.nan
 
 
 def time_cell(time: float, sigma: float) -> Element:

@@ -2,6 +2,7 @@
 benchmarks/theoretical_best.py)."""
 
 import importlib
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -11,9 +12,12 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
+from smoother.cli.lap_tables import _sectors
 from smoother.laps.analysis import LapOptions, analyse
+from smoother.laps.document import lap_rows
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.laps.theoretical import candidates, least_sum
+from smoother.report.files import to_json
 from smoother.trajectory import Trajectory
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -69,6 +73,21 @@ def test_an_offset_that_all_laps_share_is_no_doubt_about_the_theoretical_best(ma
         assert one.theoretical == pytest.approx(one.theoretical_raw, abs=0.01)  # far apart: no luck to speak of
         assert 0.003 < one.theoretical_sigma < 0.02  # 0.05 m at 15 m/s at each of the six crossings
     assert said[1].theoretical_sigma == pytest.approx(said[0].theoretical_sigma, rel=0.2)
+
+
+def test_a_sector_is_compared_with_the_best_laps_without_the_offset_that_both_share(make: Made, fixes: Fixes) -> None:
+    found = rounds(make, fixes, lambda turns: 1.0 + 0.1 * np.exp(-(((turns - 3.0) / 0.8) ** 6)), Wandering(2.0, 0.05))
+    assert found.statistics is not None and found.statistics.best_lap is not None
+    for i, lap in enumerate(found.laps):
+        if lap.is_timed and i == found.statistics.best_lap:
+            np.testing.assert_array_equal(lap.sector_gap_sigma, 0.0)
+        elif lap.is_timed:
+            assert np.all(lap.sector_sigma > 0.1)  # 2 m at 15 m/s, at lines that are passed in other directions
+            # 0.05 m at each of four crossings at 15 m/s, and 2 m at speeds that differ by up to a tenth
+            assert np.all(lap.sector_gap_sigma < 0.03) and np.all(lap.sector_gap_sigma > 0.002)
+    laps = json.loads(to_json(lap_rows(found)))
+    said = dict(_sectors(laps))["sectors"]
+    assert "S3 ± 0.0" in said and "same sector of the best lap" in said
 
 
 def times_of(rng: np.random.Generator, laps: int, spread: float) -> tuple[Array, Array, Array]:

@@ -154,7 +154,7 @@ def test_official_times_come_from_their_column_or_the_last(tmp_path: Path) -> No
 
 def lap(number: int, time: float) -> Lap:
     nothing = np.empty(0)
-    return Lap(number, 0.0, time, time, 0.02, (), nothing, nothing, time, 1000.0, 20.0, 10.0)
+    return Lap(number, 0.0, time, time, 0.02, (), nothing, nothing, nothing, time, 1000.0, 20.0, 10.0)
 
 
 @pytest.mark.parametrize(

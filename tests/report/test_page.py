@@ -158,6 +158,11 @@ def test_laps_stand_in_a_table_with_their_sigma_and_the_best_is_marked(report: R
     for lap in report.laps.laps:
         if lap.is_timed:
             assert f"{lap_clock(lap.time)}<small> ± {number(lap.sigma, 3)}</small>" in text
+            is_best = lap is report.laps.laps[report.laps.statistics.best_lap or 0]
+            for time, sigma in zip(lap.sector_time, lap.sector_gap_sigma, strict=True):
+                plus_minus = "" if is_best else f" ± {number(float(sigma), 3)}"
+                assert f"<td>{lap_clock(float(time))}<small>{plus_minus}</small>" in text or is_best
+    assert "against the same sector of the best lap" in text
     assert text.count('<tr class="best">') == 1
     assert lap_clock(report.laps.statistics.theoretical) in text
 
