@@ -12,6 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
+from smoother.session.clock import find_gaps, regularize
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -35,8 +36,8 @@ class CheckLimits:
     satellites: float = 6.0
     imu_rate: float = 90.0  # Hz; engine vibration folds into the kart's motion below it
     imu_rate_stop: float = 20.0  # Hz; cannot be integrated
-    imu_gap: float = 0.05  # s
-    imu_gap_stop_share: float = 0.05
+    imu_gap: float = 0.05  # s; a shorter one is bridged without loss
+    imu_gap_stop_share: float = 0.05  # of the samples lost
     clipped: float = 0.001  # share of samples
     clipped_stop: float = 0.02
     accel_vibration: float = 8.0  # m/s^2 rms over the three axes; a rigidly mounted box on a kart has about 4
@@ -150,15 +151,18 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part
         return _Part([Finding("warning", "IMU", text)], {})
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
-    span, limit = float(imu.t[-1] - imu.t[0]), max(limits.imu_gap, 5.0 * _median_step(imu.t))
-    interval, gaps = _interval_and_gaps(imu.t, limit)
+    base = regularize(imu.t)
+    first = np.flatnonzero(find_gaps(base))
+    gaps = base.t[first + 1] - base.t[first]
+    span = float(imu.t[-1] - imu.t[0])
+    interval = (span - float(np.sum(gaps))) / max(len(imu.t) - 1 - gaps.size, 1)
     force = _motion(imu.accel, imu.accel_scale, interval, imu.accel_full_scale, SMALLEST_ACCEL_RANGE)
     turn = _motion(imu.gyro, imu.gyro_scale, interval, imu.gyro_full_scale, SMALLEST_GYRO_RANGE)
     measures = {
         "imu_rate_hz": 1.0 / interval,
         "imu_gaps": float(gaps.size),
         "imu_gap_longest_s": float(np.max(gaps, initial=0.0)),
-        "imu_gap_share": float(np.sum(gaps)) / span,
+        "imu_gap_share": float(np.sum(gaps - base.period)) / span if gaps.size else 0.0,
         "accel_clipped_share": force.clipped,
         "gyro_clipped_share": turn.clipped,
         "accel_vibration_mps2": force.vibration,
@@ -176,8 +180,10 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
     if measures["imu_gaps"]:
         lost = measures["imu_gap_share"] > limits.imu_gap_stop_share
+        long = measures["imu_gap_longest_s"] > limits.imu_gap
         text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {measures['imu_gap_longest_s']:.2f} s"
-        yield Finding("stop" if lost else "warning", "IMU", text + "; try another card")
+        level = "stop" if lost else "warning" if long else "ok"
+        yield Finding(level, "IMU", text + ("; try another card" if lost or long else ", of samples that were lost"))
 
 
 def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
@@ -232,11 +238,6 @@ def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
         total, count = total + float(np.sum(steps[good])), count + int(np.count_nonzero(good))
         release(t)
     return total / count, np.concatenate(gaps)
-
-
-def _median_step(t: Array) -> float:
-    """Median step (s) of t (N,); of a long recording the middle one of its parts'."""
-    return float(np.median([np.median(np.diff(t[part.start : part.stop + 1])) for part in pieces(len(t) - 1)]))
 
 
 @dataclass(frozen=True, eq=False)

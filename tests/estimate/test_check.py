@@ -9,6 +9,7 @@ from smoother.disc import pieces
 from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
 from smoother.samples import GnssFixes, Problem, RawImu, RawSession
+from smoother.session.clock import describe_time_base, regularize
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -64,6 +65,23 @@ def test_fixes_without_speed_are_a_warning(kart: RawSession) -> None:
     n = len(kart.gnss)
     blank = dataclasses.replace(kart.gnss, velocity_n=np.full((n, 3), np.nan))
     assert "no speed and course" in texts(check(changed(kart, gnss=blank)), "warning")
+
+
+def test_gaps_of_the_motion_sensor_are_those_that_the_reader_tells(kart: RawSession) -> None:
+    assert kart.imu is not None
+    keep = np.ones(len(kart.imu.t), dtype=bool)
+    keep[4000:4003] = keep[9000:9015] = False  # 3 and 15 samples of 5 ms
+    t = kart.imu.t[keep]
+    lost = with_imu(kart, t=t, accel=kart.imu.accel[keep], gyro=kart.imu.gyro[keep], temperature=None)
+    result = check(lost)
+    (told,) = (p for p in describe_time_base(regularize(t), "imu", "imu.csv") if p.code == "imu_gap")
+    assert result.measures["imu_gaps"] == told.count == 2
+    assert f"the longest {result.measures['imu_gap_longest_s']:.3g} s" in told.text
+    assert "2 gaps, the longest 0.08" in texts(result, "warning")
+    keep[4003:] = np.arange(4003, len(keep)) < 9000
+    few = {"t": kart.imu.t[keep], "accel": kart.imu.accel[keep], "gyro": kart.imu.gyro[keep], "temperature": None}
+    short = with_imu(kart, **few)
+    assert "1 gap, the longest 0.02" in texts(check(short), "ok")
 
 
 @pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])
