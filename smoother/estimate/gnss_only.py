@@ -27,6 +27,8 @@ from smoother.trajectory import (
     Trajectory,
 )
 
+UNUSUAL, UNUSUAL_SHARE, LEAST_UNUSUAL = 3.0, 95.0, 3.0  # times the percentile of what moves, m/s^2: no driving, a step
+STEP_REACH = 1.5  # fixes on either side of a step whose path it bends
 ACCEPTED = 0.5  # robust weight below which a fix counts as rejected
 
 
@@ -77,9 +79,37 @@ class GnssSmoother:
             R_nb=np.full((t.size, 3, 3), np.nan),
             acceleration_b=acceleration_b,
             angular_rate_b=angular_rate_b,
-            sigmas=_sigmas(motion, sigma, np.asarray(options.path.offset_sigma), latency_sigma),
+            sigmas=_sigmas(
+                motion, _widened(t, motion, sigma, path, session), np.asarray(options.path.offset_sigma), latency_sigma
+            ),
             report=report,
         )
+
+
+def _widened(t: Array, motion: GnssMotion, sigma: GnssPathSigmas, path: GnssPath, session: Session) -> GnssPathSigmas:
+    """The sigmas at t (N,) s, wider where positions alone make the path step.
+
+    One density of jerk and one noise describe the whole session, so that a place where fixes move 60 m aside is to them
+    as sure as any other. Without Doppler nothing contradicts such a step: the speed there is as unsure as the step
+    changes it, and the line by how far that leads from fix to fix.
+    """
+    if len(session.gnss) < 3 or np.any(path.velocity_weight > 0.0):
+        return sigma
+    acceleration = np.hypot(motion.acceleration_n[:, 0], motion.acceleration_n[:, 1])
+    moves = np.hypot(motion.velocity_n[:, 0], motion.velocity_n[:, 1]) > GnssOnlyOptions.slowest
+    usual = float(np.percentile(acceleration[moves], UNUSUAL_SHARE)) if moves.any() else 0.0
+    is_step = acceleration > max(UNUSUAL * usual, LEAST_UNUSUAL)
+    if not is_step.any():
+        return sigma
+    interval = float(np.median(np.diff(session.gnss.t)))
+    changed = np.concatenate([[0.0], np.cumsum(np.where(is_step, acceleration, 0.0)[1:] * np.diff(t))])
+    reach = STEP_REACH * interval
+    unsure = (np.interp(t + reach, t, changed) - np.interp(t - reach, t, changed))[:, None] * np.array([1.0, 1.0, 0.0])
+    return GnssPathSigmas(
+        position_n=np.hypot(sigma.position_n, unsure * interval),
+        track_n=np.hypot(sigma.track_n, unsure * interval),
+        velocity_n=np.hypot(sigma.velocity_n, unsure),
+    )
 
 
 def _body_motion(motion: GnssMotion, sigma: GnssPathSigmas, options: GnssOnlyOptions) -> tuple[Array, Array]:

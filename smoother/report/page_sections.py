@@ -16,7 +16,7 @@ from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, merged
+from smoother.report.summary import distance_driven, is_told, merged, top_speed
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -88,7 +88,8 @@ def summary(told: Told) -> Element:
         spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
         within = f"{spread}{said.within_tenth} within 0.1 s of the best"
         cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
-    top = element("span", number(float(smoothed.speed.max()) / KMH, 1), data_mps=f"{smoothed.speed.max():.4f}")
+    fastest = top_speed(smoothed)
+    top = element("span", number(fastest / KMH, 1), data_mps=f"{fastest:.4f}")
     cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"

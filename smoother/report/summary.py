@@ -13,7 +13,7 @@ from smoother.trajectory import Identified, Trajectory
 
 Document = dict[str, object]
 
-
+SURE_SPEED = 0.1  # of a speed: one that is less sure than that and than others is an error of the fixes
 OF_THE_IMU = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
 
 
@@ -59,6 +59,15 @@ def distance_driven(estimate: Trajectory) -> float:
     return float(np.sum(0.5 * (estimate.speed[1:] + estimate.speed[:-1]) * np.diff(estimate.t)))
 
 
+def top_speed(estimate: Trajectory) -> float:
+    """Return the highest speed, m/s, of those as sure as most of the session or to a tenth of themselves."""
+    speed, sigmas = estimate.speed, estimate.sigmas
+    if sigmas is None or not np.isfinite(sigmas.speed).any():
+        return float(np.max(speed))
+    usual = float(np.nanmedian(sigmas.speed))
+    return float(np.max(speed[sigmas.speed <= np.maximum(SURE_SPEED * speed, 2.0 * usual)]))
+
+
 def _about(session: Session, estimate: Trajectory) -> Document:
     config = session.config
     names = {"title": config.title, "driver": config.driver, "kart": config.kart, "track": config.track}
@@ -69,7 +78,7 @@ def _about(session: Session, estimate: Trajectory) -> Document:
         "start_s": float(estimate.t[0]),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),
-        "top_speed_mps": float(np.max(estimate.speed)),
+        "top_speed_mps": top_speed(estimate),
     }
 
 

@@ -17,6 +17,7 @@ from smoother.estimate.gps_alone import GpsAlone
 from smoother.estimate.quality import assess
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.prepare import prepare
+from smoother.report.summary import top_speed
 from smoother.samples import GnssFixes, Session
 from smoother.session.load import load_raw
 from smoother.sim.simulation import simulate_preset
@@ -129,6 +130,23 @@ def test_without_doppler_nothing_is_said_of_its_noise(lap_fixes: Make) -> None:
     assert "gps_height" not in report.residuals
     assert "gps_velocity_noise" not in report.identified
     assert report.identified["gps_velocity_latency"].source == "default"
+
+
+def test_where_positions_alone_step_aside_speed_and_line_say_so(circle: Session) -> None:
+    """Fixes every second that move 60 m aside within three, as a receiver does that loses and finds its satellites."""
+    t, rng = np.arange(0.0, 120.0), np.random.default_rng(2)
+    aside = 60.0 * np.clip((t - 60.0) / 3.0, 0.0, 1.0)
+    position = np.stack([4.0 * t, 10.0 * np.sin(t / 8.0) + aside, 0.0 * t], axis=1) + rng.normal(0.0, 0.3, (120, 3))
+    fixes = GnssFixes(t, *nwu_to_geodetic(position, circle.origin), np.full((120, 3), np.nan))
+    estimate = GnssSmoother().estimate(Session("step", fixes, circle.origin))
+    assert estimate.sigmas is not None
+    during, before = (estimate.t > 60.0) & (estimate.t < 63.0), (estimate.t > 5.0) & (estimate.t < 55.0)
+    assert estimate.speed[during].max() > 15.0
+    wrong = estimate.speed[during] - 4.0
+    assert np.all(estimate.sigmas.speed[during] > 0.5 * wrong)
+    assert estimate.sigmas.track[during].min() > 3.0
+    assert estimate.sigmas.speed[before].max() < 1.5 and estimate.sigmas.track[before].max() < 1.0
+    assert top_speed(estimate) < 8.0  # 4.2 m/s were driven
 
 
 def test_a_single_fix_gives_one_row(lap_fixes: Make) -> None:
