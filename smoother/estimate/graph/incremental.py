@@ -199,9 +199,8 @@ class Stream:
         span = slice(first, end - 1)
         state.accel_bias_s[begin:end] = state.accel_bias_s[first]
         state.gyro_bias_s[begin:end] = state.gyro_bias_s[first]
-        measured = preintegrate(
-            _bins(self._binned, span), self._noise.inertial, state.accel_bias_s[span], state.gyro_bias_s[span]
-        )
+        bins = self._binned.between(first, end)
+        measured = preintegrate(bins, self._noise.inertial, state.accel_bias_s[span], state.gyro_bias_s[span])
         phi = np.exp(-state.interval / self._noise.offset_tau)
         for k, preintegrated in enumerate(measured, first):
             at = gtsam.NavState(gtsam.Rot3(state.R_ns[k]), state.position_n[k], state.velocity_n[k])
@@ -243,7 +242,7 @@ class Stream:
         """Rows of the intervals from `window` on, and linear ones before; intervals counted from the first of all."""
         begin = max(0, window - self._options.context)
         state, d = _part(self._state, begin, self._end), self._data
-        bins = _bins(self._binned, slice(begin, self._end - 1))
+        bins = self._binned.between(begin, self._end)
         last = self._end - 1  # intervals before it are complete
         use_position = (self._position_at >= window) & (self._position_at < last)
         use_velocity = (self._velocity_at >= window) & (self._velocity_at < last)
@@ -349,18 +348,6 @@ def _own_copy(state: ChainState, constants: Constants) -> ChainState:
 def _part(state: ChainState, begin: int, end: int) -> ChainState:
     fields = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
     return replace(state, **{name: getattr(state, name)[begin:end] for name in fields})
-
-
-def _bins(binned: BinnedImu, span: slice) -> BinnedImu:
-    """The bins of the intervals `span`."""
-    return replace(
-        binned,
-        t=binned.t[span.start : span.stop + 1],
-        specific_force_s=binned.specific_force_s[span],
-        angular_rate_s=binned.angular_rate_s[span],
-        missing=binned.missing[span],
-        rough=None if binned.rough is None else binned.rough[span],
-    )
 
 
 def _select(rows: Rows, use: BoolArray) -> Rows:
