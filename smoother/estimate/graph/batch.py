@@ -26,7 +26,9 @@ from smoother.estimate.graph.inertial import (
     LinearInertial,
     add_inertial,
     empty_system,
+    set_apart,
 )
+from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -46,6 +48,7 @@ from smoother.estimate.graph.state import (
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
+ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known
 HELD = 1e-4  # m; what is held does not move by a digit
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
@@ -106,7 +109,8 @@ class Data:
 
     position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
     whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
-    in n, m, of all fixes of the session that have a height; None asks nothing of the ground.
+    in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
+    that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
     """
 
     t: Array
@@ -118,6 +122,7 @@ class Data:
     heading: Heading | None = None
     doubted: BoolArray | None = None
     heights: Array | None = None
+    sampled: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +217,9 @@ class Batch:
         self, graph: InertialGraph, state: ChainState, noise: Noise
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
         inertial = graph.linearize(state, noise.inertial)
+        if self._data.sampled is not None:
+            apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
+            set_apart(inertial, apart, state, noise.inertial, ANYWHERE)
         rows = {r.name: r for r in self._rows(state, noise)}
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
@@ -251,7 +259,7 @@ def session_rows(
     bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
-    out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
+    out.append(rw.prior_row("pose_prior", np.zeros(9), ANYWHERE, slice(0, 9)))
     if d.heights is not None:
         at, height = _far_from_heights(d.heights, state.t)
         if len(at):

@@ -16,6 +16,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import pieces, release, roomy
+from smoother.estimate.graph.sampled import FEW
 from smoother.estimate.graph.state import Constants
 from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
@@ -176,15 +177,28 @@ def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias
             rough = vibration(values.reshape(-1, 3), dt).reshape(-1, n_bins)
             out.rough[part, column] = rough.mean(axis=1)
         release(imu, out)
-    out.rough[...] = _over_mean(out.rough)
+    out.rough[...] = _over_mean(out.rough, out.missing)
     return out
 
 
-def _over_mean(power: Array) -> Array:
-    """Each column of power (N, c) over its mean; one where there is none, or where the samples are damaged."""
+def _over_mean(power: Array, missing: Array) -> Array:
+    """Each column of power (N, c) over its mean; one where there is none, or where the samples are damaged.
+
+    missing (N,): share of each interval without samples. Where there are none at all nothing shakes, nor is it calm.
+    """
+    usual = power if np.all(telling := tell_of_samples(missing)) else power[telling]
     with np.errstate(all="ignore"):
-        share = power / power.mean(axis=0)
+        share = power / usual.mean(axis=0)
     return np.where(np.isfinite(share), share, 1.0)
+
+
+def tell_of_samples(missing: Array) -> BoolArray:
+    """Mask of the intervals that figures of the samples are taken from: those that have some, all where few have none.
+
+    missing (N,): share of each interval without samples.
+    """
+    sampled = missing < 1.0
+    return sampled if 0.0 < np.mean(sampled) < 1.0 - FEW else np.ones_like(sampled)
 
 
 def vibration(values: Array, dt: float) -> Array:

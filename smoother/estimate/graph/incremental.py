@@ -60,15 +60,23 @@ _WILDFIRE = 1e-5  # change of a step, in rad, m, m/s, that is still passed on to
 
 
 def solve_as_stream(
-    batch: Batch, data: Data, binned: BinnedImu, priors: Priors, noise: Noise, start: ChainState, constants: Constants
+    batch: Batch,
+    data: Data,
+    binned: BinnedImu,
+    priors: Priors,
+    noise: Noise,
+    start: ChainState,
+    constants: Constants,
+    held: Array | None = None,
 ) -> Solved:
     """Return the solution of :func:`solve_incrementally` after one step of `batch`, with that step's covariances.
 
     The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
-    which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are.
+    which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are: as the
+    step finds, or held (25, 25) where they are known from elsewhere.
     """
     state = solve_incrementally(data, binned, priors, noise, start, constants)
-    return batch.step(batch.graph(state, noise), state, noise)
+    return batch.step(batch.graph(state, noise), state, noise, held=held)
 
 
 def solve_incrementally(

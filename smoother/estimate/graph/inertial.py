@@ -27,7 +27,7 @@ from smoother.estimate.graph.state import (
 
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, RECTIFICATION.stop)
-_MOTION, _MOVED = slice(0, 9), slice(3, 9)  # rows of rotation, position and velocity; of the latter two
+_MOTION, _MOVED, _BIASES = slice(0, 9), slice(3, 9), slice(9, 15)  # rows of rotation, position, velocity; of biases
 _LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 45)  # columns of a factor's Jacobian,
 _RESIDUAL = 45  # and of its residual beside it
 _WIDTH = _RESIDUAL + 1
@@ -175,6 +175,21 @@ class InertialGraph:
             for one, two, (shape, before) in zip(now, was, shapes, strict=True)
         )
         return force, rate
+
+
+def set_apart(linear: LinearInertial, at: BoolArray, state: ChainState, noise: InertialNoise, sigma: Array) -> None:
+    """Make the factors `at` (K-1,) say nothing of how the motion went on from left to right keyframe, in place.
+
+    The right one stays where it is, give or take sigma (9,) rad, m and m/s. Biases walk on.
+    """
+    walk = np.repeat([noise.accel_bias_walk, noise.gyro_bias_walk], 3) * np.sqrt(state.interval)
+    J = np.zeros((15, _WIDTH))
+    J[_MOTION, _RIGHT][:, _MOTION] = np.diag(1.0 / sigma)
+    J[_BIASES, _LEFT][:, _BIASES] = np.diag(1.0 / walk)
+    J[_BIASES, _RIGHT][:, _BIASES] = -np.diag(1.0 / walk)
+    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)
+    linear.whitened[at] = J
+    linear.whitened[at, _BIASES, _RESIDUAL] = (-np.diff(biases, axis=0) / walk)[at]
 
 
 def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:

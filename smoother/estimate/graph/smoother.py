@@ -4,7 +4,8 @@
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
     -> solve and identify, in turns -> magnetometer -> mounting -> output
 
-When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
+Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py). When the
+inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
 
 import time
@@ -21,8 +22,16 @@ from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
+from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
-from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start, on_path_without
+from smoother.estimate.graph.start import (
+    GraphOptions,
+    Start,
+    informed,
+    is_partly_sampled,
+    make_start,
+    on_path_without,
+)
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
@@ -150,8 +159,11 @@ def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
-    """Time, s, that both cover."""
-    return float(min(imu.t[-1], fixes.t[-1]) - max(imu.t[0], fixes.t[0])) if len(imu.t) > 1 else 0.0
+    """Longest time, s, that both cover without a hole."""
+    if len(imu.t) < 2:
+        return 0.0
+    first, last = np.clip(sampled_spans(imu.t), fixes.t[0], fixes.t[-1]).T
+    return float(np.max(last - first))
 
 
 class Stopwatch:
@@ -183,8 +195,8 @@ class Stopwatch:
 def _solve(
     session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
 ) -> tuple[Estimated, Solution | WindowsSolution]:
-    """Solve a session in one piece, or in windows where it is long; and what it was solved with."""
-    if is_long(start) and options.solver == "batch":
+    """Solve a session in one piece, or with constants of a part of it; and what it was solved with."""
+    if is_partly_sampled(start) or (is_long(start) and options.solver == "batch"):
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
