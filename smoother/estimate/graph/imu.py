@@ -37,7 +37,8 @@ class BinnedImu:
 
     t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
     its bin's start; missing (K-1,), fraction of the interval without samples; rough (K-1, 2), power of the vibration of
-    force and rate in the interval over its mean in the session, None where it is not known.
+    force and rate in the interval over its mean in the session, None where it is not known; path_sigma (K-1,) m/s^2, of
+    the acceleration where the path of the fixes stands in for samples, 0 where it does not, None where it never does.
     """
 
     t: Array
@@ -46,6 +47,7 @@ class BinnedImu:
     angular_rate_s: Array
     missing: Array
     rough: Array | None = None
+    path_sigma: Array | None = None
 
     @property
     def n_bins(self) -> int:
@@ -67,6 +69,7 @@ class BinnedImu:
             self.angular_rate_s[intervals],
             self.missing[intervals],
             None if self.rough is None else self.rough[intervals],
+            None if self.path_sigma is None else self.path_sigma[intervals],
         )
 
 
@@ -279,6 +282,7 @@ def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Arra
 
 MISSING_ACCEL = 10.0  # m/s^2 rms of what a kart may do unseen
 MISSING_GYRO = 1.0  # rad/s likewise
+PATH_GYRO = 0.3  # rad/s likewise, of a level kart that points along the path of the fixes; it slides and leans
 
 
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
@@ -288,11 +292,14 @@ def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Arra
     worth a density a * u * sqrt(T).
     """
     lost = binned.missing * np.sqrt(np.diff(binned.t))
+    path_sigma = np.zeros(len(lost)) if binned.path_sigma is None else binned.path_sigma
+    unseen = np.where(path_sigma > 0.0, path_sigma, MISSING_ACCEL)
+    unfelt = np.where(path_sigma > 0.0, PATH_GYRO, MISSING_GYRO)
     accel, gyro = (
         density * np.sqrt(level)
         for density, level in zip((noise.accel, noise.gyro), levels(binned, noise), strict=True)
     )
-    return np.hypot(accel, MISSING_ACCEL * lost), np.hypot(gyro, MISSING_GYRO * lost)
+    return np.hypot(accel, unseen * lost), np.hypot(gyro, unfelt * lost)
 
 
 def levels(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:

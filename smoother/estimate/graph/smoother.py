@@ -4,8 +4,9 @@
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
     -> solve and identify, in turns -> magnetometer -> mounting -> output
 
-Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py). When the
-inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
+Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
+the fixes stands in for the samples of the rest (bridge.py). When the inertial sensor cannot be used, or its solution
+fails, the result is the smoothing of the fixes alone.
 """
 
 import time
