@@ -23,8 +23,9 @@ from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
-from smoother.estimate.graph.output import Estimated, Uncertainty, uncertainty_of
+from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
+from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.solve import Say, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
@@ -75,6 +76,9 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
     noise, priors, problems = main.noise, main.priors, main.problems
+    # over hours other errors are common than in one window
+    made_up = are_unsampled(start.spans, main.solved.state.t, main.solved.state.t)
+    common = np.zeros((3, 3)) if is_long(start) else common_attitude(main.solved, made_up)
     del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
@@ -87,7 +91,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
             values[first:last] = getattr(known, name)
         settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
-    return WindowsSolution(_joined(pieces, start, held, whole), noise, priors, problems)
+    return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
 
 
 def _edges(n_keyframes: int, interval: float) -> list[int]:
@@ -168,11 +172,11 @@ def _figures(rows: Rows, use: IntArray, begin: int) -> Rows:
     )
 
 
-def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty) -> Estimated:
+def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty, common: Array) -> Estimated:
     kinds = {name for piece in pieces for name in piece.rows}
     rows = {name: _joined_rows(name, pieces, len(start.data.t)) for name in kinds}
     windows = [piece.factor for piece in pieces]
-    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows))
+    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows), common)
 
 
 def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:

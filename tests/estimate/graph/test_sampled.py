@@ -15,6 +15,7 @@ from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import Trajectory
+from smoother.units import DEG
 
 SPANS = np.array([[0.0, 10.0], [30.0, 50.0]])
 
@@ -167,6 +168,29 @@ def test_where_there_are_samples_the_result_is_as_good_as_with_samples_everywher
     rows = part.rows(sampled=True)
     assert rms(part.velocity_error_n[rows]) < 1.2 * rms(everywhere.velocity_error_n[rows])
     assert rms(part.turn[rows]) < 1.3 * rms(everywhere.turn[rows])
+    assert part.trajectory.sigmas is not None
+    assert 0.6 < rms(part.turn[rows]) / rms(part.trajectory.sigmas.attitude[rows]) < 1.4
+
+
+@pytest.mark.parametrize("spans", PARTS)
+def test_the_mounting_is_as_far_off_as_it_says(spans: tuple[tuple[float, float], ...]) -> None:
+    part = smoothed(*spans)
+    found = part.trajectory.report.identified["R_bs"]
+    turn = so3.log(np.asarray(found.value) @ part.simulation.scenario.R_bs.T)
+    assert found.observable
+    assert rms(turn / np.asarray(found.sigma)) < 1.6
+
+
+@pytest.mark.parametrize("spans", PARTS)
+def test_elsewhere_it_is_as_good_as_fixes_alone_and_says_how_good(spans: tuple[tuple[float, float], ...]) -> None:
+    part = smoothed(*spans)
+    rows = part.rows(sampled=False)
+    velocity_n, turn, sigmas = part.velocity_error_n[rows], part.turn[rows], part.trajectory.sigmas
+    assert sigmas is not None
+    assert rms(velocity_n) < 0.15  # m/s per axis; of the fixes alone 0.12
+    assert rms(turn) < 4.0 * DEG  # the kart leans by less than a degree and slides by some
+    assert 0.6 < rms(velocity_n / sigmas.velocity_n[rows, :2]) < 1.2
+    assert 0.3 < rms(part.trajectory.euler[rows, :2] / sigmas.attitude[rows, :2]) < 1.3
 
 
 def test_a_session_of_windows_has_the_constants_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,6 +198,7 @@ def test_a_session_of_windows_has_the_constants_of_the_samples(monkeypatch: pyte
     monkeypatch.setattr(windows, "OVERLAP", 40.0)
     long = smoothed((200.0, 230.0), duration=301.0)
     assert rms(long.z) < 1.6
+    assert rms(long.velocity_error_n[long.rows(sampled=False)]) < 0.15
 
 
 def test_a_stream_has_them_too() -> None:
