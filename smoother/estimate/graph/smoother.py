@@ -28,6 +28,7 @@ from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
     GraphOptions,
     Start,
+    have_samples,
     informed,
     is_partly_sampled,
     make_start,
@@ -53,6 +54,7 @@ UNLIKE = (
 )
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
+FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
 STRANGE = (
     0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
 )
@@ -156,6 +158,10 @@ def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:
     if together < SHORTEST_OVERLAP:
         text = f"the inertial samples and the fixes have only {together:.1f} s in common"
         return Problem("imu_too_short", f"{text} (at least {SHORTEST_OVERLAP:.0f}); smoothed from the fixes alone")
+    sampled = int(np.count_nonzero(have_samples(sampled_spans(imu.t), fixes.t)))
+    if sampled < FEWEST_SAMPLED:
+        text = f"only {counted(sampled, 'fix')} came while there were inertial samples (at least {FEWEST_SAMPLED})"
+        return Problem("imu_too_short", f"{text}; smoothed from the fixes alone")
     return None
 
 

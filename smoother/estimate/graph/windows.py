@@ -25,7 +25,7 @@ from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
-from smoother.estimate.graph.sampled import are_unsampled
+from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import Say, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
@@ -76,9 +76,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
     noise, priors, problems = main.noise, main.priors, main.problems
-    # over hours other errors are common than in one window
-    made_up = are_unsampled(start.spans, main.solved.state.t, main.solved.state.t)
-    common = np.zeros((3, 3)) if is_long(start) else common_attitude(main.solved, made_up)
+    common = _common_attitude(main.solved, start)
     del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
@@ -92,6 +90,18 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
         settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
     return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
+
+
+def _common_attitude(main: Solved, start: Start) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude; zero where `main` is not all that has samples.
+
+    Over hours other errors are common than in one window.
+    """
+    t, whole = main.state.t, start.state.t
+    first, last = max(start.spans[0, 0], whole[0]), min(start.spans[-1, 1], whole[-1])
+    if t[0] - first > HOLE or last - t[-1] > HOLE:
+        return np.zeros((3, 3))
+    return common_attitude(main, are_unsampled(start.spans, t, t))
 
 
 def _edges(n_keyframes: int, interval: float) -> list[int]:

@@ -98,6 +98,14 @@ def test_the_stretch_that_identifies_first_is_the_busiest_with_samples() -> None
     assert start.state.t[-1] > 179.0
 
 
+def test_samples_in_an_outage_of_the_fixes_tell_nothing(whole: Session) -> None:
+    outage = (whole.gnss.t > 39.0) & (whole.gnss.t < 51.0)
+    session = with_samples(replace(whole, gnss=whole.gnss.select(~outage)), (40.0, 50.0))
+    report = GraphSmoother().estimate(session).report
+    assert report.mode == "gps-only"
+    assert "imu_too_short" in [problem.code for problem in report.problems]
+
+
 @dataclass(frozen=True, eq=False)
 class Smoothed:
     """A simulated session, the spans of its samples, s, what was made of it, and the truth at its rows."""
