@@ -8,7 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_offset import OffsetModel, offset_model
+from smoother.estimate.gnss_offset import LEAST_DOPPLER, OffsetModel, follows_positions, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
@@ -28,6 +28,9 @@ START_SHARE = 0.5  # of what alignment left unexplained, half of which is typica
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
+# m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
+# alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
+MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
 LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
 
 
@@ -284,7 +287,8 @@ def _first_noise(
     """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
 
     That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
-    samples are perfect and the fixes are bad.
+    samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
+    of it would pass for a wandering offset.
     """
     stated = session.config.imu
     inertial = InertialNoise(
@@ -297,15 +301,23 @@ def _first_noise(
     )
     usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
+    position = path.position_sigma
+    if follows_positions(session.gnss.t, path):
+        position = np.maximum(position, MOST_SCATTER if _has_doppler(session) else SOME_SCATTER)
     return Noise(
         inertial,
-        path.position_sigma,
+        position,
         path.velocity_sigma,
         offset.sigma,
         offset.tau,
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
         offset.tau_spread,
     )
+
+
+def _has_doppler(session: Session) -> bool:
+    """Whether most fixes come with a velocity."""
+    return float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) >= LEAST_DOPPLER
 
 
 def _density(binned: BinnedImu, bins: Array, floor: float) -> float:

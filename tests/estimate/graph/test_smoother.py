@@ -620,3 +620,20 @@ def test_no_velocity_is_known_exactly() -> None:
     made = smoothed(simulate_preset("kart", 1, track="longmeadow", duration=100.0, motion_standstill=100.0))
     assert made.trajectory.sigmas is not None
     assert np.min(made.trajectory.sigmas.velocity_n) > 1e-3
+
+
+def test_fixes_far_apart_tell_their_noise_from_a_wandering_offset() -> None:
+    changes = {"gnss_rate": 0.5, "gnss_white_horizontal": 1.5, "gnss_white_up": 2.5}
+    found = smoothed(simulate_preset("kart", 4, duration=300.0, **changes))
+    noise = np.asarray(found.trajectory.report.identified["gps_position_noise"].value)
+    assert noise[0] == pytest.approx(1.5, rel=0.25)
+
+
+def test_fixes_far_apart_are_not_said_to_be_without_an_offset_because_none_can_be_seen() -> None:
+    changes = {"gnss_rate": 1.0, "gnss_white_horizontal": 3.0, "gnss_white_up": 5.0}
+    found = [smoothed(simulate_preset("kart", seed, duration=300.0, **changes)) for seed in (4, 5)]
+    ratio = []
+    for each in found:
+        assert each.trajectory.sigmas is not None
+        ratio.append(each.error_n[:, :2] / each.trajectory.sigmas.position_n[:, :2])
+    assert np.sqrt(np.mean(np.concatenate(ratio) ** 2)) < 1.5
