@@ -360,6 +360,7 @@ def _bins(binned: BinnedImu, span: slice) -> BinnedImu:
         angular_rate_s=binned.angular_rate_s[span],
         missing=binned.missing[span],
         rough=None if binned.rough is None else binned.rough[span],
+        blind=None if binned.blind is None else binned.blind[span],
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
+from smoother.estimate.graph.imu import MOSTLY_MISSING
 from smoother.estimate.graph.state import ChainState
 from smoother.fit.running import gaussian_mean
 from smoother.frames import wrap_angle
@@ -20,7 +21,6 @@ from smoother.trajectory import Keyframes
 from smoother.units import DEG
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
-MOSTLY_MISSING = 0.5  # share of an interval
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6

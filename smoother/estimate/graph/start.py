@@ -13,8 +13,9 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths
 from smoother.estimate.graph.keyframes import keyframe_times
+from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -108,8 +109,8 @@ def make_start(
     priors = _priors(session, alignment, path, options)
     begin, end = _busiest_span(driven, span)
     t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
-    fine, binned = _bins(session, t, alignment, options)
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    fine, binned = _bins(session, t, path, alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, driven, alignment)
     return Start(
         path,
@@ -142,7 +143,7 @@ def informed(
     gnss, T = session.gnss, options.keyframe_interval
     felt_at = gnss.t[np.isfinite(gnss.velocity_n[:, 0])] - constants.velocity_latency
     t = keyframe_times(gnss.t[0] - MAX_LATENCY, gnss.t[-1] + T, T, felt_at)
-    fine, binned = _bins(session, t, start.alignment, options)
+    fine, binned = _bins(session, t, start.path, start.alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
     state = _first_guess(start.path, t, R_ns, constants, biases)
     everything = np.ones(len(gnss), dtype=np.bool_)
@@ -172,11 +173,16 @@ def _first_guess(
     return ChainState(t, R_ns, at.position_n, at.velocity_n, accel_bias, gyro_bias, at.offset_n, constants)
 
 
-def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOptions) -> tuple[BinnedImu, BinnedImu]:
+def _bins(
+    session: Session, t: Array, path: GnssPath, alignment: Alignment, constants: Constants, options: GraphOptions
+) -> tuple[BinnedImu, BinnedImu]:
     """Inertial samples between the keyframes t (K,), in fine bins and in those to solve with."""
     assert session.imu is not None
     n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
-    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    made_up = MadeUpSamples(session.imu, path, alignment, constants.position_latency, session.gnss)
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s, made_up.at)
+    if np.any(fine.missing):
+        fine = replace(fine, blind=made_up.blind(t, hole_lengths(fine.missing, np.diff(t))))
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
