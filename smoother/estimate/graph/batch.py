@@ -89,6 +89,7 @@ class Priors:
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
+    drives: the kart went at a speed that tells the constants; what they fit at rest is noise, and its covariance too.
     """
 
     accel_bias: float
@@ -98,6 +99,7 @@ class Priors:
     constants_sigma: Array
     holds_height: bool = False
     has_height: bool = True
+    drives: bool = True
 
 
 @dataclass(frozen=True, eq=False)

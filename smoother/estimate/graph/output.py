@@ -51,6 +51,7 @@ from smoother.trajectory import (
     Sigmas,
     Trajectory,
 )
+from smoother.units import ANY_ANGLE
 
 MARGIN = 20.0  # s of the path around the rows that are made together: more than what is expected of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
@@ -415,7 +416,7 @@ def _sigmas(
         "position_n": np.sqrt(diagonal[:, 3:6]),
         "velocity_n": np.sqrt(diagonal[:, 0:3]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
-        "attitude": np.sqrt(np.maximum(attitude, 0.0)),
+        "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),  # no angle is less known than one that may be any
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
 

@@ -252,6 +252,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
         sigma,
         holds_height=mounting.lever_arm_b is None,
         has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
+        drives=not alignment.is_level_only,
     )
 
 
