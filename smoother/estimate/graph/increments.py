@@ -175,8 +175,7 @@ def levelled(linear: LinearIncrements, state: ChainState, acceleration_n: Array)
     """
     T, p, v = linear.T, state.position_n, state.velocity_n
     faster = v[1:] - v[:-1] - T * acceleration_n * [1.0, 1.0, 0.0]
-    farther = 0.5 * T * faster  # on average, by white noise; how a level motion bends within the interval stays
-    farther[:, 2] = p[1:, 2] - p[:-1, 2] - T * v[:-1, 2]
+    farther = p[1:] - p[:-1] - T * v[:-1] - 0.5 * T**2 * acceleration_n * [1.0, 1.0, 0.0]
     beyond_s = np.stack([farther, faster], axis=1) @ state.R_ns[:-1]  # in axes of the left keyframe
     by_rotation = linear.by_rotation_left.copy()
     by_rotation[:, 1:] += linear.by_left[:, None] @ so3.skew(beyond_s)
