@@ -104,6 +104,11 @@ def _in_gap(sampled: Array, t: Array) -> BoolArray:
     return np.asarray((latest >= 0) & (t < sampled[before + 1][np.maximum(latest, 0)] + 1.0))
 
 
+def _unsampled(sampled: Array, t: Array) -> BoolArray:
+    """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
+    return np.asarray(_in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
+
+
 def _peak(x: Array, y: Array) -> float:
     """Where y (N,) over evenly spaced x (N,) is largest, by the parabola through the three points around it."""
     i = int(np.clip(np.argmax(y), 1, y.size - 2))
@@ -242,7 +247,8 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
 
     The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
-    added to the gyro's yaw, and held over standstills.
+    added to the gyro's yaw, and held over standstills. Where samples are missing there are turns that the gyro has not
+    seen, and the course alone has a say.
     """
     gyro_yaw = _gyro_yaw(imu, alignment)
     times = path.t - alignment.lag
@@ -250,8 +256,12 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     if alignment.is_level_only or not np.any(moving):
         yaw = np.interp(t, imu.t, gyro_yaw)
     else:
-        difference = np.unwrap(path.yaw[moving] - np.interp(times[moving], imu.t, gyro_yaw))
-        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving], difference, 3.0)
+        course, seen = np.unwrap(path.yaw[moving]), ~_unsampled(imu.t, times[moving])
+        difference = np.unwrap(course - np.interp(times[moving], imu.t, gyro_yaw))
+        if not np.any(seen):
+            seen[:] = True
+        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving][seen], difference[seen], 3.0)
+        yaw = np.where(_unsampled(imu.t, t), np.interp(t, times[moving], course), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
 

@@ -174,3 +174,14 @@ def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
     found = align(ImuSamples(imu.t[seen], imu.specific_force_s[seen], imu.angular_rate_s[seen]), fixes(truth))
     assert turn_between(found.R_bs, R_bs) < 4.0 * DEG
     assert found.share_explained > 0.8
+
+
+def test_turns_in_a_hole_of_the_samples_are_those_of_the_course(truth: Truth) -> None:
+    whole = box(truth, np.eye(3), np.zeros(3))
+    keep = (whole.t < 30.0) | (whole.t > 50.0)
+    holed = ImuSamples(whole.t[keep], whole.specific_force_s[keep], whole.angular_rate_s[keep])
+    path, t = fixes(truth), np.arange(20.0, 60.0, 0.2)
+    yaw = euler_from_rotation(initial_attitude(t, holed, path, align(holed, path)))[2]
+    off = np.abs(wrap_angle(yaw - truth.euler(t)[:, 2]))
+    assert np.max(off) < 12.0 * DEG  # a kart slides by six
+    assert np.sqrt(np.mean(off[(t > 30.0) & (t < 50.0)] ** 2)) < 4.0 * DEG

@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
-from smoother.estimate.graph.expected import DopplerNoise, expected_motion
+from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import (
     BinnedImu,
@@ -92,6 +92,7 @@ class Priors:
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
+    drives: the kart went at a speed that tells the constants; what they fit at rest is noise, and its covariance too.
     """
 
     accel_bias: float
@@ -101,6 +102,7 @@ class Priors:
     constants_sigma: Array
     holds_height: bool = False
     has_height: bool = True
+    drives: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +218,13 @@ class Batch:
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
-        inertial = graph.linearize(state, noise.inertial)
+        path = self.path(state)
+        felt = expected_of(self._data, path, state, noise)
+        inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
         if self._data.sampled is not None:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
             set_apart(inertial, apart, state, noise.inertial, ANYWHERE)
-        rows = {r.name: r for r in self._rows(state, noise)}
+        rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         rw.add_rows(system, list(rows.values()))
@@ -232,21 +236,25 @@ class Batch:
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
         return system, inertial, rows
 
-    def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:
-        return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
-
 
 def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
     """What the session's velocities tell on an axis of n, None where there are none."""
     return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.velocity[axis]))
 
 
-def session_rows(
-    d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
-) -> list[rw.Rows]:
-    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
+def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> ExpectedMotion:
+    """Return the most probable motion along the dense path of `state`."""
     level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
-    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
+    return expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
+
+
+def session_rows(
+    d: Data, prior: Priors, path: DensePath, felt: ExpectedMotion, state: ChainState, noise: Noise
+) -> list[rw.Rows]:
+    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights.
+
+    felt: the motion expected along the path.
+    """
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )

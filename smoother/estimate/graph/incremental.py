@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import B, O, V, X
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, session_rows
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, expected_of, session_rows
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.imu import BinnedImu, corrected, dense_path, preintegrate
 from smoother.estimate.graph.inertial import inertial_factors
@@ -268,7 +268,8 @@ class Stream:
             heading=None,
         )
         path = dense_path(bins, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
-        for rows in session_rows(part, bins, self._priors, path, state, self._noise):
+        felt = expected_of(part, path, state, self._noise)
+        for rows in session_rows(part, self._priors, path, felt, state, self._noise):
             yield replace(rows, interval=rows.interval + begin)
         if d.heading is not None:
             rows = heading_rows(self._state, d.heading)

@@ -108,19 +108,22 @@ class InertialGraph:
             ratios += np.sqrt(np.linalg.eigvals(np.linalg.solve(two, one)).real).tolist()
         return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
 
-    def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
+    def linearize(self, state: ChainState, noise: InertialNoise, acceleration_n: Array | None = None) -> LinearInertial:
         """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
 
         Errors of scale act like a bias in proportion to the mean force and rate of the interval, rectification to the
         power of its vibration. Force and rate are those of the keyframes (:func:`felt_by`): a scale multiplies what was
         there to measure. By the measured ones it would multiply their noise too, which is in the residual as well, and
         the fit would make the scale small to make the noise small (errors in variables; Fuller 1987). What attitudes
-        turn is likewise free of the noise up and down (:func:`levelled`).
+        turn is likewise free of the noise where acceleration_n (K-1, 3) m/s^2 is given, the expected means over the
+        intervals (:func:`levelled`); with None it is what the samples say.
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
         felt = felt_by(state)
         linear = LinearInertial(np.empty((n, 15, _WIDTH)))
-        bare = levelled(linearize_increments(self._increments, state), state)
+        bare = linearize_increments(self._increments, state)
+        if acceleration_n is not None:
+            bare = levelled(bare, state, acceleration_n)
         J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]

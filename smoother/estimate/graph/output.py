@@ -16,6 +16,7 @@ from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import (
+    MOSTLY_MISSING,
     BinnedImu,
     DensePath,
     InertialNoise,
@@ -51,6 +52,7 @@ from smoother.trajectory import (
     Sigmas,
     Trajectory,
 )
+from smoother.units import ANY_ANGLE
 
 MARGIN = 20.0  # s of the path around the rows that are made together: more than what is expected of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
@@ -346,10 +348,11 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, m
 
 
 def _made_up(binned: BinnedImu) -> BoolArray | None:
-    """Mask (K,) of the keyframes beside intervals that have the path of the fixes for samples, None where none has."""
-    if binned.path_sigma is None:
+    """Mask (K,) of the keyframes beside intervals whose samples are made up, None where there are none."""
+    made_up = binned.missing >= MOSTLY_MISSING
+    if not np.any(made_up):
         return None
-    beside = np.concatenate([[False], binned.path_sigma > 0.0, [False]])
+    beside = np.concatenate([[False], made_up, [False]])
     return np.asarray(beside[1:] | beside[:-1])
 
 
@@ -430,7 +433,7 @@ def _sigmas(
         "position_n": np.sqrt(diagonal[:, 3:6]),
         "velocity_n": np.sqrt(diagonal[:, 0:3]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
-        "attitude": np.sqrt(np.maximum(attitude, 0.0)),
+        "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),  # no angle is less known than one that may be any
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
 

@@ -5,7 +5,7 @@
     -> solve and identify, in turns -> magnetometer -> mounting -> output
 
 Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
-the fixes stands in for the samples of the rest (bridge.py). When the inertial sensor cannot be used, or its solution
+the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
 fails, the result is the smoothing of the fixes alone.
 """
 
@@ -21,7 +21,7 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
+from smoother.estimate.graph.mounting import FittedMounting, fit_mounting, without_heading
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
@@ -213,5 +213,7 @@ def _solve(
 def _mounting(session: Session, state: ChainState, alignment: Alignment, missing: Array) -> FittedMounting:
     stated = session.config.mounting.R_bs
     if stated is not None:
-        return FittedMounting(stated, np.zeros(3), True)
-    return fit_mounting(state, alignment.R_bs, missing)
+        mounting = FittedMounting(stated, np.zeros(3), True)
+    else:
+        mounting = fit_mounting(state, alignment.R_bs, missing)
+    return without_heading(mounting) if alignment.is_level_only else mounting

@@ -12,11 +12,11 @@ from smoother.estimate.gnss_offset import LEAST_DOPPLER, OffsetModel, follows_po
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
-from smoother.estimate.graph.bridge import along_path, with_path
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, tell_of_samples
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths, tell_of_samples
 from smoother.estimate.graph.keyframes import keyframe_times
-from smoother.estimate.graph.sampled import are_sampled, are_unsampled, has_hole, sampled_spans
+from smoother.estimate.graph.made_up import MadeUpSamples
+from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -118,9 +118,8 @@ def make_start(
     spans = sampled_spans(session.imu.t)
     begin, end = _busiest_span(driven, spans, span)
     t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
-    fine = _bins(session, t, alignment, options)
-    binned = _to_solve_with(fine, alignment)
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    fine, binned = _bins(session, t, path, alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, driven, alignment)
     return Start(
         path,
@@ -154,11 +153,8 @@ def informed(
     gnss, T = session.gnss, options.keyframe_interval
     felt_at = gnss.t[np.isfinite(gnss.velocity_n[:, 0])] - constants.velocity_latency
     t = keyframe_times(gnss.t[0] - MAX_LATENCY, gnss.t[-1] + T, T, felt_at)
-    fine = _bins(session, t, start.alignment, options)
+    fine, binned = _bins(session, t, start.path, start.alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
-    if has_hole(start.spans, gnss.t[0], gnss.t[-1]):
-        fine, R_ns = _bridged(start, fine, R_ns, constants, biases)
-    binned = _to_solve_with(fine, start.alignment)
     state = _first_guess(start.path, t, R_ns, constants, biases)
     everything = np.ones(len(gnss), dtype=np.bool_)
     return replace(
@@ -182,34 +178,27 @@ def without_positions(session: Session, doubted: BoolArray) -> Session:
 def _first_guess(
     path: GnssPath, t: Array, R_ns: Array, constants: Constants, biases: tuple[Array, Array]
 ) -> ChainState:
-    at = path.at(t + constants.position_latency)
+    at = path.at(t + _late(path, constants))
     accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
     return ChainState(t, R_ns, at.position_n, at.velocity_n, accel_bias, gyro_bias, at.offset_n, constants)
 
 
-def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOptions) -> BinnedImu:
-    """Inertial samples between the keyframes t (K,), in fine bins."""
+def _late(path: GnssPath, constants: Constants) -> float:
+    """How much later than the sensor, s, the path is where a place is the same: a stated latency is taken out of it."""
+    return constants.position_latency - path.position_latency
+
+
+def _bins(
+    session: Session, t: Array, path: GnssPath, alignment: Alignment, constants: Constants, options: GraphOptions
+) -> tuple[BinnedImu, BinnedImu]:
+    """Inertial samples between the keyframes t (K,), in fine bins and in those to solve with."""
     assert session.imu is not None
     n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
-    return bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
-
-
-def _to_solve_with(fine: BinnedImu, alignment: Alignment) -> BinnedImu:
-    """Coarser bins where the fine ones come in pairs."""
-    return halved(fine, alignment.gyro_bias_s) if fine.n_bins % 2 == 0 else fine
-
-
-def _bridged(
-    start: Start, fine: BinnedImu, R_ns: Array, constants: Constants, biases: tuple[Array, Array]
-) -> tuple[BinnedImu, Array]:
-    """Bins and attitudes R_ns (K, 3, 3), in holes of the samples those of a level kart on the path of the fixes."""
-    t, latency = fine.t, constants.position_latency
-    along = along_path(start.path, t, latency, start.alignment.R_bs)
-    if along is None:
-        return fine, R_ns
-    R_ns = np.where(are_unsampled(start.spans, t, t)[:, None, None], along, R_ns)
-    at = are_unsampled(start.spans, t[:-1], t[1:])
-    return with_path(fine, at, start.path, latency, R_ns, biases), R_ns
+    made_up = MadeUpSamples(session.imu, path, alignment, _late(path, constants), session.gnss)
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s, made_up.at)
+    if np.any(fine.missing):
+        fine = replace(fine, blind=made_up.blind(t, hole_lengths(fine.missing, np.diff(t))))
+    return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
 def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: BoolArray | None) -> Data:
@@ -278,6 +267,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
         sigma,
         holds_height=mounting.lever_arm_b is None,
         has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
+        drives=not alignment.is_level_only,
     )
 
 
