@@ -35,6 +35,10 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
 FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
+SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
+SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
+BESIDE_SPIN = 1.0  # s
+MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,23 +251,47 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
 
     The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
-    added to the gyro's yaw, and held over standstills. Where samples are missing there are turns that the gyro has not
-    seen, and the course alone has a say.
+    added to the gyro's yaw, and held over standstills. A kart that spins while it slides on has no course to go by:
+    its nose is the gyro's alone, else the whole turn would be taken out of it and no solution would put it back. Where
+    samples are missing there are turns that the gyro has not seen, and the course alone has a say.
     """
     gyro_yaw = _gyro_yaw(imu, alignment)
-    times = path.t - alignment.lag
     moving = path.speed > MIN_SPEED
     if alignment.is_level_only or not np.any(moving):
         yaw = np.interp(t, imu.t, gyro_yaw)
     else:
-        course, seen = np.unwrap(path.yaw[moving]), ~_unsampled(imu.t, times[moving])
-        difference = np.unwrap(course - np.interp(times[moving], imu.t, gyro_yaw))
+        times, course = path.t[moving] - alignment.lag, path.yaw[moving]
+        seen = ~_unsampled(imu.t, times)
         if not np.any(seen):
             seen[:] = True
-        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving][seen], difference[seen], 3.0)
-        yaw = np.where(_unsampled(imu.t, t), np.interp(t, times[moving], course), yaw)
+        difference = course[seen] - np.interp(times[seen], imu.t, gyro_yaw)
+        straight = ~_spinning(times[seen], difference)
+        known = times[seen][straight], np.unwrap(difference[straight])
+        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, *known, 3.0)
+        yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _spinning(t: Array, difference: Array) -> BoolArray:
+    """Mask (N,) of fixes t s of a moving kart whose nose is far off the path, by both what came before and after.
+
+    With them those beside: a spin begins and ends slowly. difference (N,) rad: course less the gyro's yaw, which drifts
+    slowly and, where the gyro misses a turn, jumps. Means are over SETTLED of driving, however long the kart stood in
+    between.
+    """
+    n = len(t)
+    count = max(1, round(SETTLED / max(float(np.median(np.diff(t))), 1e-3))) if n > 1 else 1
+    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * difference))])
+    k = np.arange(n)
+    spinning = np.ones(n, dtype=np.bool_)
+    for first, last in ((np.maximum(k - count, 0), k + 1), (k, np.minimum(k + count + 1, n))):
+        off = np.abs(wrap_angle(difference - np.angle(sums[last] - sums[first])))
+        spinning &= (off > SPUN) | (last - first < count // 2)
+    spun = np.concatenate([[-np.inf], t[spinning], [np.inf]])
+    after = np.clip(np.searchsorted(spun, t), 1, len(spun) - 1)
+    beside = np.minimum(spun[after] - t, t - spun[after - 1]) < BESIDE_SPIN
+    return np.asarray(beside & (np.mean(beside) < MOST_SPUN))
 
 
 def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude, rotation_to_up
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.samples import ImuSamples
@@ -145,6 +146,28 @@ class TestAtRest:
         ask = np.array([10.0, 22.0, 26.0, 30.0, 50.0])
         yaw = euler_from_rotation(initial_attitude(ask, imu, path, aligned))[2]
         np.testing.assert_allclose(wrap_angle(yaw - 0.5 * np.pi * np.array([0.0, 0.0, 0.5, 1.0, 1.0])), 0.0, atol=0.02)
+
+
+def slid_round(turned: float, ask: Array) -> Array:
+    """Error of the yaw (K,), rad, at `ask` s of a kart that turns by `turned` rad while it slides straight on, stands
+    for 5 s and drives off in the direction of before."""
+    t = np.arange(1, 12001) / 200.0
+    fraction = np.clip((t - 25.0) / 2.0, 0.0, 1.0)
+    nose = turned * fraction**2 * (3.0 - 2.0 * fraction)
+    rate = np.stack([np.zeros(12000), np.zeros(12000), np.gradient(nose, t)], axis=1)
+    imu = ImuSamples(t, np.tile([0.0, 0.0, 9.8], (12000, 1)), rate)
+    fix = t[39::40]
+    speed = np.interp(fix, [0.0, 24.0, 27.0, 32.0, 36.0], [12.0, 12.0, 0.0, 0.0, 12.0])
+    path = PathMotion(fix, np.stack([speed, np.zeros(300), np.zeros(300)], axis=1))
+    R_ns = initial_attitude(ask, imu, path, Alignment(np.eye(3), np.zeros(3), 0.0, 1.0, False))
+    return np.asarray(wrap_angle(euler_from_rotation(R_ns)[2] - np.interp(ask, t, nose)))
+
+
+class TestSpin:
+    @pytest.mark.parametrize("turned", [2.0 * np.pi, -2.0 * np.pi])
+    def test_the_nose_is_the_gyros_in_a_spin_and_after(self, turned: float) -> None:
+        """Once its turn is lost in the first guess, no solution finds it again."""
+        np.testing.assert_allclose(slid_round(turned, np.arange(10.0, 50.0, 0.2)), 0.0, atol=0.03)
 
 
 class TestRotationToUp:
