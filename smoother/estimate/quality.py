@@ -24,6 +24,8 @@ class QualityLimits:
     """Limits of the gate. A fix is far when it lies beyond near_fix and beyond near_fix_sigmas times what the receiver
     says of its accuracy, and times the trajectory's own sigma, which contains the receiver's slow wander.
 
+    fix_sigma: up to which wander and noise that were found in the fixes count too. A long session knows its place
+    better than any of its fixes; but a trajectory that went astray would find much of both.
     far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
@@ -42,6 +44,7 @@ class QualityLimits:
 
     near_fix: float = 5.0  # m
     near_fix_sigmas: float = 3.0
+    fix_sigma: float = 4.0  # m
     far_share: float = 0.10
     far_seconds: float = 15.0  # s
     top_speed: float = 110.0  # m/s
@@ -102,7 +105,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     place = bracket(estimate.t, t[inside])
     gap = position_at(estimate, t[inside])[:, :2] - session.fix_position_n[inside, :2]
     distance = np.hypot(gap[:, 0], gap[:, 1])
-    sigma = _accuracy(session)[inside]
+    sigma = np.fmax(_accuracy(session)[inside], min(_found_in_fixes(estimate), limits.fix_sigma))
     if estimate.sigmas is not None:
         sigma = np.fmax(sigma, np.max(between_rows(estimate.sigmas.position_n, place)[:, :2], axis=1))
     far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
@@ -111,6 +114,13 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
         "far_fix_share": float(np.mean(far)),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
+
+
+def _found_in_fixes(estimate: Trajectory) -> float:
+    """Sigma (m, horizontal per axis) of the fixes by wander and noise, as far as both were identified."""
+    found = [estimate.report.identified.get(name) for name in ("gps_offset_sigma", "gps_position_noise")]
+    values = [np.ravel(one.value)[:1] for one in found if one is not None and one.source == "identified"]
+    return float(np.linalg.norm(np.concatenate(values))) if values else 0.0
 
 
 def _accuracy(session: Session) -> Array:

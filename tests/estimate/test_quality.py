@@ -101,6 +101,22 @@ def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() 
     assert assess(session(wander, hacc=0.0), estimate(sigma=0.1)).measures["far_fix_share"] > 0.1
 
 
+@pytest.mark.parametrize(("source", "sigma", "is_far"), [("identified", 3.0, False), ("default", 3.0, True)])
+def test_wander_that_was_found_is_no_distance(source: str, sigma: float, is_far: bool) -> None:
+    """Over a quarter of an hour the trajectory knows its place to a metre, and fixes go on wandering by three."""
+    wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
+    found = Identified([sigma, sigma, 2.0 * sigma], None, "m", True, source)
+    told = EstimateReport(identified={"gps_offset_sigma": found})
+    share = assess(session(wander, hacc=0.0), estimate(sigma=0.1, report=told)).measures["far_fix_share"]
+    assert (share > 0.1) is is_far
+
+
+def test_wander_that_no_receiver_has_is_one() -> None:
+    found = Identified([50.0, 50.0, 80.0], None, "m", True, "identified")
+    told = EstimateReport(identified={"gps_offset_sigma": found})
+    assert not assess(session(shifted_rows(0, 999, 20.0), hacc=0.0), estimate(sigma=0.1, report=told)).passed
+
+
 def leaning(roll: np.ndarray | float, pitch: np.ndarray | float = 0.0, yaw: np.ndarray | float = 0.0) -> Trajectory:
     """The drive with an attitude that wanders by a degree from corner to corner, and by these angles (rad) besides."""
     plain, rng = estimate(), np.random.default_rng(4)
