@@ -52,6 +52,7 @@ UNLIKE = (
     "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone. Is t_s of "
     "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
 )
+SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as well as they say, those above do not
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
@@ -133,9 +134,27 @@ class GraphSmoother:
             told,
             identified={**told.identified, "accel_delay": identified_delay(delay)},
             timings=watch.seconds,
-            problems=told.problems + solution.problems,
+            problems=told.problems + solution.problems + _shaken(session, solution.noise),
         )
         return replace(trajectory, report=report)
+
+
+def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
+    """Say so where samples are farther from the motion than any road pushes them.
+
+    An engine that turns nearly as often as samples are taken folds to the same push or turn wherever the kart is at
+    that speed. Lap by lap it goes with the motion as a delay or an arm does; as white noise, which sigmas count on, it
+    would not.
+    """
+    density = noise.inertial.accel
+    if session.config.imu.accel_noise is not None or density < SHAKEN:
+        return ()
+    text = (
+        f"the inertial samples are {density:.1f} m/s^2/sqrt(Hz) off the motion, as where the sampling folds the "
+        "engine's vibration into it: delays of the GPS and the antenna's place may be off by many times their sigma. "
+        "Damp the box, or sample faster with the sensor's low-pass filter on"
+    )
+    return (Problem("imu_shaken", text),)
 
 
 def _jumped(

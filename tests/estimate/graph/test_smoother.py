@@ -418,6 +418,18 @@ class TestDegrading:
         assert "imu_elsewhere" in [p.code for p in s.trajectory.report.problems]
         assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
 
+    @pytest.mark.parametrize(("density", "is_said"), [(0.0, False), (1.5, True)])
+    def test_samples_that_shake_more_than_a_road_makes_them_are_named(self, density: float, is_said: bool) -> None:
+        simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
+        session = prepare(simulation.raw)
+        assert session.imu is not None
+        rate = 1.0 / float(np.median(np.diff(session.imu.t)))
+        push = density * np.sqrt(rate) * np.random.default_rng(0).normal(size=session.imu.specific_force_s.shape)
+        shaken = replace(session.imu, specific_force_s=session.imu.specific_force_s + push)
+        found = GraphSmoother(GraphOptions()).estimate(replace(session, imu=shaken))
+        assert found.report.mode == "full"
+        assert ("imu_shaken" in [p.code for p in found.report.problems]) is is_said
+
     def test_inertial_samples_that_end_half_way_leave_the_rest_to_the_fixes(self) -> None:
         simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
         session = prepare(simulation.raw)
