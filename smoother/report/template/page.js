@@ -116,6 +116,14 @@
     return svg;
   }
 
+  function clipped(svg, x, y, width, height) { // what is drawn into it shows inside this box only
+    const id = `clip-${++clipped.count}`;
+    const shape = make("clipPath", { id }, make("defs", {}, svg));
+    make("rect", { x, y, width: Math.max(0, width), height: Math.max(0, height) }, shape);
+    return make("g", { "clip-path": `url(#${id})` }, svg);
+  }
+  clipped.count = 0;
+
   // ---- one panel: y over a shared x ----
   function panel(svg, box, spec) {
     const { x0, x1, width } = spec;
@@ -139,10 +147,7 @@
       write(svg, left - 6, Y(mark) + 4, (isZero ? 0 : mark).toFixed(digits), "", "end");
     }
     write(svg, left, box.top + 14, spec.title, "title");
-    const clip = `clip-${++panel.count}`;
-    const shape = make("clipPath", { id: clip }, make("defs", {}, svg));
-    make("rect", { x: left, y: top - 2, width: Math.max(0, right - left), height: bottom - top + 4 }, shape);
-    const inside = make("g", { "clip-path": `url(#${clip})` }, svg);
+    const inside = clipped(svg, left, top - 2, right - left, bottom - top + 4);
     for (const s of spec.series) {
       const [first, last] = s.span || [0, s.x.length - 1];
       if (s.sigma) make("path", { d: bandOf(s.x, s.y, s.sigma, X, Y, first, last), class: `band f${s.slot % 6}` }, inside);
@@ -162,13 +167,13 @@
     }
     return { X, Y, top, bottom, left, right };
   }
-  panel.count = 0;
   function bottomAxis(svg, x0, x1, width, y, isTime) {
     const X = (x) => MARGIN.left + ((x - x0) / (x1 - x0 || 1)) * (width - MARGIN.left - MARGIN.right);
     const [marks, digits] = isTime ? [clockTicks(x0, x1), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
     for (const mark of marks) {
+      const text = isTime ? clock(mark) : mark.toFixed(digits);
       make("path", { d: `M${X(mark).toFixed(1)} ${y}v4`, class: "line faint" }, svg);
-      write(svg, X(mark), y + 17, isTime ? clock(mark) : mark.toFixed(digits), "", "middle");
+      write(svg, Math.min(X(mark), width - 4 * text.length), y + 17, text, "", "middle"); // the last one stays on the sheet
     }
   }
   function sheet(id, height, wanted) {
@@ -283,12 +288,13 @@
     const laps = [...state.slots.keys()];
     const cut = (list) => list.subarray(first, last + 1);
     const { scale, X, Y } = fit([...laps, lap].map((i) => cut(traces.x[i])), [...laps, lap].map((i) => cut(traces.y[i])), width, height, 26);
-    if (data.mean_line) make("path", { d: trail(meanLine.x, meanLine.y, X, Y, 0, meanLine.x.length - 1), class: "line faint" }, svg);
+    const inside = clipped(svg, 0, 0, width, height);
+    if (data.mean_line) make("path", { d: trail(meanLine.x, meanLine.y, X, Y, 0, meanLine.x.length - 1), class: "line faint" }, inside);
     for (const i of laps.filter((i) => i !== lap)) {
       const slot = state.slots.get(i);
-      make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, svg);
+      make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, inside);
     }
-    make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, svg);
+    make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, inside);
     const [slow, fast] = extent([traces.speed[lap]], first, last);
     const shades = data.palette.map(() => "");
     const bin = (v) => Math.min(shades.length - 1, Math.floor(((v - slow) / (fast - slow || 1)) * shades.length));
@@ -297,12 +303,17 @@
       if (!Number.isFinite(a + b) || !Number.isFinite(traces.speed[lap][i])) continue;
       shades[bin(traces.speed[lap][i])] += `M${X(a).toFixed(1)} ${Y(traces.y[lap][i]).toFixed(1)}L${X(b).toFixed(1)} ${Y(traces.y[lap][i + 1]).toFixed(1)}`;
     }
-    shades.forEach((d, i) => d && make("path", { d, class: "speed", stroke: data.palette[i] }, svg));
-    for (const g of data.gates) make("path", { d: `M${X(g.x[0])} ${Y(g.y[0])}L${X(g.x[1])} ${Y(g.y[1])}`, class: g.is_start ? "gate" : "split" }, svg);
-    for (const c of data.corners) write(svg, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
+    shades.forEach((d, i) => d && make("path", { d, class: "speed", stroke: data.palette[i] }, inside));
+    for (const g of data.gates) {
+      const [a, b, c, d] = [X(g.x[0]), Y(g.y[0]), X(g.x[1]), Y(g.y[1])];
+      const isShown = Math.abs(a + c - width) < width && Math.abs(b + d - height) < height; // its middle
+      if (isShown) make("path", { d: `M${a} ${b}L${c} ${d}`, class: g.is_start ? "gate" : "split" }, inside);
+    }
+    const range = data.corners.filter((c) => c.apex >= grid[first] && c.apex <= grid[last]);
+    for (const c of range) write(inside, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
     scaleBar(svg, scale, width, height);
     colourBar(svg, slow, fast, width, height);
-    const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, svg), i]);
+    const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, inside), i]);
     cursors.push((at) => {
       for (const [dot, i] of dots) {
         const there = Number.isFinite(traces.x[i][at]) && Number.isFinite(traces.y[i][at]);
@@ -349,18 +360,19 @@
       for (let i = 0; i < right.length; i++) if (Number.isFinite(right[i] + forward[i])) d += `M${X(right[i]).toFixed(1)} ${Y(forward[i]).toFixed(1)}h0`;
       return d;
     };
-    make("path", { d: dots(...cloud), class: "cloud" }, svg);
+    const inside = clipped(svg, 0, 0, size0, size0);
+    make("path", { d: dots(...cloud), class: "cloud" }, inside);
     const [first, last] = state.range;
     for (const [lap, slot] of state.slots) {
       const right = traces.sideways[lap].subarray(first, last + 1).map((v) => -v / 9.80665);
       const forward = traces.longitudinal[lap].subarray(first, last + 1).map((v) => v / 9.80665);
-      make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, svg);
+      make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, inside);
     }
     write(svg, half, 14, "driving", "", "middle");
     write(svg, half, size0 - 6, "braking", "", "middle");
     write(svg, 4, half - 6, "left");
     write(svg, size0 - 4, half - 6, "right", "", "end");
-    const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, svg), lap]);
+    const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, inside), lap]);
     cursors.push((at) => {
       for (const [mark, lap] of marks) {
         const [r, f] = [-traces.sideways[lap][at] / 9.80665, traces.longitudinal[lap][at] / 9.80665];
@@ -386,12 +398,13 @@
     const height = Math.round(Math.min(width0 * 0.85, 440));
     const [svg, width] = sheet("compared-map", height, wanted ? width0 : undefined);
     const { scale, X, Y } = fit([compared.x.subarray(a, b + 1)], [compared.y.subarray(a, b + 1)], width, height, 30);
+    const inside = clipped(svg, 0, 0, width, height);
     const tracks = [["baseline_", "line s4", "7 3"], ["", "line s0", ""]];
-    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, svg);
+    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, inside);
     const [c, d] = part(compared.fix_t);
     let dots = "";
     for (let i = c; i <= d; i++) dots += `M${X(compared.fix_x[i]).toFixed(1)} ${Y(compared.fix_y[i]).toFixed(1)}h0`;
-    make("path", { d: dots, class: "points s1" }, svg);
+    make("path", { d: dots, class: "points s1" }, inside);
     scaleBar(svg, scale, width, height);
     const speeds = [{ x: compared.t, y: compared.speed.map((v) => v * factor()), slot: 0, dash: "" }];
     if (compared.baseline_speed) speeds.unshift({ x: compared.t, y: compared.baseline_speed.map((v) => v * factor()), slot: 4, dash: "7 3" });
