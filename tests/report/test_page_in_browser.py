@@ -265,6 +265,42 @@ def test_corners_and_lines_that_are_not_in_the_part_shown_are_not_on_its_map(ope
         assert sheet["y"] - box["height"] < box["y"] < sheet["y"] + sheet["height"]
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["simulated_page", "compared_page"])
+def test_what_explains_a_chart_stands_whole_above_it(
+    name: str, width: int, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(request.getfixturevalue(name).as_uri())
+    told = browser.execute_script(
+        "return [...document.querySelectorAll('svg text.title')].map(t => t.textContent).join(' ')"
+    )
+    expected = [
+        "(s), band: two sigma",
+        "sideways (g), left +",
+        "sideslip (deg), + slides to its left, band: two sigma",
+        "line: metres left of the mean line, band: two sigma, grey: within noise",
+    ]
+    if name == "simulated_page":
+        expected += [
+            "sure to (m, one sigma): position (solid), line on the track (dashed)",
+            "each fix: metres left over (orange: given little weight)",
+        ]
+    assert [text for text in expected if text not in told] == []
+    assert browser.execute_script(PAINTED_OUTSIDE) == []
+    covered = browser.execute_script(  # no title stands in a panel, nor in another title
+        "const boxes = [...document.querySelectorAll('svg.chart')].flatMap(svg => {"
+        "  const titles = [...svg.querySelectorAll('text.title')].map(t => t.getBoundingClientRect());"
+        "  const grids = [...svg.querySelectorAll('path.grid, path.zero')].map(g => g.getBoundingClientRect());"
+        "  return titles.flatMap((t, i) => [...titles.slice(i + 1), ...grids].filter("
+        "    b => t.bottom - 2 > b.top && b.bottom > t.top + 2 && b.right > t.left && t.right > b.left));"
+        "}); return boxes.length"
+    )
+    assert covered == 0
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 def test_theme_and_unit_are_switched(opened: Any) -> None:
     from selenium.webdriver.support.select import Select
 

@@ -7,6 +7,7 @@
   const UNITS = { "km/h": 3.6, mph: 1 / 0.44704 };
   const MARGIN = { left: 50, right: 10, top: 22, bottom: 6 };
   const AXIS = 24; // px below the lowest panel
+  const LINE = 15; // px of a title that takes another line
   const data = JSON.parse(document.getElementById("data").textContent);
   const place = (id) => document.getElementById(id);
 
@@ -116,6 +117,29 @@
     return svg;
   }
 
+  // ---- titles: as many lines as a narrow screen makes of them ----
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = `600 12px ${getComputedStyle(document.body).fontFamily}`; // as .chart text.title
+  function wrapped(text, room) {
+    const fits = (line) => pen.measureText(line).width <= room;
+    const lines = [""];
+    for (let word of text.split(" ")) {
+      const last = lines.length - 1, longer = lines[last] ? `${lines[last]} ${word}` : word;
+      if (fits(longer)) { lines[last] = longer; continue; }
+      if (lines[last]) lines.push("");
+      while (!fits(word) && word.length > 1) { // a name without a space may be wider than the screen
+        let n = word.length - 1;
+        while (n > 1 && !fits(word.slice(0, n))) n--;
+        lines.splice(-1, 1, word.slice(0, n), "");
+        word = word.slice(n);
+      }
+      lines[lines.length - 1] = word;
+    }
+    return lines;
+  }
+  const titleLines = (title, width) => wrapped(title, width - MARGIN.left - MARGIN.right);
+  const grown = (height, title, width) => height + LINE * (titleLines(title, width).length - 1);
+
   function clipped(svg, x, y, width, height) { // what is drawn into it shows inside this box only
     const id = `clip-${++clipped.count}`;
     const shape = make("clipPath", { id }, make("defs", {}, svg));
@@ -128,7 +152,8 @@
   function panel(svg, box, spec) {
     const { x0, x1, width } = spec;
     const left = MARGIN.left, right = width - MARGIN.right;
-    const top = box.top + MARGIN.top, bottom = box.top + box.height - MARGIN.bottom;
+    const lines = titleLines(spec.title, width);
+    const top = box.top + MARGIN.top + LINE * (lines.length - 1), bottom = box.top + box.height - MARGIN.bottom;
     const X = (x) => left + ((x - x0) / (x1 - x0 || 1)) * (right - left);
     let [low, high] = spec.limits;
     const least = spec.least || 0;
@@ -146,7 +171,7 @@
       make("path", { d: `M${left} ${Y(mark).toFixed(1)}H${right}`, class: isZero && low < 0 ? "zero" : "grid" }, svg);
       write(svg, left - 6, Y(mark) + 4, (isZero ? 0 : mark).toFixed(digits), "", "end");
     }
-    write(svg, left, box.top + 14, spec.title, "title");
+    lines.forEach((line, i) => write(svg, left, box.top + 14 + LINE * i, line, "title"));
     const inside = clipped(svg, left, top - 2, right - left, bottom - top + 4);
     for (const s of spec.series) {
       const [first, last] = s.span || [0, s.x.length - 1];
@@ -176,10 +201,11 @@
       write(svg, Math.min(X(mark), width - 4 * text.length), y + 17, text, "", "middle"); // the last one stays on the sheet
     }
   }
+  const room = (id, wanted) => wanted || Math.max(280, Math.round(place(id).clientWidth));
   function sheet(id, height, wanted) {
     const figure = place(id);
     const old = figure.querySelector("svg");
-    const width = wanted || Math.max(280, Math.round(figure.clientWidth));
+    const width = room(id, wanted);
     const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, class: "chart", role: "img", "aria-label": figure.dataset.label || "" });
     if (old) old.replaceWith(svg);
     else figure.prepend(svg);
@@ -196,13 +222,14 @@
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {
-    const panels = PANELS.filter((p) => traces[p.name]);
+    const wide = room("traces", wanted);
+    const panels = PANELS.filter((p) => traces[p.name]).map((p) => ({ ...p, title: p.title(), height: grown(p.height, p.title(), wide) }));
     const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
     const [svg, width] = sheet("traces", total, wanted);
     const [first, last] = state.range;
     const [x0, x1] = [grid[first], grid[last]];
     const bends = data.corners.map((c) => [c.start, c.end]);
-    let top = 0, frame;
+    let top = 0, frame, highest;
     const marks = [];
     for (const p of panels) {
       const k = p.scale ? p.scale() : 1;
@@ -212,7 +239,8 @@
         sure: p.sure && traces[p.sure] ? traces[p.sure][lap] : null,
       }));
       const limits = extent(series.map((s) => s.y), first, last);
-      frame = panel(svg, { top, height: p.height }, { x0, x1, width: wanted || width, title: width < 520 ? p.title().split(",")[0] : p.title(), series, bends, limits, least: p.least });
+      frame = panel(svg, { top, height: p.height }, { x0, x1, width, title: p.title, series, bends, limits, least: p.least });
+      highest ??= frame.top;
       for (const s of series) marks.push([make("circle", { r: 4, class: `dot f${s.slot % 6}` }, svg), s.y, frame.Y]);
       top += p.height;
     }
@@ -221,7 +249,7 @@
     for (const c of range) {
       const x = frame.X(c.apex), half = 4 * String(c.number).length + 1;
       if (x - half < free) continue;
-      write(svg, x, 30, c.number, "corner", "middle");
+      write(svg, x, highest + 8, c.number, "corner", "middle");
       free = x + half;
     }
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
@@ -230,7 +258,7 @@
     cursors.push((at) => {
       const x = frame.X(grid[at]);
       const shown = at >= first && at <= last;
-      cursor.setAttribute("d", shown ? `M${x.toFixed(1)} ${MARGIN.top}V${top}` : "");
+      cursor.setAttribute("d", shown ? `M${x.toFixed(1)} ${highest}V${top}` : "");
       for (const [dot, y, Y] of marks) {
         const there = shown && Number.isFinite(y[at]);
         dot.setAttribute("visibility", there ? "visible" : "hidden");
@@ -421,12 +449,16 @@
     }
     if (quality.fix_t) panels.push({ title: "each fix: metres left over (orange: given little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
     if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dots: true }] });
-    const [svg, width] = sheet("quality-time", 150 * panels.length + AXIS, wanted);
+    const wide = room("quality-time", wanted), heights = panels.map((p) => grown(150, p.title, wide));
+    const total = heights.reduce((sum, height) => sum + height, 0);
+    const [svg, width] = sheet("quality-time", total + AXIS, wanted);
+    let top = 0;
     panels.forEach((p, i) => {
       const [, high] = extent(p.series.map((s) => s.y));
-      panel(svg, { top: 150 * i, height: 150 }, { x0: 0, x1, width, title: width < 520 ? p.title.split(":")[0] : p.title, series: p.series, limits: [0, p.cap || high], floor: 0, least: 0.01 });
+      panel(svg, { top, height: heights[i] }, { x0: 0, x1, width, title: p.title, series: p.series, limits: [0, p.cap || high], floor: 0, least: 0.01 });
+      top += heights[i];
     });
-    bottomAxis(svg, 0, x1, width, 150 * panels.length, true);
+    bottomAxis(svg, 0, x1, width, total, true);
   }
 
   // ---- state ----
