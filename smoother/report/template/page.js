@@ -542,10 +542,6 @@
   function remembered(key) {
     try { return localStorage.getItem(key); } catch { return null; }
   }
-  function setTheme(theme) {
-    if (theme === "auto") delete document.documentElement.dataset.theme;
-    else document.documentElement.dataset.theme = theme;
-  }
   function keys(event) {
     const step = event.shiftKey ? 10 : 1;
     const moves = { ArrowLeft: state.at - step, ArrowRight: state.at + step, ArrowDown: state.at - step, ArrowUp: state.at + step, Home: state.range[0], End: state.range[1], PageDown: state.at - 25, PageUp: state.at + 25 };
@@ -567,7 +563,6 @@
   for (const box of document.querySelectorAll("#laps-picked input")) box.addEventListener("change", () => pick(Number(box.value), box.checked));
   control("coloured", "change", (value) => { state.coloured = Number(value); draw(); });
   control("units", "change", (value) => { state.unit = value; remember("kart-report-units", value); draw(); });
-  control("theme", "change", (value) => { setTheme(value); remember("kart-report-theme", value); });
   control("stretch", "change", (value) => {
     if (value === "own") return;
     const part = data.stretches[Number(value)];
@@ -578,8 +573,6 @@
   place("cursor").addEventListener("keydown", keys);
   control("cursor", "input", (value) => moveTo(Number(value)));
   for (const lap of data.first) state.slots.set(lap, state.slots.size);
-  const theme = remembered("kart-report-theme");
-  if (["light", "dark"].includes(theme)) { place("theme").value = theme; setTheme(theme); }
   if (remembered("kart-report-units") in UNITS) { state.unit = remembered("kart-report-units"); place("units").value = state.unit; }
   showPicked();
   draw();
