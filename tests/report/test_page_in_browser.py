@@ -4,6 +4,7 @@ Needs Debian's chromium and chromium-driver (`make test` installs them where it 
 """
 
 import base64
+import itertools
 import json
 import shutil
 from collections.abc import Iterator
@@ -104,7 +105,8 @@ def compared_page(tmp_path_factory: pytest.TempPathFactory, compared: list[Compa
 
 @pytest.fixture(scope="module")
 def shaken_page(tmp_path_factory: pytest.TempPathFactory, session: Session, trajectory: Trajectory) -> Path:
-    """No laps; blows far beyond what the diagram of accelerations reaches to, and a baseline that runs away."""
+    """40 min, no laps; blows far beyond the reach of the diagram of accelerations, and a baseline that runs away."""
+    trajectory = replace(trajectory, t=60.0 * trajectory.t)
     force = np.array(trajectory.acceleration_b)
     force[::150, :2] *= 40.0
     away = replace(trajectory, position_n=trajectory.position_n * 30.0)
@@ -263,6 +265,21 @@ def test_corners_and_lines_that_are_not_in_the_part_shown_are_not_on_its_map(ope
         box, sheet = gate.rect, opened.find_element("css selector", "#map svg").rect
         assert sheet["x"] - box["width"] < box["x"] < sheet["x"] + sheet["width"]
         assert sheet["y"] - box["height"] < box["y"] < sheet["y"] + sheet["height"]
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["simulated_page", "shaken_page"])
+def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, request: pytest.FixtureRequest) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(request.getfixturevalue(name).as_uri())
+    for chart in ("traces", "quality-time", "compared-speed"):
+        boxes = browser.execute_script(
+            f"return [...document.querySelectorAll('#{chart} svg text[text-anchor=middle]:not(.corner)')]"
+            ".map(t => t.getBoundingClientRect()).map(b => [b.left, b.right])"
+        )
+        assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 @pytest.mark.parametrize("width", [1280, 390])

@@ -58,8 +58,8 @@
     for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step) out.push(v);
     return [out, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
   }
-  function clockTicks(low, high) {
-    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200].find((s) => (high - low) / s <= 9) || 14400;
+  function clockTicks(low, high, most) {
+    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200].find((s) => (high - low) / s <= most) || 14400;
     const out = [];
     for (let v = Math.ceil(low / step) * step; v <= high; v += step) out.push(v);
     return out;
@@ -194,7 +194,7 @@
   }
   function bottomAxis(svg, x0, x1, width, y, isTime) {
     const X = (x) => MARGIN.left + ((x - x0) / (x1 - x0 || 1)) * (width - MARGIN.left - MARGIN.right);
-    const [marks, digits] = isTime ? [clockTicks(x0, x1), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
+    const [marks, digits] = isTime ? [clockTicks(x0, x1, Math.min(9, width / 65)), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
     for (const mark of marks) {
       const text = isTime ? clock(mark) : mark.toFixed(digits);
       make("path", { d: `M${X(mark).toFixed(1)} ${y}v4`, class: "line faint" }, svg);
