@@ -25,7 +25,7 @@ from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
-from smoother.words import duration
+from smoother.words import counted, duration
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
@@ -169,12 +169,24 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
         said = stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
+    earlier = [name for name in STALE if (directory / name).is_file()]
     try:
         with staged(directory, SUMMARY, STALE) as staging:
             result = write(estimates, staging, options, watch, progress)
     except OSError as error:
         raise unwritable(directory, error) from error
+    _say_removed(directory, [name for name in earlier if not (directory / name).exists()])
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
+
+
+def _say_removed(directory: Path, names: list[str]) -> None:
+    """Say in one line which results of an earlier run are gone: they hold no more, but people may have wanted them."""
+    pictures = sum(name.startswith(f"{FIGURES}/") for name in names)
+    parts = [name for name in names if not name.startswith(f"{FIGURES}/")]
+    parts += [counted(pictures, "figure")] if pictures else []
+    if parts:
+        listed = " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
+        warn(f"{directory}: removed {listed} of an earlier run, which this one did not make anew")
 
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:

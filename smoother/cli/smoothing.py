@@ -63,8 +63,8 @@ class SmoothCommand(click.Command):
 @click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
-@click.option("--no-figures", is_flag=True, help="Write tables only.")
-@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png.")
+@click.option("--no-figures", is_flag=True, help="Write tables only; an earlier report goes.")
+@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png; earlier ones go.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 @click.version_option(package_name="kart-smoother", prog_name="smooth")

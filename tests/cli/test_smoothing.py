@@ -88,6 +88,21 @@ def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Ca
     assert list((out / "figures").iterdir()) == [mine]
 
 
+def test_what_is_removed_of_an_earlier_run_is_said_and_leaves_no_empty_folder(monday: Path, capsys: Captured) -> None:
+    out = monday / "smoothed"
+    assert run([str(monday)]) == 0
+    pictures = len(list((out / "figures").iterdir()))
+    assert "removed" not in capsys.readouterr().err
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 0
+    output = capsys.readouterr()
+    json.loads(output.out)
+    (said,) = output.err.splitlines()
+    assert f"{out}: removed baseline.csv, report.html and {pictures} figures of an earlier run" in said
+    assert not (out / "figures").exists()
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_one_file_of_a_session_stands_for_it(monday: Path, tmp_path: Path) -> None:
     out = tmp_path / "elsewhere" / "deep"
     assert run([str(monday / "gps.csv"), "--out", str(out), *TABLES_ONLY]) == 0
