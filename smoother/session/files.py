@@ -11,6 +11,7 @@ Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
+OWN_NAMES = ("imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
 
@@ -87,10 +88,16 @@ class SessionFiles:
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
         return next((path for path in paths if _holds_sentences(path)), None)
 
+    def recordings(self) -> list[Path]:
+        """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
+        tables = [self.directory / name for name in self.names if name.lower() in OWN_NAMES]
+        others = [*self.logs(), *self.sentence_logs(), *(path for _, path in self.foreign_files())]
+        unnamed = self.unnamed_sentences()
+        return list(dict.fromkeys([*tables, *others, *([] if unnamed is None else [unnamed])]))
+
     def session_name(self) -> str:
         """Name of the directory, or of the file where one of several recordings in it was named."""
-        own_names = {"imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME}
-        if self.chosen is not None and self.chosen[0].name.lower() not in own_names:
+        if self.chosen is not None and self.chosen[0].name.lower() not in OWN_NAMES:
             return self.chosen[0].name.partition(".")[0] or "session"
         return self.directory.resolve().name or "session"
 
