@@ -6,7 +6,7 @@ reads a format is imported when one is met, because a session has one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,6 +86,13 @@ def load_raw(path: Path) -> RawSession:
         f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
         "or a .vbo, .gpx, RaceChrono or AiM file"
     )
+
+
+def _preferred(used: str, others: Sequence[Path]) -> str:
+    """The sentence about recordings that are not used; their number stands in it, being the problem's count."""
+    names = ", ".join(path.name for path in others)
+    count = "" if len(others) == 1 else f"{len(others)} others: "
+    return f"{used} is used, not {count}{names}; name a file to have that one"
 
 
 def _finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -383,8 +390,7 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
 
         gnss, problems = read_fixes(table)
         if logs and files.chosen is None:
-            names = ", ".join(log.name for log in logs)
-            problems.append(Problem("gps_csv_preferred", f"{table.name} is used, not {names}"))
+            problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems
     from smoother.session.nmea import read_nmea
 
@@ -392,8 +398,7 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
     reading = read_nmea(log)
     problems = list(reading.problems)
     if len(logs) > 1:
-        others = ", ".join(other.name for other in logs[1:])
-        text = f"{log.name}, the largest log, is used, not {others}; name a file to have that one"
+        text = _preferred(f"{log.name}, the largest log,", logs[1:])
         problems.append(Problem("gps_other_logs", text, len(logs) - 1))
     if has_imu and not reading.has_receive_times:
         text = f"{log.name}: no receive times before the sentences; taken to start together with the IMU"
@@ -427,8 +432,7 @@ def _read_foreign(files: SessionFiles) -> Recording:
     reading = _foreign_reader(kind)(path)
     problems = list(reading.problems)
     if others:
-        names = ", ".join(other.name for _, other in others)
-        text = f"{path.name} is used, not {names}; name a file to have that one"
+        text = _preferred(path.name, [other for _, other in others])
         problems.append(Problem("gps_other_logs", text, len(others)))
     if (table := files.imu_table()) is not None:
         problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))

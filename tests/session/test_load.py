@@ -18,6 +18,7 @@ from smoother.session.csv_form import read_imu
 from smoother.session.load import load_raw
 from smoother.session.thesis import END_STRUCT, GPS_FLAG, IMU_STRUCT, MAG_STRUCT, RECORD_START
 from smoother.session.truth import load_truth
+from smoother.words import repeated
 
 
 def imu_csv(count: int = 1000, rate: float = 100.0, start: float = 0.0) -> str:
@@ -130,6 +131,14 @@ def test_sentences_that_are_named_win_over_gps_csv(folder: Folder) -> None:
 def test_of_several_logs_the_largest_is_used_and_the_others_are_named(folder: Folder) -> None:
     session = folder.write(a__nmea="".join(nmea_epochs(20)), b__nmea="".join(nmea_epochs(40))).load()
     assert session.inputs == ("b.nmea",) and codes(session)["gps_other_logs"] == 1
+
+
+def test_how_many_logs_are_left_out_is_said_as_such_and_not_as_times(folder: Folder) -> None:
+    logs = {f"{name}__nmea": "".join(nmea_epochs(count)) for name, count in (("a", 40), ("b", 30), ("c", 20))}
+    (problem,) = [p for p in folder.write(**logs).load().problems if p.code == "gps_other_logs"]
+    assert problem.count == 2
+    said = "a.nmea, the largest log, is used, not 2 others: b.nmea, c.nmea; name a file to have that one"
+    assert repeated(problem.text, problem.count) == problem.text == said
 
 
 def test_sentences_without_receive_times_beside_an_imu_are_said_to_be_a_guess(folder: Folder) -> None:
