@@ -90,19 +90,19 @@ def _official(path: Path) -> tuple[float, ...]:
 
 
 def _own(recording: Path) -> tuple[OwnLine, ...]:
-    """The lines that the recording, a file or a folder, brings along: those of a VBO."""
-    from smoother.session.files import list_files
+    """The lines that the recording, a file or a folder, brings along: those of the VBO that it is read from."""
+    from smoother.session.load import foreign_recording
 
     try:
-        files = list_files(recording).foreign_files()
+        read = foreign_recording(recording)
     except SmootherError:  # results alone, or a folder of several recordings
         return ()
-    if not files or files[0][0] != "vbo":
+    if read is None or read[0] != "vbo":
         return ()
     from smoother.laps.own_lines import OwnLine
     from smoother.session.vbo import own_lines
 
-    orders = own_lines(files[0][1])
+    orders = own_lines(read[1])
     return tuple(OwnLine(o[0].kind, tuple((line.first_deg, line.second_deg) for line in o)) for o in orders)
 
 

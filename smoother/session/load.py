@@ -61,11 +61,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class Format:
-    """One way a session may be recorded: whether it is there, and how to read it."""
+    """One way a session may be recorded: whether it is there, how to read it, and which files it speaks of itself."""
 
     name: str
     recognises: Callable[[SessionFiles], bool]
     read: Callable[[SessionFiles], Recording]
+    own: Callable[[SessionFiles], list[Path]]
 
 
 def load_raw(path: Path) -> RawSession:
@@ -75,9 +76,10 @@ def load_raw(path: Path) -> RawSession:
     nothing usable is left: no known file, no fix, files on clocks that do not overlap; ConfigError for settings.
     """
     files = list_files(path)
-    for form in FORMATS:
-        if form.recognises(files):
-            return _finish(files, form.read(files))
+    if (form := _format_of(files)) is not None:
+        recording = form.read(files)
+        problems = (*recording.problems, *_left_out(files, form, recording))
+        return _finish(files, replace(recording, problems=problems))
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
@@ -86,6 +88,29 @@ def load_raw(path: Path) -> RawSession:
         f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
         "or a .vbo, .gpx, RaceChrono or AiM file"
     )
+
+
+def _format_of(files: SessionFiles) -> Format | None:
+    return next((form for form in FORMATS if form.recognises(files)), None)
+
+
+def foreign_recording(path: Path) -> tuple[Foreign, Path] | None:
+    """Return kind and file of another program's recording, if that is what the session at `path` is read from.
+
+    Raises SessionError if there is no session.
+    """
+    files = list_files(path)
+    form = _format_of(files)
+    return files.foreign_files()[0] if form is not None and form.read is _read_foreign else None
+
+
+def _left_out(files: SessionFiles, form: Format, recording: Recording) -> Iterator[Problem]:
+    """What to say of recordings in a folder that are of another kind than the one that is read."""
+    if files.chosen is not None:
+        return
+    own = {path.name for path in form.own(files)} | set(recording.inputs)
+    if others := [path for path in files.recordings() if path.name not in own]:
+        yield Problem("recordings_unused", _preferred(recording.gnss_file, others))
 
 
 def _preferred(used: str, others: Sequence[Path]) -> str:
@@ -439,9 +464,24 @@ def _read_foreign(files: SessionFiles) -> Recording:
     return Recording(reading.gnss, path.name, (path.name,), tuple(problems), reading.imu, path.name)
 
 
+def _own_of_columns(files: SessionFiles) -> list[Path]:
+    tables = (files.imu_table(), files.fix_table())
+    return [*(table for table in tables if table is not None), *files.sentence_logs()]
+
+
+def _own_of_foreign(files: SessionFiles) -> list[Path]:
+    imu = files.imu_table()
+    return [*(path for _, path in files.foreign_files()), *([] if imu is None else [imu])]
+
+
 FORMATS: tuple[Format, ...] = (
-    Format("log", lambda files: bool(files.logs()), _read_log),
-    Format("thesis", lambda files: files.out_file() is not None, _read_thesis),
-    Format("columns", lambda files: files.fix_table() is not None or bool(files.sentence_logs()), _read_columns),
-    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign),
+    Format("log", lambda files: bool(files.logs()), _read_log, SessionFiles.logs),
+    Format("thesis", lambda files: files.out_file() is not None, _read_thesis, lambda files: []),
+    Format(
+        "columns",
+        lambda files: files.fix_table() is not None or bool(files.sentence_logs()),
+        _read_columns,
+        _own_of_columns,
+    ),
+    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign, _own_of_foreign),
 )

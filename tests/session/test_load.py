@@ -20,6 +20,8 @@ from smoother.session.thesis import END_STRUCT, GPS_FLAG, IMU_STRUCT, MAG_STRUCT
 from smoother.session.truth import load_truth
 from smoother.words import repeated
 
+DATA = Path(__file__).parents[1] / "data"
+
 
 def imu_csv(count: int = 1000, rate: float = 100.0, start: float = 0.0) -> str:
     rows = [
@@ -131,6 +133,31 @@ def test_sentences_that_are_named_win_over_gps_csv(folder: Folder) -> None:
 def test_of_several_logs_the_largest_is_used_and_the_others_are_named(folder: Folder) -> None:
     session = folder.write(a__nmea="".join(nmea_epochs(20)), b__nmea="".join(nmea_epochs(40))).load()
     assert session.inputs == ("b.nmea",) and codes(session)["gps_other_logs"] == 1
+
+
+GPX_POINTS = "".join(
+    f'<trkpt lat="{45 + 1e-4 * k:.6f}" lon="12.0"><time>2024-05-01T10:00:{k:02d}Z</time></trkpt>' for k in range(50)
+)
+GPX = f"<gpx><trk><trkseg>{GPX_POINTS}</trkseg></trk></gpx>"
+VBO = "[column names]\ntime lat long\n[data]\n"
+
+
+@pytest.mark.parametrize(
+    ("used", "content"),
+    [("gps.csv", gps_csv()), ("rover.nmea", "".join(nmea_epochs(50))), ("out.txt", out_txt(500))],
+)
+def test_recordings_of_another_kind_that_are_left_out_are_named(
+    folder: Folder, used: str, content: str | bytes
+) -> None:
+    folder.write(**{used.replace(".", "__"): content, "heat__vbo": VBO, "heat__gpx": GPX, "other__csv": "a,b\n1,2\n"})
+    (problem,) = [p for p in folder.load().problems if p.code == "recordings_unused"]
+    assert problem.text == f"{used} is used, not 2 others: heat.vbo, heat.gpx; name a file to have that one"
+    assert "recordings_unused" not in codes(folder.load("heat.gpx"))
+
+
+def test_sentences_beside_a_log_of_the_logger_are_named(folder: Folder) -> None:
+    folder.write(heat__KLG=(DATA / "golden.klg").read_bytes(), rover__nmea="".join(nmea_epochs(50)))
+    assert "heat.KLG is used, not rover.nmea; name a file to have that one" in [p.text for p in folder.load().problems]
 
 
 def test_how_many_logs_are_left_out_is_said_as_such_and_not_as_times(folder: Folder) -> None:
@@ -373,8 +400,8 @@ def test_missing_truth_is_one_clear_line(folder: Folder) -> None:
     ("name", "fixes", "samples", "expected"),
     [
         ("kart_adria_first_half", 2626, 33708, {"imu_gap", "imu_jitter"}),
-        ("kart_lignano_racebox", 31527, 31527, {"imu_gap"}),
-        ("kart_massafinalese_racechrono", 10390, 0, {"imu_too_slow"}),
+        ("kart_lignano_racebox", 31527, 31527, {"imu_gap", "recordings_unused"}),
+        ("kart_massafinalese_racechrono", 10390, 0, {"imu_too_slow", "recordings_unused"}),
         ("kart_okc_doves", 22691, 0, {"imu_missing"}),
         ("car_hi600_rtk", 867, 86716, set()),
         ("car_hi600_twin_a", 9841, 98413, {"imu_gap", "gps_gap"}),
