@@ -86,13 +86,16 @@ def _with_places_of_their_own(tasks: list[Task]) -> tuple[Task, ...]:
 
 
 def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iterator[Task]:
+    if _holds_results(root if root.is_dir() else root.parent):
+        problems.append(f"{root}: results, not a recording; name the folder it was made from")
+        return
     if root.is_file():
         yield _task(_of_file(root), (name,), root.parent, out)
         return
     avoid = None if out is None else out.resolve()
     for folder, below, _ in os.walk(root, onerror=lambda error: problems.append(_unsearched(error))):
         here = Path(folder)
-        if here == avoid or (is_there(here / SUMMARY) and is_there(here / TRAJECTORY)):
+        if here == avoid or _holds_results(here):
             below.clear()
             continue
         below[:] = sorted(entry for entry in below if not entry.startswith(".") and entry != OUTPUT_DIRECTORY)
@@ -107,6 +110,10 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         parts = (name, *here.relative_to(root).parts)
         for recording in recordings:
             yield _task(recording, parts, here, out)
+
+
+def _holds_results(folder: Path) -> bool:
+    return is_there(folder / SUMMARY) and is_there(folder / TRAJECTORY)
 
 
 def _unsearched(error: OSError) -> str:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
+RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
 PAGE = "report.html"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
 SHOWN_ROWS = 600_000  # three hours at 50 Hz; a day is drawn with six rows a second
@@ -104,9 +105,20 @@ def read(path: Path) -> RawSession:
     from smoother.session.load import load_raw
 
     reuse_freed_memory()
-    if all((path / name).is_file() for name in (TRAJECTORY, FIXES, SUMMARY)):
-        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
+    require_recording(path)
     return load_raw(path)
+
+
+def require_recording(path: Path) -> None:
+    """Raise UsageError for a folder of results or a file in one: tables of ours look like fixes, with no error left."""
+    if holds_results(session_directory(path)):
+        what = "holds results, not a recording" if path.is_dir() else "lies among results and is no recording"
+        raise UsageError(f"{path}: {what}; name the folder it was made from")
+
+
+def holds_results(directory: Path) -> bool:
+    """Whether a directory holds what `smooth` writes about a session."""
+    return all((directory / name).is_file() for name in RESULT_FILES)
 
 
 def session_directory(path: Path) -> Path:

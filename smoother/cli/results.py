@@ -7,16 +7,14 @@ from pathlib import Path
 
 from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import (
-    FIXES,
     SUMMARY,
     TRAJECTORY,
     Options,
+    holds_results,
+    require_recording,
     smooth_session,
     usual_output,
 )
-from smoother.errors import UsageError
-
-RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
 
 
 def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:
@@ -25,6 +23,7 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     Smooths with the usual options where results are missing, of another recording in the same place, or older than
     any file of the session.
     """
+    require_recording(path)
     directory = usual_output(path)
     document = _summary(directory / SUMMARY)
     if document is not None and _is_current(path, directory, document):
@@ -48,9 +47,7 @@ def _summary(path: Path) -> dict[str, object] | None:
 def _is_current(path: Path, directory: Path, document: dict[str, object]) -> bool:
     from smoother.session.files import list_files
 
-    if all((path / name).is_file() for name in RESULT_FILES):
-        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
-    if not all((directory / name).is_file() for name in RESULT_FILES):
+    if not holds_results(directory):
         return False
     files, told = list_files(path), document.get("session")
     if not isinstance(told, dict) or told.get("name") != files.session_name():

@@ -128,10 +128,36 @@ def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_
         assert contents(place) == before
 
 
+@pytest.fixture(scope="module")
+def results(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results") / "smoothed"
+    assert run([str(simulated), "--out", str(out), *TABLES_ONLY]) == 0
+    return out
+
+
 def test_results_are_no_recording(monday: Path, capsys: Captured) -> None:
     assert run([str(monday), *TABLES_ONLY]) == 0
     assert run([str(monday / "smoothed"), *TABLES_ONLY]) == 2
     assert "holds results, not a recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "laps.csv", "monday.vbo"])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["check"], ["laps"], ["batch"], ["export", "FILE", "gpx"], ["compare", "FILE", "FILE"], ["evaluate"]],
+    ids=lambda command: " ".join(command) or "smooth",
+)
+def test_a_file_of_results_is_no_recording_either(
+    results: Path, tmp_path: Path, capsys: Captured, name: str, command: list[str]
+) -> None:
+    place = Path(shutil.copytree(results, tmp_path / "smoothed"))
+    (place / name).touch()
+    file = str(place / name)
+    words = [file if word == "FILE" else word for word in command]
+    assert run(words if file in words else [*command, file]) == 2
+    said = capsys.readouterr().err
+    assert "no recording" in said.replace("not a", "no") and "name the folder it was made from" in said
+    assert not (place / "smoothed").exists() and "Traceback" not in said
 
 
 def test_a_place_that_cannot_be_written_is_one_line(monday: Path, tmp_path: Path, capsys: Captured) -> None:
