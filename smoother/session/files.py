@@ -14,6 +14,18 @@ OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 OWN_NAMES = ("imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
+WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
+    "log": "*.klg",
+    "out": "out.txt",
+    "fixes": "gps.csv",
+    "imu": "imu.csv with fixes",
+    "sentences": "*.nmea",
+    "vbo": "*.vbo",
+    "racechrono": "RaceChrono .csv",
+    "aim": "AiM .csv",
+    "gpx": "*.gpx",
+}
+PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
 
 @dataclass(frozen=True)
@@ -102,6 +114,18 @@ class SessionFiles:
         return self.directory.resolve().name or "session"
 
 
+def wanted() -> str:
+    """Every kind of recording, for a sentence about one that is none of them."""
+    *most, last = WANTED.values()
+    return f"{', '.join(most)} or {last}"
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a file has others packed into it; a table that is compressed is read as it is."""
+    name = path.name.lower()
+    return name.endswith(PACKED_SUFFIXES) and not name.endswith(".csv.gz")
+
+
 def list_files(path: Path) -> SessionFiles:
     """List the session at `path`, a directory or one file of it. Raises SessionError if there is none."""
     if not path.exists():
@@ -168,7 +192,9 @@ def _role(path: Path) -> Role | None:
         return "out"
     if b"$G" in head:
         return "sentences"
-    raise SessionError(f"{path}: no known kind of recording; wanted a directory, .klg, out.txt, .csv or .nmea")
+    if is_packed(path):
+        raise SessionError(f"{path}: packed; unpack it first, then name what was in it")
+    raise SessionError(f"{path}: no known kind of recording; wanted a folder, or {wanted()}")
 
 
 def _table_role(path: Path) -> Role | None:

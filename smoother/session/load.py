@@ -20,7 +20,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.files import Foreign, SessionFiles, list_files
+from smoother.session.files import Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -84,10 +84,9 @@ def load_raw(path: Path) -> RawSession:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
         raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
-    raise SessionError(
-        f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
-        "or a .vbo, .gpx, RaceChrono or AiM file"
-    )
+    if packed := [name for name in files.names if is_packed(Path(name))]:
+        raise SessionError(f"{path}: no recording found, but {packed[0]}, which is packed; unpack it first")
+    raise SessionError(f"{path}: no recording found; wanted {wanted()}")
 
 
 def _format_of(files: SessionFiles) -> Format | None:

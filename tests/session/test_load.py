@@ -3,9 +3,11 @@
 import functools
 import gzip
 import operator
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from smoother.frames import Origin
 from smoother.samples import RawSession
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_imu
+from smoother.session.files import WANTED, Role
 from smoother.session.load import load_raw
 from smoother.session.thesis import END_STRUCT, GPS_FLAG, IMU_STRUCT, MAG_STRUCT, RECORD_START
 from smoother.session.truth import load_truth
@@ -133,6 +136,22 @@ def test_sentences_that_are_named_win_over_gps_csv(folder: Folder) -> None:
 def test_of_several_logs_the_largest_is_used_and_the_others_are_named(folder: Folder) -> None:
     session = folder.write(a__nmea="".join(nmea_epochs(20)), b__nmea="".join(nmea_epochs(40))).load()
     assert session.inputs == ("b.nmea",) and codes(session)["gps_other_logs"] == 1
+
+
+def test_every_kind_that_is_read_is_named_where_none_is_found(folder: Folder) -> None:
+    assert list(WANTED) == list(get_args(Role))
+    folder.write(notes__md="nothing")
+    for file in ("", "notes.md"):
+        with pytest.raises(SessionError, match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* or \*\.gpx$"):
+            folder.load(file)
+
+
+@pytest.mark.parametrize("name", ["day.zip", "day.tar.gz", "DAY.7Z"])
+def test_what_is_packed_is_to_be_unpacked_first(folder: Folder, name: str) -> None:
+    folder.write(**{name: b"PK\3\4 and the rest"})
+    for file in ("", name):
+        with pytest.raises(SessionError, match=f"{re.escape(name)}.* packed; unpack it first"):
+            folder.load(file)
 
 
 GPX_POINTS = "".join(
@@ -316,7 +335,7 @@ def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) 
 @pytest.mark.parametrize(
     ("prepare", "message"),
     [
-        (lambda f: f, r"no recording found; wanted \*.klg, out.txt, or gps.csv or \*.nmea"),
+        (lambda f: f, r"no recording found; wanted \*.klg, out.txt, gps.csv, .*\*.nmea"),
         (lambda f: f.write(imu__csv=imu_csv()), r"an IMU table, but neither gps.csv nor \*.nmea"),
         (lambda f: f.write(gps__csv=""), r"^gps.csv: the file is empty"),
         (lambda f: f.write(gps__csv="t_s,lat_deg,lon_deg\n"), r"^gps.csv: a header line, but no rows"),
