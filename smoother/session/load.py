@@ -6,6 +6,7 @@ reads a format is imported when one is met, because a session has one of them.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,6 +43,8 @@ UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing ha
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
+RESULTS = {"trajectory.csv", "summary.json"}  # in a folder of ours
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -86,7 +89,28 @@ def load_raw(path: Path) -> RawSession:
         raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
     if packed := [name for name in files.names if is_packed(Path(name))]:
         raise SessionError(f"{path}: no recording found, but {packed[0]}, which is packed; unpack it first")
+    if (below := _session_below(path)) is not None:
+        raise SessionError(
+            f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
+            f"for all of them: smooth batch {path}"
+        )
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")
+
+
+def _session_below(path: Path) -> Path | None:
+    """The first folder in a folder that holds a recording, if one is among the first that are looked at."""
+    if not path.is_dir():
+        return None
+    looked = 0
+    for here, below, names in os.walk(path):
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        if RESULTS <= set(names):
+            below.clear()
+        elif Path(here) != path and SessionFiles(Path(here), tuple(sorted(names))).recordings():
+            return Path(here)
+        if (looked := looked + 1) > MOST_FOLDERS:
+            return None
+    return None
 
 
 def _format_of(files: SessionFiles) -> Format | None:

@@ -154,6 +154,21 @@ def test_what_is_packed_is_to_be_unpacked_first(folder: Folder, name: str) -> No
             folder.load(file)
 
 
+def test_a_folder_of_session_folders_is_for_batch(folder: Folder) -> None:
+    for place in (".hidden", "kart7/run3/smoothed", "kart7/run3", "smoothed"):
+        (folder.path / place).mkdir(parents=True, exist_ok=True)
+    for place in (".hidden", "smoothed", "kart7/run3/smoothed"):
+        (folder.path / place / "gps.csv").write_text(gps_csv())
+    for place in ("smoothed", "kart7/run3/smoothed"):
+        (folder.path / place / "trajectory.csv").touch()
+        (folder.path / place / "summary.json").touch()
+    with pytest.raises(SessionError, match="no recording found; wanted"):  # results and hidden ones are none
+        folder.load()
+    (folder.path / "kart7" / "run3" / "gps.csv").write_text(gps_csv())
+    with pytest.raises(SessionError, match=r"but in folders of it \(kart7/run3\); .*: smooth batch .*heat2$"):
+        folder.load()
+
+
 GPX_POINTS = "".join(
     f'<trkpt lat="{45 + 1e-4 * k:.6f}" lon="12.0"><time>2024-05-01T10:00:{k:02d}Z</time></trkpt>' for k in range(50)
 )
