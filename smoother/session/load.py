@@ -60,6 +60,7 @@ class Recording:
     imu_file: str = ""
     mag: RawMag | None = None
     mag_calibration_field: Array | None = None
+    unix_at_zero: float | None = None  # where the file tells it, but not with each fix
 
 
 @dataclass(frozen=True)
@@ -165,15 +166,15 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
         problems=tuple(problems),
-        unix_at_zero=_unix_at_zero(gnss),
+        unix_at_zero=_unix_at_zero(gnss, recording.unix_at_zero),
     )
 
 
-def _unix_at_zero(gnss: GnssFixes) -> float | None:
+def _unix_at_zero(gnss: GnssFixes, otherwise: float | None) -> float | None:
     assert gnss.unix_s is not None
     difference = gnss.unix_s - gnss.t
     known = np.isfinite(difference)
-    return float(np.median(difference[known])) if np.any(known) else None
+    return float(np.median(difference[known])) if np.any(known) else otherwise
 
 
 def _require_fixes(recording: Recording) -> None:
@@ -484,7 +485,15 @@ def _read_foreign(files: SessionFiles) -> Recording:
         problems.append(Problem("gps_other_logs", text, len(others)))
     if (table := files.imu_table()) is not None:
         problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
-    return Recording(reading.gnss, path.name, (path.name,), tuple(problems), reading.imu, path.name)
+    return Recording(
+        reading.gnss,
+        path.name,
+        (path.name,),
+        tuple(problems),
+        reading.imu,
+        path.name,
+        unix_at_zero=reading.unix_at_zero,
+    )
 
 
 def _own_of_columns(files: SessionFiles) -> list[Path]:
