@@ -15,6 +15,7 @@ from smoother.calibration import FILE_NAME as CALIBRATION
 from smoother.calibration import find_calibration
 from smoother.errors import SmootherError, UsageError
 from smoother.session.files import SessionFiles, list_files
+from smoother.session.load import place_of_its_own
 from smoother.session.settings import load_settings
 
 OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
@@ -155,8 +156,13 @@ def recordings_in(folder: Path) -> list[Recording]:
 
 def _of_file(path: Path) -> Recording:
     """The session that a file was named for: one of several in its folder, or that which the folder is."""
-    whole = _whole(list_files(path.parent))
-    return next((one for one in recordings_in(path.parent) if one.path == path), replace(whole, path=path))
+    if (one := next((one for one in recordings_in(path.parent) if one.path == path), None)) is not None:
+        return one
+    try:
+        name = place_of_its_own(path)
+    except SmootherError:  # what is wrong is said when the session is read
+        name = ""
+    return replace(_whole(list_files(path.parent)), path=path, name=name)
 
 
 def _whole(files: SessionFiles) -> Recording:

@@ -5,6 +5,7 @@ Heavy imports happen inside the functions, so that `smooth --help` does not wait
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -128,10 +129,9 @@ def session_directory(path: Path) -> Path:
 
 def usual_output(path: Path) -> Path:
     """Return where results of a session go: SESSION/smoothed, of one of several recordings a folder in it."""
-    from smoother.session.load import recording_on_card
+    from smoother.session.load import place_of_its_own
 
-    directory, recording = session_directory(path) / OUTPUT_DIRECTORY, recording_on_card(path)
-    return directory if recording is None else directory / recording.name
+    return session_directory(path) / OUTPUT_DIRECTORY / place_of_its_own(path)
 
 
 def calibrated(raw: RawSession, directory: Path) -> Session:
@@ -181,12 +181,37 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
         said = stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
+    other = _another_recording(directory, raw, is_renamed=out is None)
     try:
         with staged(directory, SUMMARY, STALE) as staging:
             result = write(estimates, staging, options, watch, progress)
     except OSError as error:
         raise unwritable(directory, error) from error
+    if other is not None:
+        warn(f"{directory}: held the results of another recording ({other}), which were replaced; --out DIR keeps both")
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
+
+
+def read_summary(directory: Path) -> dict[str, object] | None:
+    """Return what a directory of results says of them, None where it is none."""
+    try:
+        document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _another_recording(directory: Path, raw: RawSession, is_renamed: bool) -> str | None:
+    """Name of the recording whose results are in a directory, None if there are none or it is the same.
+
+    is_renamed : beside its recording, another name for the same files is that of a folder with a new name.
+    """
+    document = read_summary(directory)
+    told = None if document is None else document.get("session")
+    if document is None or not isinstance(told, dict) or told.get("name") == raw.name:
+        return None
+    is_same = is_renamed and document.get("inputs") == list(raw.inputs)
+    return None if is_same else str(told.get("name"))
 
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:

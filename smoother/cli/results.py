@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import (
-    SUMMARY,
     TRAJECTORY,
     Options,
     holds_results,
+    read_summary,
     require_recording,
     smooth_session,
     usual_output,
@@ -25,7 +24,7 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     """
     require_recording(path)
     directory = usual_output(path)
-    document = _summary(directory / SUMMARY)
+    document = read_summary(directory)
     if document is not None and _is_current(path, directory, document):
         passed, reasons = _verdict(document)
     else:
@@ -34,14 +33,6 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     if not passed:
         warn(f"{path}: the result failed its quality gate: {'; '.join(reasons)}")
     return directory, passed
-
-
-def _summary(path: Path) -> dict[str, object] | None:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return document if isinstance(document, dict) else None
 
 
 def _is_current(path: Path, directory: Path, document: dict[str, object]) -> bool:

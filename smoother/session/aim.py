@@ -118,11 +118,11 @@ def _day(text: str) -> dt.date | None:
         for match in pattern.finditer(text):
             if match["month"] in MONTHS:
                 return _date(int(match["year"]), MONTHS.index(match["month"]) + 1, int(match["day"]))
-    if match := YEAR_FIRST.search(text):
-        return _date(int(match[1]), int(match[2]), int(match[3]))
-    if match := YEAR_LAST.search(text):
-        first, second, year = int(match[1]), int(match[3]), int(match[4])
-        days = {_date(year, second, first), *([] if match[2] == "." else [_date(year, first, second)])} - {None}
+    if iso := YEAR_FIRST.search(text):
+        return _date(int(iso[1]), int(iso[2]), int(iso[3]))
+    if numbers := YEAR_LAST.search(text):
+        first, second, year = int(numbers[1]), int(numbers[3]), int(numbers[4])
+        days = {_date(year, second, first), *([] if numbers[2] == "." else [_date(year, first, second)])} - {None}
         return days.pop() if len(days) == 1 else None
     return None
 

@@ -1,6 +1,6 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +11,8 @@ Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
-OWN_NAMES = ("imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
+IMU_NAMES = ("imu.csv", "imu.csv.gz")
+OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
 WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
@@ -70,7 +71,7 @@ class SessionFiles:
         """imu.csv, or the IMU table that was named."""
         if self._is_foreign:
             return None
-        return self._chosen_as("imu") or self.find("imu.csv", "imu.csv.gz")
+        return self._chosen_as("imu") or self.find(*IMU_NAMES)
 
     def fix_table(self) -> Path | None:
         """gps.csv, or the table of fixes that was named; none if a log of sentences was."""
@@ -106,6 +107,23 @@ class SessionFiles:
         others = [*self.logs(), *self.sentence_logs(), *(path for _, path in self.foreign_files())]
         unnamed = self.unnamed_sentences()
         return list(dict.fromkeys([*tables, *others, *([] if unnamed is None else [unnamed])]))
+
+    def others_beside(self) -> list[Path]:
+        """Recordings in the folder of a file that was named, other than it: by their names of another drive.
+
+        A motion sensor's table belongs to whatever fixes are named; of two formats of one name, one drive was exported.
+        """
+        if self.chosen is None or self.chosen[1] == "log":
+            return []
+        chosen, role = self.chosen
+        beside = [*replace(self, chosen=None).recordings(), *(self._fix_tables() if role != "imu" else [])]
+        of_imu = [path for path in beside if path.name.lower() in IMU_NAMES]
+        found = of_imu if role == "imu" else [path for path in beside if path not in of_imu]
+        return [path for path in dict.fromkeys(found) if path.stem != chosen.stem]
+
+    def _fix_tables(self) -> list[Path]:
+        """Every table with fixes, whatever it is called."""
+        return [self.directory / name for name in self.names if _holds_fixes(self.directory / name)]
 
     def session_name(self) -> str:
         """Name of the directory, or of the file where one of several recordings in it was named."""
@@ -147,6 +165,13 @@ def _holds_sentences(path: Path) -> bool:
             return b"$G" in file.read(HEAD_BYTES)
     except OSError:
         return False  # it is not what anybody asked for
+
+
+def _holds_fixes(path: Path) -> bool:
+    try:
+        return path.name.lower().endswith((".csv", ".csv.gz")) and _table_role(path) == "fixes"
+    except SessionError:  # the truth, or nothing that can be read
+        return False
 
 
 def foreign_kind(path: Path) -> Foreign | None:

@@ -21,7 +21,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.files import Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.files import OWN_NAMES, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -362,6 +362,15 @@ def recording_on_card(file: Path) -> LogFiles | None:
         found = []
     mine = (recording for recording in found if file.name in [path.name for path in recording.paths])
     return next(mine, None) if len(found) > 1 else None
+
+
+def place_of_its_own(path: Path) -> str:
+    """Return what the folder for the results of a file is called if it is one of several recordings, else ""."""
+    if (on_card := recording_on_card(path)) is not None:
+        return on_card.name
+    if not path.is_file() or path.name.lower() in OWN_NAMES:
+        return ""
+    return path.stem if list_files(path).others_beside() else ""
 
 
 def _read_log(files: SessionFiles) -> Recording:
