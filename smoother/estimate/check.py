@@ -12,6 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
+from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -19,7 +20,7 @@ SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slo
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
-_JUDGED_HERE = ("gps_gap", "imu_gap")  # problems of the reader that the checks below judge by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", "imu_axis_dead")  # problems of the reader that the checks below judge by themselves
 
 
 @dataclass(frozen=True)
@@ -188,10 +189,8 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
 
 
 def _dead_axes(imu: RawImu) -> Iterator[Finding]:
-    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
-        lowest, highest = _extremes(values)
-        for axis in np.flatnonzero(lowest == highest):
-            yield Finding("stop", "IMU", f"the {'xyz'[axis]} axis of the {sensor} never changes; check the wiring")
+    for sensor, axis in dead_axes(imu):
+        yield Finding("stop", "IMU", f"the {axis} axis of the {sensor} never changes; check the wiring")
 
 
 def _check_mag(mag: RawMag | None) -> _Part:

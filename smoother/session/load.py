@@ -19,9 +19,10 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import OWN_NAMES, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.inertial import dead_axes
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -37,6 +38,7 @@ FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
+SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
@@ -154,6 +156,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
+        problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -239,6 +242,15 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
     if rate > PLAUSIBLE_RATE:
         yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+
+
+def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
+    """What to say of axes that never change while others do. Where none does, the smoother sees that none can be used."""
+    dead = dead_axes(imu)
+    if 0 < len(dead) < SENSORS * SENSOR_AXES:
+        axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
+        text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
+        yield Problem("imu_axis_dead", text)
 
 
 def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
