@@ -128,6 +128,20 @@ def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_
         assert contents(place) == before
 
 
+def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys: Captured) -> None:
+    monday = tmp_path / "monday"
+    assert run(["simulate", str(monday), "--duration", "60", "--seed", "3"]) == 0
+    assert run(["check", str(monday)]) == 0
+    samples = pl.read_csv(monday / "imu.csv")
+    samples.with_columns(-pl.col("ay"), -pl.col("gy")).write_csv(monday / "imu.csv")
+    capsys.readouterr()
+    run([str(monday), "--json", *TABLES_ONLY])
+    document = json.loads(capsys.readouterr().out)
+    assert "imu_mirrored" in [problem["code"] for problem in document["problems"]]
+    assert run(["check", str(monday), "--json"]) == 3
+    assert any("not right-handed" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
+
+
 @pytest.fixture(scope="module")
 def results(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("results") / "smoothed"
