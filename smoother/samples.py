@@ -116,8 +116,8 @@ class GnssFixes:
     t (N,) s receive time on the session clock; lat_deg, lon_deg, alt_m (N,) WGS-84 (alt NaN if unknown);
     velocity_n (N, 3) m/s (components NaN if unknown); speed (N,) m/s and course_deg (N,) clockwise from north, as sent;
     sigma_horizontal, sigma_up (N,) m and sigma_velocity (N,) m/s per axis, as reported by the receiver; hdop (N,);
-    num_sv (N,) satellites, -1 unknown; fix (N,) quality, >= 1 usable; unix_s (N,) the receiver's own UTC. A sigma that is
-    not above zero is no sigma, and unknown.
+    num_sv (N,) satellites, -1 unknown; fix (N,) quality, >= 1 usable; unix_s (N,) the receiver's own UTC. A sigma
+    that is not above zero is none, and unknown.
     """
 
     t: Array

@@ -87,7 +87,9 @@ def live(
 
 
 def _bytes(count: int) -> str:
-    return counted(count, "byte") if count < 1000 else f"{count / 1e3:.0f} kB" if count < 1e6 else f"{count / 1e6:.1f} MB"
+    if count < 1000:
+        return counted(count, "byte")
+    return f"{count / 1e3:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
 def _say_recorded(recorder: Recorder, has_come: bool) -> None:

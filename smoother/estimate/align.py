@@ -39,8 +39,8 @@ LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 an
 HANDED = 0.8  # of 1, the determinant of three directions; real and simulated boxes have 0.96 or more
 APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
 MIRRORED = (
-    "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or two "
-    "are exchanged. Change it in the recording, for the gyroscope alike; attitude, accelerations and delays are wrong"
+    "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
+    "two are exchanged. Change it in the recording, for the gyroscope alike; attitude and accelerations are wrong"
 )
 DISAGREE = (
     "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "

@@ -21,7 +21,7 @@ SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slo
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
-_JUDGED_HERE = ("gps_gap", "imu_gap", "imu_axis_dead")  # problems of the reader that the checks below judge by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", "imu_axis_dead")  # problems of the reader that are judged below by themselves
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """AiM CSV as Race Studio exports it: quoted rows about the session, names, units, and the values at an even rate.
 
-Times count from the start of the log, whose date and time of day are local: without a word about the zone they are taken
-as this computer's, and said so. That is when laps began, and never takes part in the clock of the fixes. Only the GPS
-channels are used: which way the inertial channels of a given AiM box point, the file does not say.
+Times count from the start of the log, whose date and time of day are local: without a word about the zone they are
+taken as this computer's, and said so. They tell when laps began, and take no part in the clock of the fixes. Only the
+GPS channels are used: which way the inertial channels of a given AiM box point, the file does not say.
 """
 
 import datetime as dt

@@ -6,6 +6,7 @@ reads a format is imported when one is met, because a session has one of them.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -104,16 +105,20 @@ def _session_below(path: Path) -> Path | None:
     """The first folder in a folder that holds a recording, if one is among the first that are looked at."""
     if not path.is_dir():
         return None
-    looked = 0
-    for here, below, names in os.walk(path):
+    for here, below, names in itertools.islice(os.walk(path), MOST_FOLDERS):
         below[:] = sorted(name for name in below if not name.startswith("."))
-        if RESULTS <= set(names):
+        if RESULTS.issubset(names):
             below.clear()
-        elif Path(here) != path and SessionFiles(Path(here), tuple(sorted(names))).recordings():
+        elif Path(here) != path and _holds_recording(Path(here)):
             return Path(here)
-        if (looked := looked + 1) > MOST_FOLDERS:
-            return None
     return None
+
+
+def _holds_recording(folder: Path) -> bool:
+    try:
+        return bool(list_files(folder).recordings())
+    except SessionError:  # it is closed to us
+        return False
 
 
 def _format_of(files: SessionFiles) -> Format | None:
@@ -245,7 +250,7 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
 
 
 def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
-    """What to say of axes that never change while others do. Where none does, the smoother sees that none can be used."""
+    """What to say of axes that never change while others do. If none does, the smoother sees that none can be used."""
     dead = dead_axes(imu)
     if 0 < len(dead) < SENSORS * SENSOR_AXES:
         axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)

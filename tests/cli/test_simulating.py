@@ -42,7 +42,9 @@ def test_files_of_another_format_go(simulation: Simulation, tmp_path: Path) -> N
 VBO = "[header]\ntime\n[column names]\ntime lat long\n[data]\n"
 
 
-@pytest.mark.parametrize("name", ["heat.vbo", "heat.gpx", "heat.nmea", "gps.csv.gz", "LOG00007.KLG", "calibration.toml"])
+@pytest.mark.parametrize(
+    "name", ["heat.vbo", "heat.gpx", "heat.nmea", "gps.csv.gz", "LOG00007.KLG", "calibration.toml"]
+)
 @pytest.mark.parametrize("command", [["simulate", "--duration", "10"], ["demo", "--duration", "20"]])
 def test_a_simulation_does_not_push_a_recording_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, command: list[str]

@@ -205,9 +205,7 @@ def test_sentences_beside_a_log_of_the_logger_are_named(folder: Folder) -> None:
         ((4, 5, 6), "x of the gyroscope, y of the gyroscope, z of the gyroscope"),
     ],
 )
-def test_axes_that_never_change_while_others_do_are_named(
-    folder: Folder, columns: tuple[int, ...], named: str
-) -> None:
+def test_axes_that_never_change_while_others_do_are_named(folder: Folder, columns: tuple[int, ...], named: str) -> None:
     rows = [line.split(",") for line in imu_csv().splitlines()]
     dead = [rows[0], *([rows[1][i] if i in columns else cell for i, cell in enumerate(row)] for row in rows[1:])]
     session = folder.write(imu__csv="\n".join(map(",".join, dead)), gps__csv=gps_csv()).load()

@@ -626,7 +626,9 @@ def test_no_velocity_is_known_exactly() -> None:
 def test_fixes_that_report_a_sigma_of_nothing_count_as_those_that_report_none(name: str) -> None:
     session = prepare(simulate_preset("kart", 3, duration=40.0).raw)
     nothing, unknown = (
-        GraphSmoother().estimate(replace(session, gnss=replace(session.gnss, **{name: np.full(len(session.gnss), value)})))
+        GraphSmoother().estimate(
+            replace(session, gnss=replace(session.gnss, **{name: np.full(len(session.gnss), value)}))
+        )
         for value in (0.0, np.nan)
     )
     np.testing.assert_array_equal(nothing.position_n, unknown.position_n)
