@@ -23,6 +23,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
 from smoother.units import DEG, STANDARD_GRAVITY
 
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
@@ -197,12 +198,12 @@ def _doubts(force_fit: "_Lines", rate_fit: "_Lines") -> Iterator[Problem]:
     if min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE:
         handedness = np.linalg.det([_unit(along), _unit(aside), _unit(gravity)])
         if handedness < -HANDED:
-            yield Problem("imu_mirrored", MIRRORED)
+            yield Problem(MIRRORED_AXES, MIRRORED)
     upward = rate_fit.lines[0]
     if np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE:
         apart = float(np.arccos(np.clip(_unit(upward) @ _unit(gravity), -1.0, 1.0)))
         if apart > APART:
-            yield Problem("imu_axes_disagree", DISAGREE.format(apart / DEG))
+            yield Problem(UNLIKE_AXES, DISAGREE.format(apart / DEG))
 
 
 def _unit(vector: Array) -> Array:

@@ -135,8 +135,9 @@ def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys:
     samples = pl.read_csv(monday / "imu.csv")
     samples.with_columns(-pl.col("ay"), -pl.col("gy")).write_csv(monday / "imu.csv")
     capsys.readouterr()
-    run([str(monday), "--json", *TABLES_ONLY])
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 3
     document = json.loads(capsys.readouterr().out)
+    assert any("not right-handed" in reason for reason in document["quality"]["reasons"])
     assert "imu_mirrored" in [problem["code"] for problem in document["problems"]]
     assert run(["check", str(monday), "--json"]) == 3
     assert any("not right-handed" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
