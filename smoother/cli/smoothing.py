@@ -38,7 +38,8 @@ EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
     "`smooth ./check other`.",
-    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted.",
+    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted, 130 "
+    "stopped.",
 )
 
 

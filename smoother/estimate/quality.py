@@ -13,7 +13,7 @@ from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import Session
-from smoother.trajectory import Trajectory
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
 
 ROW = 0.1  # s, between the rows that are asked about attitude
@@ -91,8 +91,14 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     reasons = [] if finite else ["some rows have no position or velocity"]
     measures |= _attitude_measures(estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
-    reasons += _residual_reasons(estimate, limits)
+    reasons += _residual_reasons(estimate, limits) + _axes_reasons(estimate)
     return Quality(not reasons, tuple(reasons), measures)
+
+
+def _axes_reasons(estimate: Trajectory) -> list[str]:
+    """Axes that no mounting explains give attitudes that are wrong by ten times their sigmas, and look whole."""
+    wrong = [problem for problem in estimate.report.problems if problem.code in (MIRRORED_AXES, UNLIKE_AXES)]
+    return [problem.text.partition(":")[0] for problem in wrong if estimate.report.mode == "full"]
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:

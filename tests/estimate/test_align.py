@@ -187,6 +187,33 @@ class TestRotationToUp:
         assert np.linalg.det(R) == pytest.approx(1.0)
 
 
+SIGNS = [np.diag(signs) for signs in ([-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0])]
+SWAPPED = np.eye(3)[[1, 0, 2]]
+
+
+@pytest.mark.parametrize("mirror", [*SIGNS, SWAPPED, -np.eye(3)])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_axes_that_are_left_handed_are_noticed(truth: Truth, mirror: np.ndarray, seed: int) -> None:
+    imu, path = box(truth, random_rotation(seed), np.zeros(3)), fixes(truth, lag=0.15)
+    assert align(imu, path).problems == ()
+    (problem, *_) = align(ImuSamples(imu.t, imu.specific_force_s @ mirror, imu.angular_rate_s), path).problems
+    assert problem.code == "imu_mirrored" and "wrong sign" in problem.text
+
+
+def test_a_gyroscope_that_turns_the_wrong_way_is_noticed(truth: Truth) -> None:
+    imu, path = box(truth, np.eye(3), np.zeros(3)), fixes(truth)
+    (problem,) = align(ImuSamples(imu.t, imu.specific_force_s, imu.angular_rate_s @ SIGNS[2]), path).problems
+    assert problem.code == "imu_axes_disagree" and ("180 deg" in problem.text or "17" in problem.text)
+
+
+def test_noise_alone_is_not_called_left_handed(truth: Truth) -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(1, 20001) / 200.0
+    for _ in range(20):
+        force = rng.normal(size=(len(t), 3)) * 3.0 + np.array([0.0, 0.0, 9.8])
+        assert align(ImuSamples(t, force, rng.normal(size=(len(t), 3))), fixes(truth)).problems == ()
+
+
 def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
     """What would be averages across them were never measured."""
     R_bs = random_rotation(1)

@@ -7,7 +7,7 @@ import pytest
 
 from smoother.estimate.quality import QualityLimits, assess
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
-from smoother.samples import GnssFixes, Session
+from smoother.samples import GnssFixes, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
 
 ORIGIN = Origin(45.0, 12.0, 30.0)
@@ -181,3 +181,10 @@ def test_a_box_that_swings_for_some_seconds_is_seen_and_one_that_always_does_is_
     assert any("loose" in reason for reason in loose.reasons)
     assert loose.measures["rattling_s"] == pytest.approx(10.0, abs=3.0)  # a mean over 2 s on either end
     assert assess(session(), leaning(swing)).measures["rattling_s"] == 0.0
+
+
+@pytest.mark.parametrize("code", ["imu_mirrored", "imu_axes_disagree"])
+def test_axes_that_no_mounting_explains_are_wrong_wherever_they_were_used(code: str) -> None:
+    told = EstimateReport(problems=(Problem(code, "ay is mirrored: change it"),), mode="full")
+    assert assess(session(), estimate(report=told)).reasons == ("ay is mirrored",)
+    assert assess(session(), estimate(report=replace(told, mode="gps-only"))).passed

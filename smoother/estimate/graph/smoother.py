@@ -106,7 +106,7 @@ class GraphSmoother:
             # densities and constants are known to some per cent from two minutes of driving
             start = make_start(session, options, options.identification_span)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
-            return self._from_fixes(session, (Problem("imu_unusable", UNLIKE),))
+            return self._from_fixes(session, (*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
             doubted = _jumped(session, start, start.noise, options, with_doppler=False)
             if doubted.any():
@@ -134,7 +134,12 @@ class GraphSmoother:
             told,
             identified={**told.identified, "accel_delay": identified_delay(delay)},
             timings=watch.seconds,
-            problems=told.problems + solution.problems + _shaken(session, solution.noise),
+            problems=(
+                *start.alignment.problems,
+                *told.problems,
+                *solution.problems,
+                *_shaken(session, solution.noise),
+            ),
         )
         return replace(trajectory, report=report)
 

@@ -649,3 +649,15 @@ def test_fixes_far_apart_are_not_said_to_be_without_an_offset_because_none_can_b
         assert each.trajectory.sigmas is not None
         ratio.append(each.error_n[:, :2] / each.trajectory.sigmas.position_n[:, :2])
     assert np.sqrt(np.mean(np.concatenate(ratio) ** 2)) < 1.5
+
+
+@pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity"])
+def test_fixes_that_report_a_sigma_of_nothing_count_as_those_that_report_none(name: str) -> None:
+    session = prepare(simulate_preset("kart", 3, duration=40.0).raw)
+    nothing, unknown = (
+        GraphSmoother().estimate(
+            replace(session, gnss=replace(session.gnss, **{name: np.full(len(session.gnss), value)}))
+        )
+        for value in (0.0, np.nan)
+    )
+    np.testing.assert_array_equal(nothing.position_n, unknown.position_n)
