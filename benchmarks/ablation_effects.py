@@ -180,15 +180,15 @@ def _averaged_rates(path: DensePath, *_: Any) -> Felt:
     return Felt(path, acceleration_n, np.einsum("kij,kj->ki", path.R_ns, rate_s), 0.0, 0.0)
 
 
-def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
-    """Bins with what was interpolated passed off as measured."""
-    binned = imu.bin_imu(samples, t, n_bins, *biases)
+def _not_missed(samples: ImuSamples, t: Array, n_bins: int, *others: Any) -> BinnedImu:
+    """Bins with what was made up passed off as measured."""
+    binned = imu.bin_imu(samples, t, n_bins, *others)
     return replace(binned, missing=np.zeros_like(binned.missing))
 
 
-def _plain_bins(samples: ImuSamples, t: Array, n_bins: int, *biases: Array) -> BinnedImu:
+def _plain_bins(samples: ImuSamples, t: Array, n_bins: int, *others: Any) -> BinnedImu:
     """Means of the components of force and rate, as if the box did not turn within a bin."""
-    binned = imu.bin_imu(samples, t, n_bins, *biases)
+    binned = imu.bin_imu(samples, t, n_bins, *others)
     step = np.diff(samples.t, prepend=samples.t[0])[:, None]
     out = []
     for values in (samples.specific_force_s, samples.angular_rate_s):

@@ -65,7 +65,8 @@ def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Pa
     """Give a directory whose files go to `directory` together, on success; on failure or a kill nothing changes.
 
     seal : the file that says the results are whole: the old one goes first and the new one comes last. `stale` :
-    what an earlier run may have left there and is removed where this one has not written it.
+    what an earlier run may have left there and is removed where this one has not written it, with folders that leaves
+    empty.
     """
     staging = directory / f"{STAGING}{os.getpid()}"
     _remove_abandoned(directory)
@@ -79,8 +80,16 @@ def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Pa
             (staging / name).replace(directory / name)
         for old in set(stale) - {name.as_posix() for name in written}:
             (directory / old).unlink(missing_ok=True)
+            _remove_empty((directory / old).parent, directory)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _remove_empty(folder: Path, within: Path) -> None:
+    """Remove a folder below `within` where nothing is left in it."""
+    if folder != within:
+        with contextlib.suppress(OSError):  # it holds something, or is gone already
+            folder.rmdir()
 
 
 def _remove_abandoned(directory: Path) -> None:

@@ -101,6 +101,8 @@ BOX_ON_WHEEL = (
     "box_on_wheel"  # the problem of a box that turns with the steering wheel, whose attitude is not the kart's
 )
 
+MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
+
 
 @dataclass(frozen=True, eq=False)
 class EstimateReport:

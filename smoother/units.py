@@ -1,6 +1,7 @@
 """Named factors and constants. Multiply to go to SI, divide to go back: `yaw = yaw_deg * DEG`. Imports nothing."""
 
 DEG = 0.017453292519943295  # rad
+ANY_ANGLE = 1.8137993642342178  # rad, one sigma of an angle that may be any: pi over the root of three
 STANDARD_GRAVITY = 9.80665  # m/s^2, also the value of 1 g in sensor full scales
 KMH = 1.0 / 3.6  # m/s
 MPH = 0.44704  # m/s

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from smoother.cli import arguments
+from smoother.cli.smoothing import EPILOG
 from smoother.sim.bench import BenchPlan, simulate_bench, write_bench
 from smoother.sim.scenario import ImuErrors, MagErrors
 
@@ -27,6 +29,15 @@ def test_the_readme_shows_the_commands_people_need() -> None:
     assert {"make demo", "make test", "smooth session/", "smooth check session/"} <= set(COMMANDS)
 
 
+def test_it_and_the_help_name_every_exit_code() -> None:
+    codes = [str(code) for name, code in vars(arguments).items() if name.startswith("EXIT_")]
+    assert len(codes) >= 4
+    for text in (README, "".join(EPILOG)):
+        listed = text.partition("Exit codes:")[2]
+        listed = listed.partition("The gate")[0]
+        assert {"0", "1", *codes} <= set(re.findall(r"\b\d+\b", listed))
+
+
 def test_its_smooth_commands_run(tmp_path: Path) -> None:
     scripts = Path(sys.executable).parent
     environment = dict(os.environ, PATH=f"{scripts}{os.pathsep}{os.environ['PATH']}", SMOOTH_DEMO_SECONDS="30")
@@ -42,7 +53,9 @@ def test_its_smooth_commands_run(tmp_path: Path) -> None:
             command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{command}: {done.stderr}"
-    assert (tmp_path / "session" / "smoothed" / "figures" / "overview.png").exists()
+    for name in ("session", "demo"):  # no command takes away what an earlier one has made for the reader
+        assert (tmp_path / name / "smoothed" / "report.html").exists()
+        assert (tmp_path / name / "smoothed" / "figures" / "overview.png").exists()
 
 
 def _record_bench(directory: Path) -> None:

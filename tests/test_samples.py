@@ -114,3 +114,10 @@ def test_select_takes_the_same_rows_of_every_column(choice: np.ndarray) -> None:
 def test_a_session_places_its_fixes_in_its_own_frame() -> None:
     session = Session("name", fixes(3), ORIGIN)
     np.testing.assert_array_equal(session.fix_position_n, session.gnss.position_n(ORIGIN))
+
+
+@pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity"])
+def test_a_sigma_of_nothing_is_unknown(name: str) -> None:
+    given = np.array([0.0, -1.0, np.nan, 2.0])
+    np.testing.assert_array_equal(getattr(fixes(4, **{name: given}), name), [np.nan, np.nan, np.nan, 2.0])
+    np.testing.assert_array_equal(given, [0.0, -1.0, np.nan, 2.0])

@@ -15,6 +15,7 @@ from smoother.calibration import FILE_NAME as CALIBRATION
 from smoother.calibration import find_calibration
 from smoother.errors import SmootherError, UsageError
 from smoother.session.files import SessionFiles, list_files
+from smoother.session.load import place_of_its_own
 from smoother.session.settings import load_settings
 
 OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
@@ -86,13 +87,16 @@ def _with_places_of_their_own(tasks: list[Task]) -> tuple[Task, ...]:
 
 
 def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iterator[Task]:
+    if _holds_results(root if root.is_dir() else root.parent):
+        problems.append(f"{root}: results, not a recording; name the folder it was made from")
+        return
     if root.is_file():
         yield _task(_of_file(root), (name,), root.parent, out)
         return
     avoid = None if out is None else out.resolve()
     for folder, below, _ in os.walk(root, onerror=lambda error: problems.append(_unsearched(error))):
         here = Path(folder)
-        if here == avoid or (is_there(here / SUMMARY) and is_there(here / TRAJECTORY)):
+        if here == avoid or _holds_results(here):
             below.clear()
             continue
         below[:] = sorted(entry for entry in below if not entry.startswith(".") and entry != OUTPUT_DIRECTORY)
@@ -107,6 +111,10 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         parts = (name, *here.relative_to(root).parts)
         for recording in recordings:
             yield _task(recording, parts, here, out)
+
+
+def _holds_results(folder: Path) -> bool:
+    return is_there(folder / SUMMARY) and is_there(folder / TRAJECTORY)
 
 
 def _unsearched(error: OSError) -> str:
@@ -148,8 +156,13 @@ def recordings_in(folder: Path) -> list[Recording]:
 
 def _of_file(path: Path) -> Recording:
     """The session that a file was named for: one of several in its folder, or that which the folder is."""
-    whole = _whole(list_files(path.parent))
-    return next((one for one in recordings_in(path.parent) if one.path == path), replace(whole, path=path))
+    if (one := next((one for one in recordings_in(path.parent) if one.path == path), None)) is not None:
+        return one
+    try:
+        name = place_of_its_own(path)
+    except SmootherError:  # what is wrong is said when the session is read
+        name = ""
+    return replace(_whole(list_files(path.parent)), path=path, name=name)
 
 
 def _whole(files: SessionFiles) -> Recording:

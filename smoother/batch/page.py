@@ -48,9 +48,9 @@ def page(title: str, entries: Sequence[Entry], tracks: Sequence[Track], director
             *_all(entries, directory),
         ),
     ]
-    look = files("smoother.report") / "template" / "page.css", files("smoother.batch") / "template" / "index.css"
-    style = "".join(part.read_text(encoding="utf-8") for part in look)
-    script = (files("smoother.batch") / "template" / "index.js").read_text(encoding="utf-8")
+    shared, own = files("smoother.report") / "template", files("smoother.batch") / "template"
+    look, acts = (shared / "page.css", own / "index.css"), (shared / "theme.js", own / "index.js")
+    style, script = ("".join(part.read_text(encoding="utf-8") for part in parts) for parts in (look, acts))
     return whole_page(title, body, style, script, {})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,12 @@ from smoother.cli.lap_tables import SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
 from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
 from smoother.cli.results import results_of
+from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
 from smoother.laps.clock import lap_clock, local_time
 
 if TYPE_CHECKING:
-    from smoother.laps.results import LapAnalysis, ReferenceLap
+    from smoother.laps.results import Lap, LapAnalysis, ReferenceLap
     from smoother.laps.stored import Stored
     from smoother.report.compare_page import Compared
 
@@ -61,8 +63,7 @@ def compare(
         found = [results_of(path, progress) for path in sessions]
         progress("comparing", 0.0)
         said = told(sessions[0], wanted, None)
-        names = [_name(path) for path in sessions]
-        compared = compare_results([directory for directory, _ in found], names, said, against)
+        compared = compare_results(sessions, [directory for directory, _ in found], said, against)
         page = written(out or found[0][0] / PAGE, compared)
     if as_json:
         from smoother.report.files import to_json
@@ -89,26 +90,34 @@ def written(path: Path, compared: list[Compared]) -> Path:
     return path
 
 
-def compare_results(directories: list[Path], names: list[str], said: Stated, against: int | None) -> list[Compared]:
+def compare_results(
+    sessions: Sequence[Path], directories: Sequence[Path], said: Stated, against: int | None
+) -> list[Compared]:
     """Return all sessions on the reference line of the first, deltas against the best lap of all (or `against`).
 
-    Raises UsageError when the first has no laps, or another was driven elsewhere.
+    directories: where the results of each session are. Raises UsageError when the first has no laps, or another was
+    driven elsewhere.
     """
     from smoother.laps.stored import read_stored
     from smoother.report.compare_page import Compared
 
     first = read_stored(directories[0])
     stored = [first, *(read_stored(directory, first.origin) for directory in directories[1:])]
+    names = session_names(sessions, [one.document["session"] for one in stored])
     own = analyse_rows(first.trajectory, first.fixes, options_on(first.trajectory, first.origin, said, first.drift))
     if own.reference is None or own.statistics is None:
         raise UsageError(f"{names[0]}: holds no whole lap, so there is no reference line; name another session first")
     for name, other in zip(names[1:], stored[1:], strict=True):
         _require_same_place(name, names[0], other, first)
     alone = [own, *(_on_line_of(own, other, None) for other in stored[1:])]
-    lap = _reference_lap(names, stored, alone, against)
-    if lap is None:
+    chosen = _chosen(alone, against)
+    if chosen is None:
         raise UsageError(f"{names[0]}: has no lap {against} that was timed from line to line")
-    return [Compared(name, s, _on_line_of(own, s, lap)) for name, s in zip(names, stored, strict=True)]
+    k, index = chosen
+    lap = _reference_lap(names[k], stored[k], alone[k], index)
+    made = [_on_line_of(own, one, lap) for one in stored]
+    references = [_same_lap(made[i], alone[i].laps[index]) if i == k else None for i in range(len(made))]
+    return [Compared(*one) for one in zip(names, stored, made, references, strict=True)]
 
 
 def _require_same_place(name: str, first_name: str, other: Stored, first: Stored) -> None:
@@ -135,27 +144,31 @@ def _on_line_of(own: LapAnalysis, stored: Stored, lap: ReferenceLap | None) -> L
     return analyse_rows(stored.trajectory, stored.fixes, options)
 
 
-def _reference_lap(
-    names: list[str], stored: list[Stored], alone: list[LapAnalysis], against: int | None
-) -> ReferenceLap | None:
-    """The best lap of all, or lap `against` of the first session."""
+def _chosen(alone: Sequence[LapAnalysis], against: int | None) -> tuple[int, int] | None:
+    """The best lap of all, or lap `against` of the first session: index of the session, and of the lap in it."""
+    if against is not None:
+        timed = (i for i, lap in enumerate(alone[0].laps) if lap.number == against and lap.is_timed)
+        return next(((0, i) for i in timed), None)
+    best = [a.statistics.best if a.statistics is not None else float("nan") for a in alone]
+    k = min((i for i, b in enumerate(best) if b == b), key=lambda i: best[i], default=0)
+    index = alone[k].reference_lap
+    return None if index is None else (k, index)
+
+
+def _reference_lap(name: str, stored: Stored, analysis: LapAnalysis, index: int) -> ReferenceLap | None:
+    """Lap `index` of a session, for all to be compared with."""
     from dataclasses import replace
 
     from smoother.cli.lap_stage import analysed_rows
     from smoother.laps.analysis import reference_lap_of
 
-    best = [a.statistics.best if a.statistics is not None else float("nan") for a in alone]
-    k = 0 if against is not None else min((i for i, b in enumerate(best) if b == b), key=lambda i: best[i], default=0)
-    analysis, one = alone[k], stored[k]
-    if against is not None:
-        index = next((i for i, lap in enumerate(analysis.laps) if lap.number == against and lap.is_timed), None)
-        if index is None:
-            return None
-        analysis = replace(analysis, reference_lap=index)
-    if analysis.reference_lap is None:
-        return None
-    name = f"{names[k]} lap {analysis.laps[analysis.reference_lap].number}"
-    return reference_lap_of(analysis, analysed_rows(one.trajectory), one.fixes, name, one.drift)
+    named, rows = f"{name} lap {analysis.laps[index].number}", analysed_rows(stored.trajectory)
+    return reference_lap_of(replace(analysis, reference_lap=index), rows, stored.fixes, named, stored.drift)
+
+
+def _same_lap(analysis: LapAnalysis, lap: Lap) -> int:
+    """Index of a lap in another analysis of the same drive: it begins when the lap began."""
+    return min(range(len(analysis.laps)), key=lambda i: abs(analysis.laps[i].start - lap.start))
 
 
 def document(compared: list[Compared]) -> dict[str, Any]:
@@ -250,7 +263,3 @@ def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[
         speeds = [c.min_speed[best] if best is not None else float("nan") for c in one.analysis.corners]
         rows.append([*(number(float(v) / SPEED_UNITS[units], 1) for v in speeds), one.name])
     return [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), ""], rows
-
-
-def _name(path: Path) -> str:
-    return path.stem if path.is_file() else path.resolve().name

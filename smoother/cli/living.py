@@ -15,6 +15,7 @@ import click
 from smoother.cli.arguments import EXIT_DONE
 from smoother.cli.output import say_json, warn
 from smoother.errors import UsageError
+from smoother.words import counted
 
 if TYPE_CHECKING:
     from smoother.live.frame import Frame
@@ -73,16 +74,29 @@ def live(
         _stopping(seconds) as stop,
         recorder or contextlib.nullcontext(),
     ):
-        run(receiver, Engine(navigating, values), shown, recorder, stop)
+        last = run(receiver, Engine(navigating, values), shown, recorder, stop)
+    came, is_understood = receiver.status.received_bytes, last.losses.frames > 0
+    if came and not is_understood:
+        warn(
+            f"{_bytes(came)} came, and nothing in them was in the format of the logger's line; "
+            "is the speed right (--baud)? A file of a card is named itself: smooth live FILE"
+        )
     if recorder is not None:
-        _say_recorded(recorder)
+        _say_recorded(recorder, came > 0)
     return EXIT_DONE
 
 
-def _say_recorded(recorder: Recorder) -> None:
+def _bytes(count: int) -> str:
+    if count < 1000:
+        return counted(count, "byte")
+    return f"{count / 1e3:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
+
+
+def _say_recorded(recorder: Recorder, has_come: bool) -> None:
     if recorder.status.flaw:
         warn(f"recording failed: {recorder.status.flaw}")
-    warn(f"recorded {recorder.path}" if recorder.path is not None else "nothing came, so nothing was recorded")
+    nothing = "nothing was recorded" if has_come else "nothing came, so nothing was recorded"
+    warn(nothing if recorder.path is None else f"recorded {recorder.path}")
 
 
 def _speed(text: str) -> float:

@@ -5,6 +5,7 @@ Heavy imports happen inside the functions, so that `smooth --help` does not wait
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +26,7 @@ from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
 from smoother.errors import SessionError, SmootherError, UsageError
 from smoother.units import KMH
-from smoother.words import duration
+from smoother.words import counted, duration
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
+RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
 PAGE = "report.html"
 FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
 SHOWN_ROWS = 600_000  # three hours at 50 Hz; a day is drawn with six rows a second
@@ -104,9 +106,20 @@ def read(path: Path) -> RawSession:
     from smoother.session.load import load_raw
 
     reuse_freed_memory()
-    if all((path / name).is_file() for name in (TRAJECTORY, FIXES, SUMMARY)):
-        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
+    require_recording(path)
     return load_raw(path)
+
+
+def require_recording(path: Path) -> None:
+    """Raise UsageError for a folder of results or a file in one: tables of ours look like fixes, with no error left."""
+    if holds_results(session_directory(path)):
+        what = "holds results, not a recording" if path.is_dir() else "lies among results and is no recording"
+        raise UsageError(f"{path}: {what}; name the folder it was made from")
+
+
+def holds_results(directory: Path) -> bool:
+    """Whether a directory holds what `smooth` writes about a session."""
+    return all((directory / name).is_file() for name in RESULT_FILES)
 
 
 def session_directory(path: Path) -> Path:
@@ -116,10 +129,9 @@ def session_directory(path: Path) -> Path:
 
 def usual_output(path: Path) -> Path:
     """Return where results of a session go: SESSION/smoothed, of one of several recordings a folder in it."""
-    from smoother.session.load import recording_on_card
+    from smoother.session.load import place_of_its_own
 
-    directory, recording = session_directory(path) / OUTPUT_DIRECTORY, recording_on_card(path)
-    return directory if recording is None else directory / recording.name
+    return session_directory(path) / OUTPUT_DIRECTORY / place_of_its_own(path)
 
 
 def calibrated(raw: RawSession, directory: Path) -> Session:
@@ -169,12 +181,50 @@ def smooth_session(path: Path, out: Path | None, options: Options, progress: Pro
         said = stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
+    earlier = [name for name in STALE if (directory / name).is_file()]
+    other = _another_recording(directory, raw, is_renamed=out is None)
     try:
         with staged(directory, SUMMARY, STALE) as staging:
             result = write(estimates, staging, options, watch, progress)
     except OSError as error:
         raise unwritable(directory, error) from error
+    if other is not None:
+        warn(f"{directory}: held the results of another recording ({other}), which were replaced; --out DIR keeps both")
+    else:
+        _say_removed(directory, [name for name in earlier if not (directory / name).exists()])
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
+
+
+def read_summary(directory: Path) -> dict[str, object] | None:
+    """Return what a directory of results says of them, None where it is none."""
+    try:
+        document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _another_recording(directory: Path, raw: RawSession, is_renamed: bool) -> str | None:
+    """Name of the recording whose results are in a directory, None if there are none or it is the same.
+
+    is_renamed : beside its recording, another name for the same files is that of a folder with a new name.
+    """
+    document = read_summary(directory)
+    told = None if document is None else document.get("session")
+    if document is None or not isinstance(told, dict) or told.get("name") == raw.name:
+        return None
+    is_same = is_renamed and document.get("inputs") == list(raw.inputs)
+    return None if is_same else str(told.get("name"))
+
+
+def _say_removed(directory: Path, names: list[str]) -> None:
+    """Say in one line which results of an earlier run are gone: they hold no more, but people may have wanted them."""
+    pictures = sum(name.startswith(f"{FIGURES}/") for name in names)
+    parts = [name for name in names if not name.startswith(f"{FIGURES}/")]
+    parts += [counted(pictures, "figure")] if pictures else []
+    if parts:
+        listed = " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
+        warn(f"{directory}: removed {listed} of an earlier run, which this one did not make anew")
 
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:

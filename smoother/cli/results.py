@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import (
-    FIXES,
-    SUMMARY,
     TRAJECTORY,
     Options,
+    holds_results,
+    read_summary,
+    require_recording,
     smooth_session,
     usual_output,
 )
-from smoother.errors import UsageError
-
-RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
 
 
 def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:
@@ -25,8 +22,9 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     Smooths with the usual options where results are missing, of another recording in the same place, or older than
     any file of the session.
     """
+    require_recording(path)
     directory = usual_output(path)
-    document = _summary(directory / SUMMARY)
+    document = read_summary(directory)
     if document is not None and _is_current(path, directory, document):
         passed, reasons = _verdict(document)
     else:
@@ -37,20 +35,10 @@ def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool
     return directory, passed
 
 
-def _summary(path: Path) -> dict[str, object] | None:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return document if isinstance(document, dict) else None
-
-
 def _is_current(path: Path, directory: Path, document: dict[str, object]) -> bool:
     from smoother.session.files import list_files
 
-    if all((path / name).is_file() for name in RESULT_FILES):
-        raise UsageError(f"{path}: holds results, not a recording; name the folder it was made from")
-    if not all((directory / name).is_file() for name in RESULT_FILES):
+    if not holds_results(directory):
         return False
     files, told = list_files(path), document.get("session")
     if not isinstance(told, dict) or told.get("name") != files.session_name():

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 PRESETS, TRACKS = ("white", "kart", "kart_harsh"), ("larkfield", "tinbarn", "longmeadow")
 SIMULATED_FILES = (
     *("imu.csv", "gps.csv", "mag.csv", "out.txt", "magcalib.txt", "LOG00001.KLG", "LOG00002.KLG"),
-    *("truth.csv", "session.toml"),
+    *("truth.csv", "session.toml", "calibration.toml"),
 )
-MARK = "truth_laps.csv"  # only a simulation writes it: a folder with it may be written over
+MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simulation writes may be written over
 
 
 @click.command(short_help="Write a simulated session with its truth.")
@@ -82,9 +82,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
     from smoother.sim.record import write_csv, write_settings, write_thesis
     from smoother.sim.record_log import write_klg
 
-    present = [name for name in SIMULATED_FILES if (directory / name).exists()]
-    if present and not (directory / MARK).exists():
-        raise UsageError(f"{directory}: holds a recording ({present[0]}) that would be lost; name another folder")
+    _require_nothing_else(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         # what is there of another format or with more sensors would be read with the new files: it goes
@@ -94,6 +92,25 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
                 write_settings(simulation, staging / "session.toml")
     except OSError as error:
         raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
+
+
+def _require_nothing_else(directory: Path) -> None:
+    """Raise UsageError where anything lies that an earlier simulation did not write.
+
+    Files of the same names would be overwritten; any other recording would be passed over from then on, since the
+    simulation is what is read first.
+    """
+    from smoother.session.files import list_files
+
+    if not directory.is_dir():
+        return
+    found = [path.name for path in list_files(directory).recordings()]
+    found += [name for name in SIMULATED_FILES if (directory / name).exists()]
+    is_simulated = (directory / MARK).exists()
+    if foreign := [name for name in found if not (is_simulated and name in SIMULATED_FILES)]:
+        raise UsageError(
+            f"{directory}: holds a recording ({foreign[0]}) that would be lost or passed over; name another folder"
+        )
 
 
 def _common_changes(choices: dict[str, Any]) -> dict[str, Any]:

@@ -38,7 +38,8 @@ EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
     "`smooth ./check other`.",
-    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted.",
+    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted, 130 "
+    "stopped.",
 )
 
 
@@ -63,8 +64,8 @@ class SmoothCommand(click.Command):
 @click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
-@click.option("--no-figures", is_flag=True, help="Write tables only.")
-@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png.")
+@click.option("--no-figures", is_flag=True, help="Write tables only; an earlier report goes.")
+@click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png; earlier ones go.")
 @json_option
 @click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 @click.version_option(package_name="kart-smoother", prog_name="smooth")

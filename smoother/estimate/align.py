@@ -13,6 +13,7 @@ of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A k
 leaves less; then gravity alone levels, and what is unknown is said.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,9 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.frames import rotation_from_euler, wrap_angle
-from smoother.samples import ImuSamples
-from smoother.units import STANDARD_GRAVITY
+from smoother.samples import ImuSamples, Problem
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
+from smoother.units import DEG, STANDARD_GRAVITY
 
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
 STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
@@ -34,7 +36,22 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
+LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 and 0.78 or more, noise alone 0.2 and 0.1
+HANDED = 0.8  # of 1, the determinant of three directions; real and simulated boxes have 0.96 or more
+APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
+MIRRORED = (
+    "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
+    "two are exchanged. Change it in the recording, for the gyroscope alike; attitude and accelerations are wrong"
+)
+DISAGREE = (
+    "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "
+    "the accelerometer's, one has the wrong sign, or two are exchanged. Change it in the recording; attitude is wrong"
+)
 FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
+SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
+SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
+BESIDE_SPIN = 1.0  # s
+MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +79,7 @@ class Alignment:
     share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
     is_level_only: the heading of the box in the kart could not be found, because the kart hardly moved. accel_noise
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
-    since slip, lean and the noise of the fixes are in it.
+    since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
     """
 
     R_bs: Array
@@ -72,6 +89,7 @@ class Alignment:
     is_level_only: bool
     accel_noise: float = 0.0
     gyro_noise: float = 0.0
+    problems: tuple[Problem, ...] = ()
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -102,6 +120,11 @@ def _in_gap(sampled: Array, t: Array) -> BoolArray:
         return np.zeros(len(t), dtype=np.bool_)
     latest = np.searchsorted(sampled[before] - 1.0, t) - 1
     return np.asarray((latest >= 0) & (t < sampled[before + 1][np.maximum(latest, 0)] + 1.0))
+
+
+def _unsampled(sampled: Array, t: Array) -> BoolArray:
+    """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
+    return np.asarray(_in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
 
 
 def _peak(x: Array, y: Array) -> float:
@@ -163,8 +186,37 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
     R_bs = so3.normalized(np.einsum("i,ij,ik->jk", weights, directions_b, directions_s))
     share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
     return Alignment(
-        R_bs, rate_fit.lines[1], lag, share, False, float(force_fit.rest) * root, float(rate_fit.rest) * root
+        R_bs,
+        rate_fit.lines[1],
+        lag,
+        share,
+        False,
+        float(force_fit.rest) * root,
+        float(rate_fit.rest) * root,
+        tuple(_doubts(force_fit, rate_fit)),
     )
+
+
+def _doubts(force_fit: "_Lines", rate_fit: "_Lines") -> Iterator[Problem]:
+    """What speaks against axes that are right-handed and shared by both sensors, where the slopes are known well.
+
+    Along, aside and gravity are found each by itself, so that nothing forces them to be right-handed: of every box they
+    came out within 15 deg of it or the mirror image. What is up by the forces and by turns likewise: within 8 deg.
+    """
+    along, aside, gravity = force_fit.lines
+    if min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE:
+        handedness = np.linalg.det([_unit(along), _unit(aside), _unit(gravity)])
+        if handedness < -HANDED:
+            yield Problem(MIRRORED_AXES, MIRRORED)
+    upward = rate_fit.lines[0]
+    if np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE:
+        apart = float(np.arccos(np.clip(_unit(upward) @ _unit(gravity), -1.0, 1.0)))
+        if apart > APART:
+            yield Problem(UNLIKE_AXES, DISAGREE.format(apart / DEG))
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def _path_axes(path: PathMotion) -> Array:
@@ -242,18 +294,47 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
 
     The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
-    added to the gyro's yaw, and held over standstills.
+    added to the gyro's yaw, and held over standstills. A kart that spins while it slides on has no course to go by:
+    its nose is the gyro's alone, else the whole turn would be taken out of it and no solution would put it back. Where
+    samples are missing there are turns that the gyro has not seen, and the course alone has a say.
     """
     gyro_yaw = _gyro_yaw(imu, alignment)
-    times = path.t - alignment.lag
     moving = path.speed > MIN_SPEED
     if alignment.is_level_only or not np.any(moving):
         yaw = np.interp(t, imu.t, gyro_yaw)
     else:
-        difference = np.unwrap(path.yaw[moving] - np.interp(times[moving], imu.t, gyro_yaw))
-        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, times[moving], difference, 3.0)
+        times, course = path.t[moving] - alignment.lag, path.yaw[moving]
+        seen = ~_unsampled(imu.t, times)
+        if not np.any(seen):
+            seen[:] = True
+        difference = course[seen] - np.interp(times[seen], imu.t, gyro_yaw)
+        straight = ~_spinning(times[seen], difference)
+        known = times[seen][straight], np.unwrap(difference[straight])
+        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, *known, 3.0)
+        yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _spinning(t: Array, difference: Array) -> BoolArray:
+    """Mask (N,) of fixes t s of a moving kart whose nose is far off the path, by both what came before and after.
+
+    With them those beside: a spin begins and ends slowly. difference (N,) rad: course less the gyro's yaw, which drifts
+    slowly and, where the gyro misses a turn, jumps. Means are over SETTLED of driving, however long the kart stood in
+    between.
+    """
+    n = len(t)
+    count = max(1, round(SETTLED / max(float(np.median(np.diff(t))), 1e-3))) if n > 1 else 1
+    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * difference))])
+    k = np.arange(n)
+    spinning = np.ones(n, dtype=np.bool_)
+    for first, last in ((np.maximum(k - count, 0), k + 1), (k, np.minimum(k + count + 1, n))):
+        off = np.abs(wrap_angle(difference - np.angle(sums[last] - sums[first])))
+        spinning &= (off > SPUN) | (last - first < count // 2)
+    spun = np.concatenate([[-np.inf], t[spinning], [np.inf]])
+    after = np.clip(np.searchsorted(spun, t), 1, len(spun) - 1)
+    beside = np.minimum(spun[after] - t, t - spun[after - 1]) < BESIDE_SPIN
+    return np.asarray(beside & (np.mean(beside) < MOST_SPUN))
 
 
 def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:

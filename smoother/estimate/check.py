@@ -11,8 +11,10 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import pieces, release
-from smoother.samples import GnssFixes, RawImu, RawMag, RawSession
+from smoother.estimate.align import PathMotion, align
+from smoother.samples import GnssFixes, ImuSamples, RawImu, RawMag, RawSession
 from smoother.session.clock import find_gaps, regularize
+from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -21,7 +23,7 @@ ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
 _WITH_SENSOR = (".klg", "out.txt", "imu.csv", "imu.csv.gz", "simulation")  # ends of inputs that promise a motion sensor
-_JUDGED_HERE = ("gps_gap", "imu_gap")  # problems of the reader that the checks below judge by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", "imu_axis_dead")  # problems of the reader that are judged below by themselves
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     gps_only = _is_gps_only(raw)
     parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits, gps_only), _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
-        parts.append(_check_clocks(raw.gnss, raw.imu))
+        parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw.gnss, raw.imu)]
     judged = (*_JUDGED_HERE, "imu_missing") if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
@@ -207,10 +209,8 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
 
 
 def _dead_axes(imu: RawImu) -> Iterator[Finding]:
-    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
-        lowest, highest = _extremes(values)
-        for axis in np.flatnonzero(lowest == highest):
-            yield Finding("stop", "IMU", f"the {'xyz'[axis]} axis of the {sensor} never changes; check the wiring")
+    for sensor, axis in dead_axes(imu):
+        yield Finding("stop", "IMU", f"the {axis} axis of the {sensor} never changes; check the wiring")
 
 
 def _check_mag(mag: RawMag | None) -> _Part:
@@ -226,6 +226,16 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
         return _Part([], {"fixes_with_imu_share": covered})
     text = f"the motion sensor covers only {100 * covered:.0f} % of the fixes"
     return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
+
+
+def _check_axes(fixes: GnssFixes, imu: RawImu) -> _Part:
+    """Whether the axes are those of a box that is turned, which driving shows; of a long recording its beginning."""
+    t, driven = imu.t[:ENOUGH], np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
+    if len(t) < 2 or not driven.any():
+        return _Part([], {})
+    samples = ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
+    found = align(samples, PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
+    return _Part([Finding("stop", "IMU", problem.text) for problem in found.problems], {})
 
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:

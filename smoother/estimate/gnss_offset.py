@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.estimate.gnss_path import GnssPath
 
 BIN = 2.0  # s, of the means: a fifth of the shortest time that counts as slow
@@ -89,7 +89,7 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
-    if not _tells(seen, path):
+    if not _tells(fixes_t, seen, path):
         return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
     if is_filtered and lasts <= TIMES * usual.tau:
         return _walked(seen, usual)
@@ -118,12 +118,24 @@ def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
 def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:
     """Return the offset of the fixes, stamped fixes_t (M,) s, of `path`; None with too little Doppler to tell."""
     seen = drift_against_doppler(fixes_t, path)
-    return _fitted(seen) if _tells(seen, path) else None
+    return _fitted(seen) if _tells(fixes_t, seen, path) else None
 
 
-def _tells(seen: Drift, path: GnssPath) -> bool:
+def _tells(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
     """Whether there are means and Doppler enough to say anything of an offset."""
-    return len(seen.t) >= FEWEST and float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER
+    has_doppler = float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER
+    return len(seen.t) >= FEWEST and has_doppler and not follows_positions(fixes_t, path)
+
+
+def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
+    """Whether the motion from one fix, stamped fixes_t (M,) s, to the next says less of the way than positions do.
+
+    White jerk leaves the way between two states open by density times step^2.5 / sqrt(720), Doppler by its noise times
+    the step. Where the former is more, which is from about one fix a second on, the path goes wherever the positions
+    do, with their offset and noise, and is no judge of either.
+    """
+    step = float(median(np.diff(fixes_t))) if len(fixes_t) > 1 else math.inf
+    return bool(path.jerk_density[0] * step**1.5 > math.sqrt(720.0) * path.velocity_sigma[0])
 
 
 def _fitted(seen: Drift) -> OffsetFit:

@@ -13,7 +13,7 @@ from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import Session
-from smoother.trajectory import Trajectory
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
 
 ROW = 0.1  # s, between the rows that are asked about attitude
@@ -24,6 +24,8 @@ class QualityLimits:
     """Limits of the gate. A fix is far when it lies beyond near_fix and beyond near_fix_sigmas times what the receiver
     says of its accuracy, and times the trajectory's own sigma, which contains the receiver's slow wander.
 
+    fix_sigma: up to which wander and noise that were found in the fixes count too. A long session knows its place
+    better than any of its fixes; but a trajectory that went astray would find much of both.
     far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
@@ -42,6 +44,7 @@ class QualityLimits:
 
     near_fix: float = 5.0  # m
     near_fix_sigmas: float = 3.0
+    fix_sigma: float = 4.0  # m
     far_share: float = 0.10
     far_seconds: float = 15.0  # s
     top_speed: float = 110.0  # m/s
@@ -88,8 +91,14 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     reasons = [] if finite else ["some rows have no position or velocity"]
     measures |= _attitude_measures(estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
-    reasons += _residual_reasons(estimate, limits)
+    reasons += _residual_reasons(estimate, limits) + _axes_reasons(estimate)
     return Quality(not reasons, tuple(reasons), measures)
+
+
+def _axes_reasons(estimate: Trajectory) -> list[str]:
+    """Axes that no mounting explains give attitudes that are wrong by ten times their sigmas, and look whole."""
+    wrong = [problem for problem in estimate.report.problems if problem.code in (MIRRORED_AXES, UNLIKE_AXES)]
+    return [problem.text.partition(":")[0] for problem in wrong if estimate.report.mode == "full"]
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
@@ -102,7 +111,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     place = bracket(estimate.t, t[inside])
     gap = position_at(estimate, t[inside])[:, :2] - session.fix_position_n[inside, :2]
     distance = np.hypot(gap[:, 0], gap[:, 1])
-    sigma = _accuracy(session)[inside]
+    sigma = np.fmax(_accuracy(session)[inside], min(_found_in_fixes(estimate), limits.fix_sigma))
     if estimate.sigmas is not None:
         sigma = np.fmax(sigma, np.max(between_rows(estimate.sigmas.position_n, place)[:, :2], axis=1))
     far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
@@ -111,6 +120,13 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
         "far_fix_share": float(np.mean(far)),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
+
+
+def _found_in_fixes(estimate: Trajectory) -> float:
+    """Sigma (m, horizontal per axis) of the fixes by wander and noise, as far as both were identified."""
+    found = [estimate.report.identified.get(name) for name in ("gps_offset_sigma", "gps_position_noise")]
+    values = [np.ravel(one.value)[:1] for one in found if one is not None and one.source == "identified"]
+    return float(np.linalg.norm(np.concatenate(values))) if values else 0.0
 
 
 def _accuracy(session: Session) -> Array:

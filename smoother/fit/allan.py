@@ -62,10 +62,11 @@ class NoiseFigures:
         for name in ("value", "sigma", "upper"):
             object.__setattr__(self, name, frozen(getattr(self, name), (None, 3), f"NoiseFigures.{name}"))
 
-    def allan_deviation(self, tau: Array) -> Array:
-        """Allan deviation (M, D) that these figures mean at tau (M,) s."""
+    def allan_deviation(self, tau: Array, *, of_seen: bool = False) -> Array:
+        """Allan deviation (M, D) that these figures mean at tau (M,) s; of_seen: without the parts that were not."""
         basis = np.stack([1.0 / tau, np.full_like(tau, 2.0 * np.log(2.0) / np.pi), tau / 3.0], axis=1)
-        return np.asarray(np.sqrt(basis @ np.square(self.value).T))
+        value = np.where(self.is_seen, self.value, 0.0) if of_seen else self.value
+        return np.asarray(np.sqrt(basis @ np.square(value).T))
 
 
 def allan_deviation(values: Array, rate: float, tau: Array | None = None) -> AllanDeviation:

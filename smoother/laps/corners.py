@@ -174,6 +174,7 @@ def _corner(
     inside = (d >= bend.start) & (d <= bend.end)
     known = np.isfinite(traces.speed[:, inside]).all(axis=1)
     lowest = np.where(known, np.min(np.nan_to_num(traces.speed[:, inside], nan=np.inf), axis=1), np.nan)
+    lowest = np.where(known, np.fmin(lowest, _slowest(traces, trajectory, bend)), np.nan)
     ends = _at(traces.speed, d, np.array([bend.start, bend.end]))
     braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
@@ -200,6 +201,17 @@ def _corner(
         slide=slide,
         slide_sigma=slide_sigma,
     )
+
+
+def _slowest(traces: Traces, trajectory: Trajectory, bend: Bend) -> Array:
+    """Least speed (L,) m/s of the rows in a bend, NaN where there is none: who stands does so between two distances."""
+    out = np.full(len(traces.t), np.nan)
+    between = _at(traces.t, traces.distance, np.array([bend.start, bend.end]))
+    for lap in np.flatnonzero(np.isfinite(between).all(axis=1)):
+        first, last = np.searchsorted(trajectory.t, between[lap])
+        if last > first:
+            out[lap] = float(np.min(trajectory.speed[first:last]))
+    return out
 
 
 def _speed_sigma(traces: Traces, trajectory: Trajectory, inside: BoolArray) -> Array:

@@ -144,11 +144,11 @@ def alignment(t: Array, before: Array, after: Array, gravity: float) -> Figure:
 
 
 def allan(curves: Mapping[str, AllanDeviation], figures: Mapping[str, NoiseFigures]) -> Figure:
-    """Allan deviation of each sensor with error bars, and what the fitted figures mean."""
-    figure = style.new_figure("Noise at rest: Allan deviation (points) and the fitted noise (lines)", 12.0, 6.2)
+    """Allan deviation of each sensor with error bars, and what those of the fitted figures mean that were seen."""
+    figure = style.new_figure("Noise at rest: Allan deviation (points) and the noise seen in it (lines)", 12.0, 6.2)
     for axes, (name, curve) in zip(figure.subplots(1, 2), curves.items(), strict=True):
         factor, unit = (1.0 / DEG, "deg/s") if name == "gyroscope" else (1.0, "m/s²")
-        model = figures[name].allan_deviation(curve.tau)
+        model = figures[name].allan_deviation(curve.tau, of_seen=True)
         for i in range(3):
             colour = style.AXES_COLOURS[i]
             value, sigma = factor * curve.deviation[:, i], factor * curve.sigma[:, i]

@@ -1,23 +1,17 @@
-"""calibration.html: one self-contained page with every number, its sigma and the figures. Writes; computes nothing."""
+"""calibration.html: every number with its sigma and the figures, in the look of report.html and as self-contained.
+
+Writes; computes nothing.
+"""
 
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from smoother.documents import replacing
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; }
-h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; border-top: 1px solid #ddd; padding-top: 1rem; }
-table { border-collapse: collapse; margin: .5rem 0; }
-td, th { padding: .15rem 1.2rem .15rem 0; text-align: left; vertical-align: top; }
-th { font-weight: 600; border-bottom: 1px solid #bbb; }
-td.n { font-variant-numeric: tabular-nums; }
-p { margin: .3rem 0; } .note { color: #666; } img { max-width: 100%; margin: .6rem 0; }
-"""
+from smoother.report.page_charts import styled_alike, theme
+from smoother.report.page_html import Child, element, row, table
 
 
 @dataclass(frozen=True)
@@ -32,36 +26,37 @@ class Section:
 
 
 def write_page(path: Path, title: str, sections: Sequence[Section], refusals: Sequence[tuple[str, str]]) -> None:
-    """Write the page; refusals are (procedure, reason). Texts from files are escaped."""
-    parts = [f"<h1>{escape(title)}</h1>", "<p>Each number stands with one standard deviation (sigma).</p>"]
-    parts += [_section(section) for section in sections]
-    if refusals:
-        rows = "".join(f"<tr><td>{escape(name)}</td><td>{escape(reason)}</td></tr>" for name, reason in refusals)
-        parts.append(f"<h2>Not calibrated</h2><table><tr><th></th><th>why, and what to do</th></tr>{rows}</table>")
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
-    text = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
+    """Write the page; refusals are (procedure, reason). What comes from files is text."""
+    said = element("p", "Each number stands with one standard deviation (sigma).")
+    body = [
+        element("header", element("div", element("h1", title), said), element("div", theme(), class_="settings")),
+        element("main", *(part for section in sections for part in _section(section)), *_refused(refusals)),
+    ]
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(styled_alike(title, body), encoding="utf-8")
 
 
-def _section(section: Section) -> str:
-    parts = [f"<h2>{escape(section.title)}</h2>"]
-    parts += [f'<p class="note">{escape(remark)}</p>' for remark in section.remarks]
+def _section(section: Section) -> list[Element]:
+    parts = [element("h2", section.title), *(element("p", remark, class_="soft") for remark in section.remarks)]
     if section.rows:
-        rows = "".join(_row(*row) for row in section.rows)
-        parts.append(f"<table><tr><th></th><th>value ± sigma</th><th></th><th></th></tr>{rows}</table>")
+        parts.append(_words(["", "value ± sigma", "", ""], [(*cells, _soft(note)) for *cells, note in section.rows]))
     if section.comparisons:
-        rows = "".join(
-            f'<tr><td>{escape(name)}</td><td class="n">{escape(before)}</td><td class="n">{escape(after)}</td></tr>'
-            for name, before, after in section.comparisons
-        )
-        parts.append(f"<table><tr><th></th><th>before</th><th>after</th></tr>{rows}</table>")
+        parts.append(_words(["", "before", "after"], section.comparisons))
     if section.figure is not None:
         data = base64.b64encode(section.figure.read_bytes()).decode("ascii")
-        parts.append(f'<img alt="{escape(section.title)}" src="data:image/png;base64,{data}">')
-    return "".join(parts)
+        parts.append(element("figure", element("img", alt=section.title, src=f"data:image/png;base64,{data}")))
+    return parts
 
 
-def _row(name: str, value: str, unit: str, note: str) -> str:
-    cells = f'<td>{escape(name)}</td><td class="n">{escape(value)}</td><td>{escape(unit)}</td>'
-    return f'<tr>{cells}<td class="note">{escape(note)}</td></tr>'
+def _refused(refusals: Sequence[tuple[str, str]]) -> list[Element]:
+    if not refusals:
+        return []
+    return [element("h2", "Not calibrated"), _words(["", "why, and what to do"], refusals)]
+
+
+def _words(heads: Sequence[str], rows: Sequence[Sequence[Child]]) -> Element:
+    return table(heads, [row(*cells) for cells in rows], class_="words")
+
+
+def _soft(note: str) -> Element:
+    return element("td", note, class_="soft")

@@ -40,11 +40,16 @@ TITLE = "Comparison on one reference line"
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One session: its name for people, its results, its laps on the common line."""
+    """One session: its name for people, its results, its laps on the common line.
+
+    reference: index in the laps of the one that all are compared with, None where that is another session's. Names
+    could not tell it: two sessions may be called alike.
+    """
 
     name: str
     stored: Stored
     analysis: LapAnalysis
+    reference: int | None = None
 
     @property
     def statistics(self) -> Statistics | None:
@@ -112,7 +117,7 @@ def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
     for one, laps in drawn:
         assert one.analysis.traces is not None
         part = lap_traces(one.analysis.traces, one.stored.trajectory, middle, laps, columns)
-        is_reference = [_lap_name(one, i) == one.analysis.reference_name for i in laps]
+        is_reference = [i == one.reference for i in laps]
         part["delta_sigma"] = np.where(np.array(is_reference)[:, None], 0.0, part["delta_sigma"])
         parts.append(part)
     shape = {name: [len(part["x"]) for part in parts] for name in {name for part in parts for name in part}}
@@ -182,7 +187,7 @@ def _best_row(one: Compared, sectors: int, least: float) -> Element:
 def _lost(one: Compared, lap: int) -> Element:
     """A cell with what a whole lap lost to the lap that all are compared with."""
     traces: Traces | None = one.analysis.traces
-    if traces is None or _lap_name(one, lap) == one.analysis.reference_name:
+    if traces is None or lap == one.reference:
         return element("td", number(0.0, 3, signed=True))
     lost, sigma = float(traces.delta[lap, -1]), float(traces.delta_sigma[lap, -1])
     if not np.isfinite(lost):
@@ -225,7 +230,7 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
 
 
 def _lost_in(one: Compared, corner: Corner, lap: int) -> Element:
-    if _lap_name(one, lap) == one.analysis.reference_name:  # the lap that all are compared with
+    if lap == one.reference:
         return element("td", number(0.0, 2, signed=True), class_="noise")
     return lost_cell(corner, lap)
 

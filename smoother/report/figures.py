@@ -356,8 +356,18 @@ def _draw_close_up(axes: Axes, whole: Axes, shown: Shown) -> None:
     _draw_tracks(axes, shown, 4.5, (x_limits, y_limits), (middle - 0.5 * PASS_TIME, middle + 0.5 * PASS_TIME))
     axes.set_title(f"Corner at {style.clock(middle - shown.start)}")
     style.outside_legend(axes)
-    size = x_limits[1] - x_limits[0], y_limits[1] - y_limits[0]
-    whole.add_patch(Rectangle((x_limits[0], y_limits[0]), *size, fill=False, edgecolor=style.INK, linewidth=1.0))
+    axes.apply_aspect()  # widens the limits until metres are alike: the frame is of what is seen
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    frame = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=style.INK, linewidth=1.0)
+    whole.add_patch(frame)
+    whole.set_xlim(_holding(whole.get_xlim(), left, right), auto=True)
+    whole.set_ylim(_holding(whole.get_ylim(), bottom, top), auto=True)
+
+
+def _holding(limits: Limits, low: float, high: float) -> Limits:
+    """The limits, wide enough for a frame with some paper around it."""
+    space = 0.02 * (limits[1] - limits[0])
+    return min(limits[0], low - space), max(limits[1], high + space)
 
 
 def _tightest(trajectory: Trajectory) -> int:

@@ -65,7 +65,7 @@ def recorded_check(session: Session) -> Check:
 
 def _contents(told: words.Told) -> Element:
     places = [("laps", "Laps"), ("driving", "Map and traces"), ("corners", "Corners"), ("circle-title", "Grip")]
-    places += [("compared", "Baseline against smoother"), ("quality", "Can I trust this?")]
+    places += [("compared", _compared_title(told)), ("quality", "Can I trust this?")]
     has_laps, has_corners = told.laps is not None and told.laps.laps, told.laps is not None and told.laps.corners
     hidden = {*(() if has_laps else ("laps",)), *(() if has_corners else ("corners",))}
     links = [element("a", name, href=f"#{place}") for place, name in places if place not in hidden]
@@ -74,6 +74,7 @@ def _contents(told: words.Told) -> Element:
 
 def _charts(told: words.Told, numbers: Document) -> list[Element]:
     title = "Map and traces" if told.laps is not None and told.laps.traces is not None else "The session"
+    drawn = "Fixes, baseline and smoother" if told.baseline is not None else "Fixes and smoother"
     return [
         element("h2", title, id="driving"),
         *_left_out(told),
@@ -82,12 +83,12 @@ def _charts(told: words.Told, numbers: Document) -> list[Element]:
         *words.corner_section(told),
         element("h2", "Grip: accelerations forward and sideways", id="circle-title"),
         grip(_circle_words(told)),
-        element("h2", "Baseline against smoother", id="compared"),
+        element("h2", _compared_title(told), id="compared"),
         element("p", _compared_words(told), class_="soft"),
         *words.baseline_section(told),
         element(
             "div",
-            figure("compared-map", "Fixes, baseline and smoother"),
+            figure("compared-map", drawn),
             figure("compared-speed", "Speed"),
             class_="pair",
         ),
@@ -118,6 +119,10 @@ def _circle_words(told: words.Told) -> str:
         "Each dot is a moment: up is driving, down is braking, left and right are corners to that side. Grey: the "
         f"whole session; in colour: the laps and the part of the track shown above. From {source}, gravity removed."
     )
+
+
+def _compared_title(told: words.Told) -> str:
+    return "Baseline against smoother" if told.baseline is not None else "GPS fixes against smoother"
 
 
 def _compared_words(told: words.Told) -> str:

@@ -13,16 +13,28 @@ Part = tuple[str, tuple[float, float]]  # of the track: name, and ends in m
 
 def styled(title: str, body: Sequence[Element], numbers: Document) -> str:
     """Return the page with the one style and script of all pages; body begins with the header."""
-    style, script = ((TEMPLATE / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     told = element("noscript", element("p", "The charts need JavaScript; the tables do not.", class_="bad"))
-    return whole_page(title, [body[0], told, *body[1:]], style, script, numbers)
+    return whole_page(title, [body[0], told, *body[1:]], _text("page.css"), _text("theme.js", "page.js"), numbers)
+
+
+def styled_alike(title: str, body: Sequence[Element]) -> str:
+    """Return a page of tables and pictures that looks like the pages with charts, and follows their theme."""
+    return whole_page(title, body, _text("page.css"), _text("theme.js"), has_pictures=True)
+
+
+def _text(*names: str) -> str:
+    return "".join((TEMPLATE / name).read_text(encoding="utf-8") for name in names)
 
 
 def settings() -> Element:
     """Unit of speed, and theme."""
-    theme = _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
     units = _select("units", "Speed", [("km/h", "km/h"), ("mph", "mph")])
-    return element("div", units, theme, class_="settings")
+    return element("div", units, theme(), class_="settings")
+
+
+def theme() -> Element:
+    """Light, dark, or as the device has it."""
+    return _select("theme", "Theme", [("auto", "as the device"), ("light", "light"), ("dark", "dark")])
 
 
 def _select(name: str, label: str, options: list[tuple[str, str]]) -> Element:

@@ -66,9 +66,12 @@ def json_in_script(document: object) -> str:
     return json.dumps(document, allow_nan=False, separators=(",", ":")).translate(_JSON_ESCAPES)
 
 
-def whole_page(title: str, body: Sequence[Element], style: str, script: str, data: object) -> str:
-    """Return the page: `data` as JSON in the element `data`, then the script."""
+def whole_page(
+    title: str, body: Sequence[Element], style: str, script: str, data: object = None, *, has_pictures: bool = False
+) -> str:
+    """Return the page: `data` as JSON in the element `data`, then the script. has_pictures: within the page itself."""
     policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'"
+    policy += "; img-src data:" if has_pictures else ""
     head = (
         '<meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

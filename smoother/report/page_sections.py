@@ -278,7 +278,21 @@ def baseline_section(told: Told) -> list[Element]:
     rows = [row(name, *values) for name, *values in _differences(told)]
     if not rows:
         return []
-    return [table(["", "rms difference", "largest"], rows)]
+    return [table(["", "rms difference", "largest"], rows), *_lost_north(told)]
+
+
+def _lost_north(told: Told) -> list[Element]:
+    """Why the yaw of the baseline may be anywhere, where it is shown and has no compass to hold it."""
+    baseline = told.baseline
+    if baseline is None or not np.isfinite(told.smoothed.R_nb).any():
+        return []
+    if not any(problem.code == "baseline_no_magnetometer" for problem in baseline.report.problems):
+        return []
+    text = (
+        "Without a calibrated compass nothing holds the yaw of the baseline: it comes from the first minute's motion "
+        "and drifts from there. The older method depends on a calibrated box (smooth calibrate); the smoother does not."
+    )
+    return [element("p", text, class_="soft")]
 
 
 def _differences(told: Told) -> Iterator[tuple[str, str, str]]:

@@ -1,16 +1,20 @@
 """AiM CSV as Race Studio exports it: quoted rows about the session, names, units, and the values at an even rate.
 
-Times count from the start of the log; its date and time of day are local and so no UTC. Only the GPS channels are used:
-which way the inertial channels of a given AiM box point, the file does not say.
+Times count from the start of the log, whose date and time of day are local: without a word about the zone they are
+taken as this computer's, and said so. They tell when laps began, and take no part in the clock of the fixes. Only the
+GPS channels are used: which way the inertial channels of a given AiM box point, the file does not say.
 """
 
+import datetime as dt
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.foreign import LENGTH_UNITS, SPEED_UNITS, ForeignReading, factor, fixes_from
+from smoother.session.foreign import LENGTH_UNITS, SPEED_UNITS, ForeignReading, date_note, factor, fixes_from
 from smoother.session.records import head_of, read_records
 
 WHAT = "AiM CSV with GPS channels"
@@ -18,15 +22,29 @@ MARK = "aim csv file"
 TIME, LATITUDE, LONGITUDE = "time", "gps latitude", "gps longitude"
 OPTIONAL = ("gps speed", "gps nsat", "gps heading", "gps altitude", "gps posaccuracy", "gps spdaccuracy")
 INERTIAL = ("inlineacc", "lateralacc", "rollrate", "yawrate")
+MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,]\d*)?)?\s*([ap]m)?", re.IGNORECASE)
+NAMED_DATE = (  # April 11, 2026; 11 April 2026; 11-Apr-2026
+    re.compile(r"\b(?P<month>[a-z]{3})[a-z]*\.?\s+(?P<day>\d{1,2}),?\s+(?P<year>\d{4})\b"),
+    re.compile(r"\b(?P<day>\d{1,2})\.?[\s-]+(?P<month>[a-z]{3})[a-z]*\.?,?[\s-]+(?P<year>\d{4})\b"),
+)
+YEAR_FIRST = re.compile(r"\b(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})\b")
+YEAR_LAST = re.compile(r"\b(\d{1,2})([-/.])(\d{1,2})\2(\d{4})\b")
+OLDEST_YEAR = 1990  # of a date that is one: GPS is little older
+OWN_UTC = "time is utc."  # as this program's own export says
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """Names (lower case, repeated ones made different) and units of the columns, and what stands between cells."""
+    """Names (lower case, repeated ones made different) and units of the columns, and what stands between cells.
+
+    about : the first value of each row before them, by its name in lower case.
+    """
 
     names: list[str]
     units: list[str]
     separator: str
+    about: dict[str, str]
 
     def unit(self, name: str) -> str:
         return self.units[self.names.index(name)]
@@ -62,7 +80,58 @@ def read_aim(path: Path) -> ForeignReading:
     if unused:
         text = f"{path.name}: the inertial channels ({', '.join(unused)}) are not used: their axes are not known"
         problems = [Problem("imu_axes_unknown", text), *problems]
-    return ForeignReading(gnss, [*records.problems(path.name), *problems])
+    unix_at_zero, date_problems = _start(path.name, columns.about)
+    problems = [*records.problems(path.name), *date_problems, *problems]
+    return ForeignReading(gnss, problems, unix_at_zero=unix_at_zero)
+
+
+def _start(file: str, about: dict[str, str]) -> tuple[float | None, list[Problem]]:
+    """UTC at which the log began, to the minute or second it was written to, and what had to be assumed for it."""
+    day, clock = _day(about.get("date", "")), _clock(about.get(TIME, ""))
+    if day is None or clock is None:
+        return None, [date_note(file, "no date and time of day in it that can be read one way; laps have none")]
+    moment = dt.datetime.combine(day, clock)
+    if OWN_UTC in about.get("comment", "").lower():
+        return moment.replace(tzinfo=dt.UTC).timestamp(), []
+    zone = moment.astimezone()
+    text = f"date and time of day are local, the zone is not in it; taken as this computer's ({zone:%Z})"
+    return zone.timestamp(), [date_note(file, text)]
+
+
+def _clock(text: str) -> dt.time | None:
+    if (match := CLOCK.fullmatch(text.strip())) is None:
+        return None
+    hour, half = int(match[1]), (match[4] or "").lower()
+    if half and not 1 <= hour <= 12:
+        return None
+    hour = hour % 12 + 12 * (half == "pm") if half else hour
+    try:
+        return dt.time(hour, int(match[2]), int(match[3] or 0))
+    except ValueError:
+        return None
+
+
+def _day(text: str) -> dt.date | None:
+    """The day of a date in English words or in numbers, None where the order of day and month is anybody's guess."""
+    text = text.lower()
+    for pattern in NAMED_DATE:
+        for match in pattern.finditer(text):
+            if match["month"] in MONTHS:
+                return _date(int(match["year"]), MONTHS.index(match["month"]) + 1, int(match["day"]))
+    if iso := YEAR_FIRST.search(text):
+        return _date(int(iso[1]), int(iso[2]), int(iso[3]))
+    if numbers := YEAR_LAST.search(text):
+        first, second, year = int(numbers[1]), int(numbers[3]), int(numbers[4])
+        days = {_date(year, second, first), *([] if numbers[2] == "." else [_date(year, first, second)])} - {None}
+        return days.pop() if len(days) == 1 else None
+    return None
+
+
+def _date(year: int, month: int, day: int) -> dt.date | None:
+    try:
+        return dt.date(year, month, day) if year >= OLDEST_YEAR else None
+    except ValueError:
+        return None
 
 
 def _header(path: Path) -> tuple[_Columns, int]:
@@ -81,7 +150,13 @@ def _header(path: Path) -> tuple[_Columns, int]:
     names = _cells(lines[-2], separator)
     names = [name if names.index(name) == i else f"{name} #{i}" for i, name in enumerate(names)]
     units = _cells(lines[-1], separator)
-    return _Columns(names, (units + [""] * len(names))[: len(names)], separator), offset
+    return _Columns(names, (units + [""] * len(names))[: len(names)], separator, _about(lines[:-2], separator)), offset
+
+
+def _about(lines: Sequence[str], separator: str) -> dict[str, str]:
+    """What each row about the session says, by its first cell in lower case; the last wins."""
+    rows = [line.partition(separator) for line in lines]
+    return {name.strip(' "').lower(): rest.strip(' "\r\n' + separator) for name, _, rest in rows}
 
 
 def _separator(line: str) -> str:

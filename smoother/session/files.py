@@ -1,6 +1,6 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,8 +11,22 @@ Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
+IMU_NAMES = ("imu.csv", "imu.csv.gz")
+OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
+WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
+    "log": "*.klg",
+    "out": "out.txt",
+    "fixes": "gps.csv",
+    "imu": "imu.csv with fixes",
+    "sentences": "*.nmea",
+    "vbo": "*.vbo",
+    "racechrono": "RaceChrono .csv",
+    "aim": "AiM .csv",
+    "gpx": "*.gpx",
+}
+PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,7 @@ class SessionFiles:
         """imu.csv, or the IMU table that was named."""
         if self._is_foreign:
             return None
-        return self._chosen_as("imu") or self.find("imu.csv", "imu.csv.gz")
+        return self._chosen_as("imu") or self.find(*IMU_NAMES)
 
     def fix_table(self) -> Path | None:
         """gps.csv, or the table of fixes that was named; none if a log of sentences was."""
@@ -87,12 +101,47 @@ class SessionFiles:
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
         return next((path for path in paths if _holds_sentences(path)), None)
 
+    def recordings(self) -> list[Path]:
+        """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
+        tables = [self.directory / name for name in self.names if name.lower() in OWN_NAMES]
+        others = [*self.logs(), *self.sentence_logs(), *(path for _, path in self.foreign_files())]
+        unnamed = self.unnamed_sentences()
+        return list(dict.fromkeys([*tables, *others, *([] if unnamed is None else [unnamed])]))
+
+    def others_beside(self) -> list[Path]:
+        """Recordings in the folder of a file that was named, other than it: by their names of another drive.
+
+        A motion sensor's table belongs to whatever fixes are named; of two formats of one name, one drive was exported.
+        """
+        if self.chosen is None or self.chosen[1] == "log":
+            return []
+        chosen, role = self.chosen
+        beside = [*replace(self, chosen=None).recordings(), *(self._fix_tables() if role != "imu" else [])]
+        of_imu = [path for path in beside if path.name.lower() in IMU_NAMES]
+        found = of_imu if role == "imu" else [path for path in beside if path not in of_imu]
+        return [path for path in dict.fromkeys(found) if path.stem != chosen.stem]
+
+    def _fix_tables(self) -> list[Path]:
+        """Every table with fixes, whatever it is called."""
+        return [self.directory / name for name in self.names if _holds_fixes(self.directory / name)]
+
     def session_name(self) -> str:
         """Name of the directory, or of the file where one of several recordings in it was named."""
-        own_names = {"imu.csv", "gps.csv", "imu.csv.gz", "gps.csv.gz", OUT_NAME}
-        if self.chosen is not None and self.chosen[0].name.lower() not in own_names:
+        if self.chosen is not None and self.chosen[0].name.lower() not in OWN_NAMES:
             return self.chosen[0].name.partition(".")[0] or "session"
         return self.directory.resolve().name or "session"
+
+
+def wanted() -> str:
+    """Every kind of recording, for a sentence about one that is none of them."""
+    *most, last = WANTED.values()
+    return f"{', '.join(most)} or {last}"
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a file has others packed into it; a table that is compressed is read as it is."""
+    name = path.name.lower()
+    return name.endswith(PACKED_SUFFIXES) and not name.endswith(".csv.gz")
 
 
 def list_files(path: Path) -> SessionFiles:
@@ -116,6 +165,13 @@ def _holds_sentences(path: Path) -> bool:
             return b"$G" in file.read(HEAD_BYTES)
     except OSError:
         return False  # it is not what anybody asked for
+
+
+def _holds_fixes(path: Path) -> bool:
+    try:
+        return path.name.lower().endswith((".csv", ".csv.gz")) and _table_role(path) == "fixes"
+    except SessionError:  # the truth, or nothing that can be read
+        return False
 
 
 def foreign_kind(path: Path) -> Foreign | None:
@@ -161,7 +217,9 @@ def _role(path: Path) -> Role | None:
         return "out"
     if b"$G" in head:
         return "sentences"
-    raise SessionError(f"{path}: no known kind of recording; wanted a directory, .klg, out.txt, .csv or .nmea")
+    if is_packed(path):
+        raise SessionError(f"{path}: packed; unpack it first, then name what was in it")
+    raise SessionError(f"{path}: no known kind of recording; wanted a folder, or {wanted()}")
 
 
 def _table_role(path: Path) -> Role | None:

@@ -41,12 +41,16 @@ class TimingLine:
 
 @dataclass(frozen=True, eq=False)
 class ForeignReading:
-    """What a file of another program holds. `imu` only where it has all six inertial channels."""
+    """What a file of another program holds. `imu` only where it has all six inertial channels.
+
+    unix_at_zero : UTC at t = 0 where the file tells it, but not with each fix.
+    """
 
     gnss: GnssFixes
     problems: list[Problem] = field(default_factory=list)
     imu: RawImu | None = None
     timing_lines: tuple[TimingLine, ...] = ()
+    unix_at_zero: float | None = None
 
 
 def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> tuple[GnssFixes, list[Problem]]:

@@ -31,6 +31,26 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
 
 
+def dead_axes(imu: RawImu) -> list[tuple[str, str]]:
+    """Sensor and letter of each axis that reads one and the same value throughout, which noise keeps live ones from."""
+    return [
+        (sensor, "xyz"[axis])
+        for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro))
+        for axis in _constant(values)
+    ]
+
+
+def _constant(values: Array) -> list[int]:
+    """Columns of (N, 3) samples that never change; of live ones no more than the first part is looked at."""
+    same = list(range(values.shape[1])) if len(values) > 1 else []
+    for part in pieces(len(values)):
+        same = [axis for axis in same if np.all(values[part, axis] == values[0, axis])]
+        release(values)
+        if not same:
+            break
+    return same
+
+
 def _any_of_row(bad: BoolArray) -> BoolArray:
     """Whether any of the three is; ten times faster than numpy's any along such a short axis."""
     return np.asarray(bad[:, 0] | bad[:, 1] | bad[:, 2])

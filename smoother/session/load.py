@@ -6,7 +6,9 @@ reads a format is imported when one is met, because a session has one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import itertools
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,9 +20,10 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.files import Foreign, SessionFiles, list_files
+from smoother.session.files import OWN_NAMES, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.inertial import dead_axes
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -36,12 +39,15 @@ FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
+SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
+RESULTS = {"trajectory.csv", "summary.json"}  # in a folder of ours
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -57,15 +63,17 @@ class Recording:
     imu_file: str = ""
     mag: RawMag | None = None
     mag_calibration_field: Array | None = None
+    unix_at_zero: float | None = None  # where the file tells it, but not with each fix
 
 
 @dataclass(frozen=True)
 class Format:
-    """One way a session may be recorded: whether it is there, and how to read it."""
+    """One way a session may be recorded: whether it is there, how to read it, and which files it speaks of itself."""
 
     name: str
     recognises: Callable[[SessionFiles], bool]
     read: Callable[[SessionFiles], Recording]
+    own: Callable[[SessionFiles], list[Path]]
 
 
 def load_raw(path: Path) -> RawSession:
@@ -75,17 +83,62 @@ def load_raw(path: Path) -> RawSession:
     nothing usable is left: no known file, no fix, files on clocks that do not overlap; ConfigError for settings.
     """
     files = list_files(path)
-    for form in FORMATS:
-        if form.recognises(files):
-            return _finish(files, form.read(files))
+    if (form := _format_of(files)) is not None:
+        recording = form.read(files)
+        problems = (*recording.problems, *_left_out(files, form, recording))
+        return _finish(files, replace(recording, problems=problems))
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
         raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
-    raise SessionError(
-        f"{path}: no recording found; wanted *.klg, out.txt, or gps.csv or *.nmea (and imu.csv if there is one), "
-        "or a .vbo, .gpx, RaceChrono or AiM file"
-    )
+    if packed := [name for name in files.names if is_packed(Path(name))]:
+        raise SessionError(f"{path}: no recording found, but {packed[0]}, which is packed; unpack it first")
+    if (below := _session_below(path)) is not None:
+        raise SessionError(
+            f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
+            f"for all of them: smooth batch {path}"
+        )
+    raise SessionError(f"{path}: no recording found; wanted {wanted()}")
+
+
+def _session_below(path: Path) -> Path | None:
+    """The first folder in a folder that holds a recording, if one is among the first that are looked at."""
+    if not path.is_dir():
+        return None
+    for here, below, names in itertools.islice(os.walk(path), MOST_FOLDERS):
+        below[:] = sorted(name for name in below if not name.startswith("."))
+        if RESULTS.issubset(names):
+            below.clear()
+        elif Path(here) != path and _holds_recording(Path(here)):
+            return Path(here)
+    return None
+
+
+def _holds_recording(folder: Path) -> bool:
+    try:
+        return bool(list_files(folder).recordings())
+    except SessionError:  # it is closed to us
+        return False
+
+
+def _format_of(files: SessionFiles) -> Format | None:
+    return next((form for form in FORMATS if form.recognises(files)), None)
+
+
+def _left_out(files: SessionFiles, form: Format, recording: Recording) -> Iterator[Problem]:
+    """What to say of recordings in a folder that are of another kind than the one that is read."""
+    if files.chosen is not None:
+        return
+    own = {path.name for path in form.own(files)} | set(recording.inputs)
+    if others := [path for path in files.recordings() if path.name not in own]:
+        yield Problem("recordings_unused", _preferred(recording.gnss_file, others))
+
+
+def _preferred(used: str, others: Sequence[Path]) -> str:
+    """The sentence about recordings that are not used; their number stands in it, being the problem's count."""
+    names = ", ".join(path.name for path in others)
+    count = "" if len(others) == 1 else f"{len(others)} others: "
+    return f"{used} is used, not {count}{names}; name a file to have that one"
 
 
 def _finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -98,6 +151,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
+        problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -110,15 +164,15 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
         problems=tuple(problems),
-        unix_at_zero=_unix_at_zero(gnss),
+        unix_at_zero=_unix_at_zero(gnss, recording.unix_at_zero),
     )
 
 
-def _unix_at_zero(gnss: GnssFixes) -> float | None:
+def _unix_at_zero(gnss: GnssFixes, otherwise: float | None) -> float | None:
     assert gnss.unix_s is not None
     difference = gnss.unix_s - gnss.t
     known = np.isfinite(difference)
-    return float(np.median(difference[known])) if np.any(known) else None
+    return float(np.median(difference[known])) if np.any(known) else otherwise
 
 
 def _require_fixes(recording: Recording) -> None:
@@ -183,6 +237,15 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
     if rate > PLAUSIBLE_RATE:
         yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+
+
+def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
+    """What to say of axes that never change while others do. If none does, the smoother sees that none can be used."""
+    dead = dead_axes(imu)
+    if 0 < len(dead) < SENSORS * SENSOR_AXES:
+        axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
+        text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
+        yield Problem("imu_axis_dead", text)
 
 
 def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
@@ -308,6 +371,15 @@ def recording_on_card(file: Path) -> LogFiles | None:
     return next(mine, None) if len(found) > 1 else None
 
 
+def place_of_its_own(path: Path) -> str:
+    """Return what the folder for the results of a file is called if it is one of several recordings, else ""."""
+    if (on_card := recording_on_card(path)) is not None:
+        return on_card.name
+    if not path.is_file() or path.name.lower() in OWN_NAMES:
+        return ""
+    return path.stem if list_files(path).others_beside() else ""
+
+
 def _read_log(files: SessionFiles) -> Recording:
     from smoother.session.log import list_recordings, read_log, read_mag_calibration
 
@@ -383,8 +455,7 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
 
         gnss, problems = read_fixes(table)
         if logs and files.chosen is None:
-            names = ", ".join(log.name for log in logs)
-            problems.append(Problem("gps_csv_preferred", f"{table.name} is used, not {names}"))
+            problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems
     from smoother.session.nmea import read_nmea
 
@@ -392,8 +463,7 @@ def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path
     reading = read_nmea(log)
     problems = list(reading.problems)
     if len(logs) > 1:
-        others = ", ".join(other.name for other in logs[1:])
-        text = f"{log.name}, the largest log, is used, not {others}; name a file to have that one"
+        text = _preferred(f"{log.name}, the largest log,", logs[1:])
         problems.append(Problem("gps_other_logs", text, len(logs) - 1))
     if has_imu and not reading.has_receive_times:
         text = f"{log.name}: no receive times before the sentences; taken to start together with the IMU"
@@ -427,17 +497,39 @@ def _read_foreign(files: SessionFiles) -> Recording:
     reading = _foreign_reader(kind)(path)
     problems = list(reading.problems)
     if others:
-        names = ", ".join(other.name for _, other in others)
-        text = f"{path.name} is used, not {names}; name a file to have that one"
+        text = _preferred(path.name, [other for _, other in others])
         problems.append(Problem("gps_other_logs", text, len(others)))
     if (table := files.imu_table()) is not None:
         problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
-    return Recording(reading.gnss, path.name, (path.name,), tuple(problems), reading.imu, path.name)
+    return Recording(
+        reading.gnss,
+        path.name,
+        (path.name,),
+        tuple(problems),
+        reading.imu,
+        path.name,
+        unix_at_zero=reading.unix_at_zero,
+    )
+
+
+def _own_of_columns(files: SessionFiles) -> list[Path]:
+    tables = (files.imu_table(), files.fix_table())
+    return [*(table for table in tables if table is not None), *files.sentence_logs()]
+
+
+def _own_of_foreign(files: SessionFiles) -> list[Path]:
+    imu = files.imu_table()
+    return [*(path for _, path in files.foreign_files()), *([] if imu is None else [imu])]
 
 
 FORMATS: tuple[Format, ...] = (
-    Format("log", lambda files: bool(files.logs()), _read_log),
-    Format("thesis", lambda files: files.out_file() is not None, _read_thesis),
-    Format("columns", lambda files: files.fix_table() is not None or bool(files.sentence_logs()), _read_columns),
-    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign),
+    Format("log", lambda files: bool(files.logs()), _read_log, SessionFiles.logs),
+    Format("thesis", lambda files: files.out_file() is not None, _read_thesis, lambda files: []),
+    Format(
+        "columns",
+        lambda files: files.fix_table() is not None or bool(files.sentence_logs()),
+        _read_columns,
+        _own_of_columns,
+    ),
+    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign, _own_of_foreign),
 )

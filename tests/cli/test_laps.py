@@ -132,6 +132,29 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
 
 
+def called(capsys: Captured, *sessions: Path) -> tuple[list[str], str]:
+    """Names of the sessions of a comparison, and the lap that all are compared with."""
+    assert run(["compare", *map(str, sessions), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    return [one["session"] for one in document["sessions"]], document["reference"]
+
+
+def test_sessions_in_folders_of_one_name_are_told_apart(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    places = [tmp_path / "day" / place for place in ("kart1/run1", "kart2/run2", "kart3/run1")]
+    for place, name in zip(places, ("saturday", "sunday", "sunday"), strict=True):
+        shutil.copytree(lapped / name, place)
+    names, reference = called(capsys, *places)
+    assert names == ["kart1/run1", "kart2/run2", "kart3/run1"]
+    assert reference.split(" lap ")[0] in names
+    page = (places[0] / "smoothed" / "comparison.html").read_text(encoding="utf-8")
+    assert f'"against_name":"{reference}"' in page
+    assert page.count("<td>+0.000</td>") == 1  # what the best of all lost; the twins are two drives of equal times
+    assert run(["compare", *map(str, places)]) == 0
+    said = capsys.readouterr().out
+    assert f"lost against {reference}" in said
+    assert all(said.count(name) >= 3 for name in names)
+
+
 def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     sessions = [str(lapped / "saturday"), str(lapped / "sunday")]
     assert run(["compare", *sessions, "--out", str(tmp_path / "page.html")]) == 0

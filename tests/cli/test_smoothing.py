@@ -88,6 +88,21 @@ def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Ca
     assert list((out / "figures").iterdir()) == [mine]
 
 
+def test_what_is_removed_of_an_earlier_run_is_said_and_leaves_no_empty_folder(monday: Path, capsys: Captured) -> None:
+    out = monday / "smoothed"
+    assert run([str(monday)]) == 0
+    pictures = len(list((out / "figures").iterdir()))
+    assert "removed" not in capsys.readouterr().err
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 0
+    output = capsys.readouterr()
+    json.loads(output.out)
+    (said,) = output.err.splitlines()
+    assert f"{out}: removed baseline.csv, report.html and {pictures} figures of an earlier run" in said
+    assert not (out / "figures").exists()
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_one_file_of_a_session_stands_for_it(monday: Path, tmp_path: Path) -> None:
     out = tmp_path / "elsewhere" / "deep"
     assert run([str(monday / "gps.csv"), "--out", str(out), *TABLES_ONLY]) == 0
@@ -128,10 +143,51 @@ def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_
         assert contents(place) == before
 
 
+def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys: Captured) -> None:
+    monday = tmp_path / "monday"
+    assert run(["simulate", str(monday), "--duration", "60", "--seed", "3"]) == 0
+    assert run(["check", str(monday)]) == 0
+    samples = pl.read_csv(monday / "imu.csv")
+    samples.with_columns(-pl.col("ay"), -pl.col("gy")).write_csv(monday / "imu.csv")
+    capsys.readouterr()
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert any("not right-handed" in reason for reason in document["quality"]["reasons"])
+    assert "imu_mirrored" in [problem["code"] for problem in document["problems"]]
+    assert run(["check", str(monday), "--json"]) == 3
+    assert any("not right-handed" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
+
+
+@pytest.fixture(scope="module")
+def results(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results") / "smoothed"
+    assert run([str(simulated), "--out", str(out), *TABLES_ONLY]) == 0
+    return out
+
+
 def test_results_are_no_recording(monday: Path, capsys: Captured) -> None:
     assert run([str(monday), *TABLES_ONLY]) == 0
     assert run([str(monday / "smoothed"), *TABLES_ONLY]) == 2
     assert "holds results, not a recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "laps.csv", "monday.vbo"])
+@pytest.mark.parametrize(
+    "command",
+    [[], ["check"], ["laps"], ["batch"], ["export", "FILE", "gpx"], ["compare", "FILE", "FILE"], ["evaluate"]],
+    ids=lambda command: " ".join(command) or "smooth",
+)
+def test_a_file_of_results_is_no_recording_either(
+    results: Path, tmp_path: Path, capsys: Captured, name: str, command: list[str]
+) -> None:
+    place = Path(shutil.copytree(results, tmp_path / "smoothed"))
+    (place / name).touch()
+    file = str(place / name)
+    words = [file if word == "FILE" else word for word in command]
+    assert run(words if file in words else [*command, file]) == 2
+    said = capsys.readouterr().err
+    assert "no recording" in said.replace("not a", "no") and "name the folder it was made from" in said
+    assert not (place / "smoothed").exists() and "Traceback" not in said
 
 
 def test_a_place_that_cannot_be_written_is_one_line(monday: Path, tmp_path: Path, capsys: Captured) -> None:

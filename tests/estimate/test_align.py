@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude, rotation_to_up
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.samples import ImuSamples
@@ -147,6 +148,28 @@ class TestAtRest:
         np.testing.assert_allclose(wrap_angle(yaw - 0.5 * np.pi * np.array([0.0, 0.0, 0.5, 1.0, 1.0])), 0.0, atol=0.02)
 
 
+def slid_round(turned: float, ask: Array) -> Array:
+    """Error of the yaw (K,), rad, at `ask` s of a kart that turns by `turned` rad while it slides straight on, stands
+    for 5 s and drives off in the direction of before."""
+    t = np.arange(1, 12001) / 200.0
+    fraction = np.clip((t - 25.0) / 2.0, 0.0, 1.0)
+    nose = turned * fraction**2 * (3.0 - 2.0 * fraction)
+    rate = np.stack([np.zeros(12000), np.zeros(12000), np.gradient(nose, t)], axis=1)
+    imu = ImuSamples(t, np.tile([0.0, 0.0, 9.8], (12000, 1)), rate)
+    fix = t[39::40]
+    speed = np.interp(fix, [0.0, 24.0, 27.0, 32.0, 36.0], [12.0, 12.0, 0.0, 0.0, 12.0])
+    path = PathMotion(fix, np.stack([speed, np.zeros(300), np.zeros(300)], axis=1))
+    R_ns = initial_attitude(ask, imu, path, Alignment(np.eye(3), np.zeros(3), 0.0, 1.0, False))
+    return np.asarray(wrap_angle(euler_from_rotation(R_ns)[2] - np.interp(ask, t, nose)))
+
+
+class TestSpin:
+    @pytest.mark.parametrize("turned", [2.0 * np.pi, -2.0 * np.pi])
+    def test_the_nose_is_the_gyros_in_a_spin_and_after(self, turned: float) -> None:
+        """Once its turn is lost in the first guess, no solution finds it again."""
+        np.testing.assert_allclose(slid_round(turned, np.arange(10.0, 50.0, 0.2)), 0.0, atol=0.03)
+
+
 class TestRotationToUp:
     def test_it_takes_a_direction_up_by_the_shortest_way(self) -> None:
         directions = np.random.default_rng(0).normal(size=(50, 3))
@@ -164,6 +187,33 @@ class TestRotationToUp:
         assert np.linalg.det(R) == pytest.approx(1.0)
 
 
+SIGNS = [np.diag(signs) for signs in ([-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0])]
+SWAPPED = np.eye(3)[[1, 0, 2]]
+
+
+@pytest.mark.parametrize("mirror", [*SIGNS, SWAPPED, -np.eye(3)])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_axes_that_are_left_handed_are_noticed(truth: Truth, mirror: np.ndarray, seed: int) -> None:
+    imu, path = box(truth, random_rotation(seed), np.zeros(3)), fixes(truth, lag=0.15)
+    assert align(imu, path).problems == ()
+    (problem, *_) = align(ImuSamples(imu.t, imu.specific_force_s @ mirror, imu.angular_rate_s), path).problems
+    assert problem.code == "imu_mirrored" and "wrong sign" in problem.text
+
+
+def test_a_gyroscope_that_turns_the_wrong_way_is_noticed(truth: Truth) -> None:
+    imu, path = box(truth, np.eye(3), np.zeros(3)), fixes(truth)
+    (problem,) = align(ImuSamples(imu.t, imu.specific_force_s, imu.angular_rate_s @ SIGNS[2]), path).problems
+    assert problem.code == "imu_axes_disagree" and ("180 deg" in problem.text or "17" in problem.text)
+
+
+def test_noise_alone_is_not_called_left_handed(truth: Truth) -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(1, 20001) / 200.0
+    for _ in range(20):
+        force = rng.normal(size=(len(t), 3)) * 3.0 + np.array([0.0, 0.0, 9.8])
+        assert align(ImuSamples(t, force, rng.normal(size=(len(t), 3))), fixes(truth)).problems == ()
+
+
 def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
     """What would be averages across them were never measured."""
     R_bs = random_rotation(1)
@@ -174,3 +224,14 @@ def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
     found = align(ImuSamples(imu.t[seen], imu.specific_force_s[seen], imu.angular_rate_s[seen]), fixes(truth))
     assert turn_between(found.R_bs, R_bs) < 4.0 * DEG
     assert found.share_explained > 0.8
+
+
+def test_turns_in_a_hole_of_the_samples_are_those_of_the_course(truth: Truth) -> None:
+    whole = box(truth, np.eye(3), np.zeros(3))
+    keep = (whole.t < 30.0) | (whole.t > 50.0)
+    holed = ImuSamples(whole.t[keep], whole.specific_force_s[keep], whole.angular_rate_s[keep])
+    path, t = fixes(truth), np.arange(20.0, 60.0, 0.2)
+    yaw = euler_from_rotation(initial_attitude(t, holed, path, align(holed, path)))[2]
+    off = np.abs(wrap_angle(yaw - truth.euler(t)[:, 2]))
+    assert np.max(off) < 12.0 * DEG  # a kart slides by six
+    assert np.sqrt(np.mean(off[(t > 30.0) & (t < 50.0)] ** 2)) < 4.0 * DEG

@@ -13,6 +13,7 @@ from smoother.estimate.gnss_offset import (
     OffsetModel,
     drift_against_doppler,
     fit_offset,
+    follows_positions,
     offset_model,
 )
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
@@ -128,3 +129,10 @@ def test_an_outage_tells_nothing(fits: Callable[..., Made]) -> None:
     """Over a gap Doppler cannot be added up: what its path does there must not pass for an offset."""
     made = fits(seed=2, duration=300.0, offset=(0.0, 0.0, 0.0), outages=((100.0, 112.0), (200.0, 206.0)), **UNFILTERED)
     assert fitted(made).evidence < 2.0 * PRICE
+
+
+def test_a_path_that_follows_its_fixes_is_no_judge_of_them(fits: Callable[..., Made]) -> None:
+    sparse, dense = (fits(seed=1, duration=300.0, rate=rate) for rate in (1.0, 5.0))
+    assert follows_positions(*sparse) and not follows_positions(*dense)
+    assert fit_offset(*sparse) is None
+    assert offset_model(*sparse, USUAL, is_filtered=True) is USUAL

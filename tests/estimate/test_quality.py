@@ -7,7 +7,7 @@ import pytest
 
 from smoother.estimate.quality import QualityLimits, assess
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
-from smoother.samples import GnssFixes, Session
+from smoother.samples import GnssFixes, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
 
 ORIGIN = Origin(45.0, 12.0, 30.0)
@@ -101,6 +101,22 @@ def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() 
     assert assess(session(wander, hacc=0.0), estimate(sigma=0.1)).measures["far_fix_share"] > 0.1
 
 
+@pytest.mark.parametrize(("source", "sigma", "is_far"), [("identified", 3.0, False), ("default", 3.0, True)])
+def test_wander_that_was_found_is_no_distance(source: str, sigma: float, is_far: bool) -> None:
+    """Over a quarter of an hour the trajectory knows its place to a metre, and fixes go on wandering by three."""
+    wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
+    found = Identified([sigma, sigma, 2.0 * sigma], None, "m", True, source)
+    told = EstimateReport(identified={"gps_offset_sigma": found})
+    share = assess(session(wander, hacc=0.0), estimate(sigma=0.1, report=told)).measures["far_fix_share"]
+    assert (share > 0.1) is is_far
+
+
+def test_wander_that_no_receiver_has_is_one() -> None:
+    found = Identified([50.0, 50.0, 80.0], None, "m", True, "identified")
+    told = EstimateReport(identified={"gps_offset_sigma": found})
+    assert not assess(session(shifted_rows(0, 999, 20.0), hacc=0.0), estimate(sigma=0.1, report=told)).passed
+
+
 def leaning(roll: np.ndarray | float, pitch: np.ndarray | float = 0.0, yaw: np.ndarray | float = 0.0) -> Trajectory:
     """The drive with an attitude that wanders by a degree from corner to corner, and by these angles (rad) besides."""
     plain, rng = estimate(), np.random.default_rng(4)
@@ -165,3 +181,10 @@ def test_a_box_that_swings_for_some_seconds_is_seen_and_one_that_always_does_is_
     assert any("loose" in reason for reason in loose.reasons)
     assert loose.measures["rattling_s"] == pytest.approx(10.0, abs=3.0)  # a mean over 2 s on either end
     assert assess(session(), leaning(swing)).measures["rattling_s"] == 0.0
+
+
+@pytest.mark.parametrize("code", ["imu_mirrored", "imu_axes_disagree"])
+def test_axes_that_no_mounting_explains_are_wrong_wherever_they_were_used(code: str) -> None:
+    told = EstimateReport(problems=(Problem(code, "ay is mirrored: change it"),), mode="full")
+    assert assess(session(), estimate(report=told)).reasons == ("ay is mirrored",)
+    assert assess(session(), estimate(report=replace(told, mode="gps-only"))).passed

@@ -98,13 +98,14 @@ def test_results_older_than_the_recording_are_made_again(monday: Path, capsys: C
     assert "<name>Später</name>" in (monday / "smoothed" / "monday.gpx").read_text(encoding="utf-8")
 
 
-def test_results_of_another_recording_in_the_same_folder_are_made_again(monday: Path, capsys: Captured) -> None:
+def test_another_recording_in_the_same_folder_has_results_of_its_own(monday: Path, capsys: Captured) -> None:
     assert run(["export", str(monday), "vbo", "--out", str(monday / "other.vbo")]) == 0
     long_ago = (monday / "gps.csv").stat().st_mtime
     os.utime(monday / "other.vbo", (long_ago, long_ago))
     assert run(["export", str(monday / "other.vbo"), "gpx"]) == 0
     assert Path(capsys.readouterr().out.splitlines()[-1]).name == "other.gpx"
-    assert json.loads((monday / "smoothed" / "summary.json").read_text())["inputs"] == ["other.vbo"]
+    place = monday / "smoothed" / "other"
+    assert json.loads((place / "summary.json").read_text())["inputs"] == ["other.vbo"]
 
 
 @pytest.mark.parametrize(

@@ -123,6 +123,19 @@ def test_corner_speeds_are_read_where_the_corner_is(found: LapAnalysis, driven: 
     assert slowest == pytest.approx(driven.speed[moving].min(), abs=0.1)
 
 
+def test_who_stood_in_a_corner_was_no_faster_than_that(found: LapAnalysis, driven: Trajectory, fixes: Fixes) -> None:
+    """Between two places where laps are compared, 2 m apart: the next of them is passed at speed."""
+    assert found.traces is not None
+    corner, d = found.corners[2], found.traces.distance
+    k = int(np.searchsorted(d, corner.apex))
+    lap = int(np.flatnonzero(np.isfinite(found.traces.t[:, k - 1 : k + 1]).all(axis=1))[-1])
+    middle = float(found.traces.t[lap, k - 1 : k + 1].mean())
+    stood = np.where((np.abs(driven.t - middle) < 0.015)[:, None], 0.0, driven.velocity_n)
+    analysis = analyse(replace(driven, velocity_n=stood), fixes(driven))
+    assert corner.min_speed[lap] > 3.0
+    assert analysis.corners[2].min_speed[lap] == 0.0
+
+
 def test_time_lost_in_all_corners_adds_up_to_the_lap(found: LapAnalysis) -> None:
     assert found.reference_lap is not None
     for i, lap in enumerate(found.laps):

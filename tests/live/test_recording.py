@@ -147,3 +147,16 @@ def test_speeds_that_are_none_are_refused() -> None:
     for speed in ("0", "-1", "fast"):
         result = CliRunner().invoke(live, ["/dev/null", "--speed", speed])
         assert result.exit_code != 0
+
+
+@pytest.mark.parametrize(("count", "said"), [(0, "nothing came, so nothing was recorded"), (65_536, "66 kB came")])
+def test_bytes_of_another_format_are_not_called_nothing(tmp_path: Path, count: int, said: str) -> None:
+    """A card's file, piped in: blocks, not frames of the line."""
+    smooth = Path(sys.executable).parent / "smooth"
+    blocks = (Path(__file__).parents[1] / "data" / "golden.klg").read_bytes()
+    command = [str(smooth), "live", "-", "--record", str(tmp_path / "new"), "--headless"]
+    data = (blocks * (1 + count // len(blocks)))[:count]
+    done = subprocess.run(command, input=data, capture_output=True, timeout=120, check=False)
+    text = done.stderr.decode()
+    assert done.returncode == 0 and said in text and "nothing was recorded" in text
+    assert ("in the format of the logger's line" in text) == (count > 0)

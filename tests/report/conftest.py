@@ -70,7 +70,11 @@ def compared() -> list[Compared]:
     own = analyse(stored[0].trajectory, stored[0].fixes)
     lap = reference_lap_of(own, stored[0].trajectory, stored[0].fixes, f"first lap {_best(own.laps)}")
     options = LapOptions(reference=own.reference, reference_lap=lap)
-    return [Compared(name, s, analyse(s.trajectory, s.fixes, options)) for name, s in zip(names, stored, strict=True)]
+    references = [own.reference_lap, None]
+    return [
+        Compared(name, s, analyse(s.trajectory, s.fixes, options), reference)
+        for name, s, reference in zip(names, stored, references, strict=True)
+    ]
 
 
 def _best(laps: tuple[Lap, ...]) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from smoother.report.compare_page import MOST_LAPS, Compared, comparison
+from smoother.report.page_words import number
 from smoother.trajectory import Trajectory
 
 
@@ -48,6 +49,27 @@ def test_the_lap_that_all_are_compared_with_loses_nothing_and_is_sure_of_it(comp
     assert np.nanmax(trace(document, "delta_sigma")[reference]) == 0.0
     others = np.delete(trace(document, "delta_sigma"), reference, axis=0)
     assert np.nanmin(np.nanmax(others, axis=1)) > 0.0
+
+
+def test_a_lap_of_equal_name_and_number_is_not_taken_for_the_one_that_all_are_compared_with(
+    compared: list[Compared],
+) -> None:
+    first, other = compared
+    assert first.reference is not None and other.analysis.traces is not None and other.statistics is not None
+    best, called = other.statistics.best_lap, first.analysis.laps[first.reference].number
+    assert best is not None
+    laps = tuple(replace(lap, number=called if i == best else 90 + i) for i, lap in enumerate(other.analysis.laps))
+    twins = [
+        replace(one, name="run1", analysis=replace(one.analysis, laps=its, reference_name=f"run1 lap {called}"))
+        for one, its in ((first, first.analysis.laps), (other, laps))
+    ]
+    text = comparison(twins)
+    assert np.count_nonzero(np.nanmax(trace(numbers(text), "delta_sigma"), axis=1) == 0.0) == 1
+    lost = float(other.analysis.traces.delta[best, -1])
+    assert f">{number(lost, 3, signed=True)}" in text and abs(lost) > 0.001
+    assert text.count("<td>+0.000</td>") == 1
+    sure = [corner for corner in other.analysis.corners if np.isfinite(corner.time_lost_sigma[best])]
+    assert sure and all(f"± {number(float(corner.time_lost_sigma[best]), 2)}" in text for corner in sure)
 
 
 def test_a_name_is_text_wherever_it_stands(compared: list[Compared]) -> None:

@@ -1,11 +1,13 @@
 """Figures: which are drawn for which session, and that nothing in a name or in the data spoils them."""
 
+import itertools
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib import image
+from matplotlib.patches import Rectangle
 
 from smoother.cli.pipeline import FIGURE_NAMES
 from smoother.frames import rotation_from_euler
@@ -172,3 +174,21 @@ def test_a_heading_that_turns_faster_than_pixels_can_show_is_still_drawn(
     degrees = np.asarray(figure.axes[2].lines[0].get_ydata(), dtype=np.float64)
     assert np.mean(np.isfinite(degrees)) > 0.9
     assert np.ptp(degrees[np.isfinite(degrees)]) > 300.0
+
+
+def test_the_frame_on_the_map_is_what_the_close_up_shows(
+    tmp_path: Path, session: Session, trajectory: Trajectory
+) -> None:
+    corner = trajectory.rows(slice(600, 850))  # so short that the close-up, which is wider than high, shows more
+    for draw, drive in itertools.product((overview, figures.track), (trajectory, corner)):
+        with matplotlib.rc_context(style.SETTLED):
+            figure = draw(Shown(session, drive, drive, "a session"))
+            style.save(figure, tmp_path / "figure.png")  # after which limits are final
+        (whole,) = (axes for axes in figure.axes if axes.patches)
+        (close,) = (axes for axes in figure.axes if axes.get_title(loc="left").startswith("Corner at"))
+        (frame,) = (patch for patch in whole.patches if isinstance(patch, Rectangle))
+        left, bottom, width, height = frame.get_bbox().bounds
+        np.testing.assert_allclose((left, left + width), close.get_xlim(), rtol=1e-9)
+        np.testing.assert_allclose((bottom, bottom + height), close.get_ylim(), rtol=1e-9)
+        (west, east), (south, north) = whole.get_xlim(), whole.get_ylim()
+        assert west <= left < left + width <= east and south <= bottom < bottom + height <= north

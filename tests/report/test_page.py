@@ -192,6 +192,28 @@ def test_without_laps_motion_sensor_and_baseline_the_page_says_so(session: Sessi
     assert np.isfinite(floats(traces["longitudinal"])).all()  # from the speed of the GPS
 
 
+def test_what_is_compared_is_called_by_what_is_there(report: Report) -> None:
+    for baseline, name, other in (
+        (report.baseline, "Baseline against smoother", "GPS fixes against smoother"),
+        (None, "GPS fixes against smoother", "Baseline against smoother"),
+    ):
+        text = page(replace(report, baseline=baseline))
+        assert f'<a href="#compared">{name}</a>' in text and f'<h2 id="compared">{name}</h2>' in text
+        assert other not in text
+        assert ("Fixes, baseline and smoother" in text) == (baseline is not None)
+
+
+def test_a_baseline_without_a_calibrated_compass_is_said_to_need_one(report: Report) -> None:
+    words = "nothing holds the yaw of the baseline"
+    assert report.baseline is not None and words not in page(report)
+    lost = EstimateReport(problems=(Problem("baseline_no_magnetometer", "no calibrated magnetometer"),))
+    bare = replace(report, baseline=replace(report.baseline, report=lost))
+    text = page(bare)
+    assert words in text and "depends on a calibrated box" in text
+    unknown = np.full(report.smoothed.R_nb.shape, np.nan)  # then no difference of yaw is shown
+    assert words not in page(replace(bare, smoothed=replace(report.smoothed, R_nb=unknown)))
+
+
 def test_traces_are_not_denser_than_twenty_a_second(session: Session, trajectory: Trajectory) -> None:
     document = numbers(page(Report(session, trajectory, None, None, GOOD)))
     assert np.diff(floats(document["grid"])).min() >= 0.05 - 1e-3

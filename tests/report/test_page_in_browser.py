@@ -4,22 +4,27 @@ Needs Debian's chromium and chromium-driver (`make test` installs them where it 
 """
 
 import base64
+import itertools
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from smoother.cli.lap_stage import stated
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
 from smoother.config import SessionConfig
+from smoother.estimate.quality import Quality
 from smoother.prepare import prepare
 from smoother.report.compare_page import Compared, write_comparison
 from smoother.report.page import Report, write_page
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
@@ -27,6 +32,28 @@ pytestmark = pytest.mark.skipif(
     CHROMIUM is None or DRIVER is None, reason="needs system package chromium and chromium-driver"
 )
 NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+PAINTED_OUTSIDE = """
+const found = [];
+for (const svg of document.querySelectorAll("svg.chart")) {
+  const sheet = svg.getBoundingClientRect(), to = svg.getScreenCTM();
+  for (const node of svg.querySelectorAll("path, circle, rect, text")) {
+    if (node.closest("defs") || getComputedStyle(node).visibility === "hidden") continue;
+    let { left, top, right, bottom } = node.getBoundingClientRect();
+    if (right - left + bottom - top === 0) continue;
+    const clipped = node.closest("[clip-path]");
+    if (clipped) {
+      const shape = document.querySelector(clipped.getAttribute("clip-path").slice(4, -1) + " rect");
+      const [x, y, w, h] = ["x", "y", "width", "height"].map((name) => Number(shape.getAttribute(name)));
+      [left, right] = [Math.max(left, to.a * x + to.e), Math.min(right, to.a * (x + w) + to.e)];
+      [top, bottom] = [Math.max(top, to.d * y + to.f), Math.min(bottom, to.d * (y + h) + to.f)];
+      if (right <= left || bottom <= top) continue;
+    }
+    const out = Math.max(sheet.left - left, sheet.top - top, right - sheet.right, bottom - sheet.bottom);
+    const what = [svg.parentNode.id, node.tagName, node.getAttribute("class"), node.textContent].join(" ");
+    if (out > 1) found.push(`${what} by ${out.toFixed(0)} px`);
+  }
+}
+return found;"""
 ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,900")
 
 
@@ -73,6 +100,19 @@ def browser() -> Iterator[Any]:
 def compared_page(tmp_path_factory: pytest.TempPathFactory, compared: list[Compared]) -> Path:
     path = tmp_path_factory.mktemp("compared") / "comparison.html"
     write_comparison(path, compared)
+    return path
+
+
+@pytest.fixture(scope="module")
+def shaken_page(tmp_path_factory: pytest.TempPathFactory, session: Session, trajectory: Trajectory) -> Path:
+    """40 min, no laps; blows far beyond the reach of the diagram of accelerations, and a baseline that runs away."""
+    trajectory = replace(trajectory, t=60.0 * trajectory.t)
+    force = np.array(trajectory.acceleration_b)
+    force[::150, :2] *= 40.0
+    away = replace(trajectory, position_n=trajectory.position_n * 30.0)
+    path = tmp_path_factory.mktemp("shaken") / "report.html"
+    quality = Quality(True, (), {})
+    write_page(path, Report(session, replace(trajectory, acceleration_b=force), away, None, quality))
     return path
 
 
@@ -184,6 +224,98 @@ def test_a_part_of_the_track_is_looked_at_closely_and_left_again(opened: Any) ->
     opened.find_element("id", "cursor").send_keys(Keys.ESCAPE)
     assert marks() == whole
     assert part.first_selected_option.text == "whole lap"
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["simulated_page", "adria_page", "shaken_page", "compared_page"])
+def test_no_chart_paints_over_the_page_around_it(
+    name: str, width: int, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.select import Select
+
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(request.getfixturevalue(name).as_uri())
+    part = Select(browser.find_element("id", "stretch"))
+    assert browser.execute_script(PAINTED_OUTSIDE) == []
+    for i, option in enumerate(part.options[:-1]):
+        part.select_by_index(i)
+        assert browser.execute_script(PAINTED_OUTSIDE) == [], option.text
+    browser.find_element("id", "cursor").send_keys(Keys.PAGE_DOWN * 3)  # beyond the part, where it has no place
+    assert browser.execute_script(PAINTED_OUTSIDE) == []
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_corners_and_lines_that_are_not_in_the_part_shown_are_not_on_its_map(opened: Any) -> None:
+    from selenium.webdriver.support.select import Select
+
+    def numbers() -> list[str]:
+        return [
+            str(node.get_attribute("textContent"))
+            for node in opened.find_elements("css selector", "#map svg text.corner")
+        ]
+
+    part = Select(opened.find_element("id", "stretch"))
+    assert len(numbers()) > 3
+    (third,) = (option.text for option in part.options if option.text.startswith("corner 3"))
+    part.select_by_visible_text(third)
+    assert numbers() == ["3"]
+    for gate in opened.find_elements("css selector", "#map svg .gate, #map svg .split"):
+        box, sheet = gate.rect, opened.find_element("css selector", "#map svg").rect
+        assert sheet["x"] - box["width"] < box["x"] < sheet["x"] + sheet["width"]
+        assert sheet["y"] - box["height"] < box["y"] < sheet["y"] + sheet["height"]
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["simulated_page", "shaken_page"])
+def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, request: pytest.FixtureRequest) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(request.getfixturevalue(name).as_uri())
+    for chart in ("traces", "quality-time", "compared-speed"):
+        boxes = browser.execute_script(
+            f"return [...document.querySelectorAll('#{chart} svg text[text-anchor=middle]:not(.corner)')]"
+            ".map(t => t.getBoundingClientRect()).map(b => [b.left, b.right])"
+        )
+        assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["simulated_page", "compared_page"])
+def test_what_explains_a_chart_stands_whole_above_it(
+    name: str, width: int, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(request.getfixturevalue(name).as_uri())
+    told = browser.execute_script(
+        "return [...document.querySelectorAll('svg text.title')].map(t => t.textContent).join(' ')"
+    )
+    expected = [
+        "(s), band: two sigma",
+        "sideways (g), left +",
+        "sideslip (deg), + slides to its left, band: two sigma",
+        "line: metres left of the mean line, band: two sigma, grey: within noise",
+    ]
+    if name == "simulated_page":
+        expected += [
+            "sure to (m, one sigma): position (solid), line on the track (dashed)",
+            "each fix: metres left over (orange: given little weight)",
+        ]
+    assert [text for text in expected if text not in told] == []
+    assert browser.execute_script(PAINTED_OUTSIDE) == []
+    covered = browser.execute_script(  # no title stands in a panel, nor in another title
+        "const boxes = [...document.querySelectorAll('svg.chart')].flatMap(svg => {"
+        "  const titles = [...svg.querySelectorAll('text.title')].map(t => t.getBoundingClientRect());"
+        "  const grids = [...svg.querySelectorAll('path.grid, path.zero')].map(g => g.getBoundingClientRect());"
+        "  return titles.flatMap((t, i) => [...titles.slice(i + 1), ...grids].filter("
+        "    b => t.bottom - 2 > b.top && b.bottom > t.top + 2 && b.right > t.left && t.right > b.left));"
+        "}); return boxes.length"
+    )
+    assert covered == 0
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_theme_and_unit_are_switched(opened: Any) -> None:

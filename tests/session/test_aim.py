@@ -1,6 +1,9 @@
 """AiM CSV: units, separators, repeated names, other channels, and what is damaged."""
 
+import datetime as dt
 import re
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +59,59 @@ def test_every_channel_of_the_receiver_reaches_its_place_in_its_unit(tmp_path: P
     np.testing.assert_allclose(gnss.velocity_n[:, :2], [[0.0, 10.0]] * 80, atol=1e-9)
     assert (gnss.lat_deg[0], gnss.lon_deg[0], gnss.alt_m[0], gnss.num_sv[0]) == (45.7, 13.07, 4.5, 16)
     assert gnss.sigma_horizontal[0] == pytest.approx(0.42) and gnss.sigma_velocity[0] == pytest.approx(0.5)
-    assert np.isnan(gnss.unix_s).all()  # the time of day in the file is local
-    assert [problem.code for problem in reading.problems] == ["imu_axes_unknown"] and reading.imu is None
+    assert np.isnan(gnss.unix_s).all()  # the time of day in the file is the box's, not the receiver's
+    assert [problem.code for problem in reading.problems] == ["gps_date_assumed", "imu_axes_unknown"]
+    assert reading.imu is None
+
+
+@pytest.fixture
+def rome(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "Europe/Rome")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.mark.parametrize(
+    ("date", "clock", "utc"),
+    [
+        ("Saturday, April 11, 2026", "11:32 AM", "2026-04-11T09:32:00Z"),
+        ("Saturday, January 3, 2026", "12:05:09 AM", "2026-01-02T23:05:09Z"),
+        ("11 Apr 2026", "23:59:59.4", "2026-04-11T21:59:59Z"),
+        ("2026-04-11", "12:32 pm", "2026-04-11T10:32:00Z"),
+        ("11.04.2026", "11:32", "2026-04-11T09:32:00Z"),
+        ("04/13/2026", "11:32", "2026-04-13T09:32:00Z"),
+        ("04/04/2026", "11:32", "2026-04-04T09:32:00Z"),
+    ],
+)
+@pytest.mark.usefixtures("rome")
+def test_the_log_began_at_the_time_of_day_in_it_here(tmp_path: Path, date: str, clock: str, utc: str) -> None:
+    text = table([values(k) for k in range(80)]).replace("Saturday, April 11, 2026", date).replace("11:32 AM", clock)
+    read(tmp_path, text)
+    raw = load_raw(tmp_path)
+    assert raw.unix_at_zero == dt.datetime.fromisoformat(utc).timestamp()
+    (problem,) = [problem for problem in raw.problems if problem.code == "gps_date_assumed"]
+    assert "local" in problem.text and "this computer's (CE" in problem.text
+
+
+@pytest.mark.parametrize(
+    ("date", "clock"),
+    [("04/05/2026", "11:32"), ("sabato 11 aprile", "11:32"), ("Saturday, April 31, 2026", "11:32"), ("", "")]
+    + [("Saturday, April 11, 2026", clock) for clock in ("25:00", "14:00 PM", "noon")],
+)
+def test_a_date_that_cannot_be_read_one_way_is_said_and_no_time(tmp_path: Path, date: str, clock: str) -> None:
+    text = table([values(k) for k in range(80)]).replace("Saturday, April 11, 2026", date).replace("11:32 AM", clock)
+    reading = read(tmp_path, text)
+    assert reading.unix_at_zero is None and "laps have none" in reading.problems[0].text
+
+
+@pytest.mark.usefixtures("rome")
+def test_a_zone_that_the_file_names_needs_no_guess(tmp_path: Path) -> None:
+    text = table([values(k) for k in range(80)]).replace('"Session"', '"Comment","Smoothed; Time is UTC."\r\n"Session"')
+    reading = read(tmp_path, text)
+    assert reading.unix_at_zero == dt.datetime(2026, 4, 11, 11, 32, tzinfo=dt.UTC).timestamp()
+    assert [problem.code for problem in reading.problems] == ["imu_axes_unknown"]
 
 
 def test_semicolons_with_decimal_commas_read_the_same(tmp_path: Path) -> None:

@@ -310,7 +310,7 @@ def test_speed_and_course_both_come_from_the_noisy_velocity(parked):
 
 
 def test_receiver_without_doppler_sends_neither_velocity_nor_its_accuracy(truth):
-    fixes = simulate_gnss(truth, GnssErrors(velocity=False), ARM, 60.0, UNIX, rng()).fixes
+    fixes = simulate_gnss(truth, GnssErrors(velocity=False, white_horizontal=1.0), ARM, 60.0, UNIX, rng()).fixes
     for column in (fixes.velocity_n, fixes.speed, fixes.course_deg, fixes.sigma_velocity):
         assert np.all(np.isnan(column))
     assert np.all(np.isfinite(fixes.sigma_horizontal))

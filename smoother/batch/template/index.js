@@ -1,4 +1,4 @@
-// Sorting, searching, unit and theme of the index. The tables stand in the page without it; text stays text.
+// Sorting, searching and unit of the index. The tables stand in the page without it; text stays text.
 "use strict";
 (() => {
   const UNITS = { "km/h": 3.6, mph: 1 / 0.44704 };
@@ -11,10 +11,6 @@
   }
   function remembered(key) {
     try { return localStorage.getItem(key); } catch { return null; }
-  }
-  function setTheme(theme) {
-    if (theme === "auto") delete document.documentElement.dataset.theme;
-    else document.documentElement.dataset.theme = theme;
   }
   function setUnit(unit) {
     for (const cell of document.querySelectorAll("[data-mps]")) {
@@ -60,9 +56,6 @@
   if (place("search")) place("search").addEventListener("input", search);
 
   place("units").addEventListener("change", (e) => { setUnit(e.target.value); remember("kart-report-units", e.target.value); });
-  place("theme").addEventListener("change", (e) => { setTheme(e.target.value); remember("kart-report-theme", e.target.value); });
-  const theme = remembered("kart-report-theme");
-  if (["light", "dark"].includes(theme)) { place("theme").value = theme; setTheme(theme); }
   const unit = remembered("kart-report-units");
   if (unit in UNITS) { place("units").value = unit; setUnit(unit); }
   if (place("search")) search();

@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
-from smoother.estimate.graph.expected import DopplerNoise, expected_motion
+from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import (
     BinnedImu,
@@ -26,7 +26,9 @@ from smoother.estimate.graph.inertial import (
     LinearInertial,
     add_inertial,
     empty_system,
+    set_apart,
 )
+from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -46,6 +48,7 @@ from smoother.estimate.graph.state import (
 ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
+ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known
 HELD = 1e-4  # m; what is held does not move by a digit
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
@@ -89,6 +92,7 @@ class Priors:
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
+    drives: the kart went at a speed that tells the constants; what they fit at rest is noise, and its covariance too.
     """
 
     accel_bias: float
@@ -98,6 +102,7 @@ class Priors:
     constants_sigma: Array
     holds_height: bool = False
     has_height: bool = True
+    drives: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +111,8 @@ class Data:
 
     position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
     whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
-    in n, m, of all fixes of the session that have a height; None asks nothing of the ground.
+    in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
+    that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
     """
 
     t: Array
@@ -118,6 +124,7 @@ class Data:
     heading: Heading | None = None
     doubted: BoolArray | None = None
     heights: Array | None = None
+    sampled: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +218,13 @@ class Batch:
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
-        inertial = graph.linearize(state, noise.inertial)
-        rows = {r.name: r for r in self._rows(state, noise)}
+        path = self.path(state)
+        felt = expected_of(self._data, path, state, noise)
+        inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
+        if self._data.sampled is not None:
+            apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
+            set_apart(inertial, apart, state, noise.inertial, ANYWHERE)
+        rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         rw.add_rows(system, list(rows.values()))
@@ -224,21 +236,25 @@ class Batch:
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
         return system, inertial, rows
 
-    def _rows(self, state: ChainState, noise: Noise) -> list[rw.Rows]:
-        return session_rows(self._data, self._binned, self._priors, self.path(state), state, noise)
-
 
 def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
     """What the session's velocities tell on an axis of n, None where there are none."""
     return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.velocity[axis]))
 
 
-def session_rows(
-    d: Data, binned: BinnedImu, prior: Priors, path: DensePath, state: ChainState, noise: Noise
-) -> list[rw.Rows]:
-    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights."""
+def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> ExpectedMotion:
+    """Return the most probable motion along the dense path of `state`."""
     level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
-    felt = expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
+    return expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
+
+
+def session_rows(
+    d: Data, prior: Priors, path: DensePath, felt: ExpectedMotion, state: ChainState, noise: Noise
+) -> list[rw.Rows]:
+    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights.
+
+    felt: the motion expected along the path.
+    """
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
@@ -251,7 +267,7 @@ def session_rows(
     bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
-    out.append(rw.prior_row("pose_prior", np.zeros(9), np.repeat([3.0, 1e4, 1e3], 3), slice(0, 9)))
+    out.append(rw.prior_row("pose_prior", np.zeros(9), ANYWHERE, slice(0, 9)))
     if d.heights is not None:
         at, height = _far_from_heights(d.heights, state.t)
         if len(at):

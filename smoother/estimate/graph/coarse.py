@@ -59,6 +59,7 @@ def _joined(binned: BinnedImu, n: int, every: int, gyro_bias: Array) -> BinnedIm
         binned.angular_rate_s[: n * every].reshape(n, n_bins, 3),
         binned.missing[: n * every].reshape(n, every).mean(axis=1),
         None if binned.rough is None else binned.rough[: n * every].reshape(n, every, 2).mean(axis=1),
+        None if binned.blind is None else binned.blind[: n * every].reshape(n, every, 2).max(axis=1),
     )
     return halved(joined, gyro_bias) if n_bins % 2 == 0 else joined
 

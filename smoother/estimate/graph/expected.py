@@ -59,6 +59,11 @@ class ExpectedMotion:
     turn_rate: Array
     turn_variance: float = 0.0
 
+    def means(self, n_bins: int) -> Array:
+        """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
+        of_bins = 0.5 * (self.acceleration_n[1:] + self.acceleration_n[:-1])
+        return np.asarray(of_bins.reshape(-1, n_bins, 3).mean(axis=1))
+
 
 @dataclass(frozen=True)
 class DopplerNoise:

@@ -7,7 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors
+from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
 from smoother.trajectory import Identified
@@ -34,10 +34,11 @@ def identified_values(
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
-    covariance (25, 25) of `constants`; common_attitude (3, 3) rad^2 in s: of the mean error of all attitudes; unseen
-    (3,) m^2: variance of the GPS offset beyond what the session shows.
+    covariance (25, 25) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
+    of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
     """
-    S, sigma, values = covariance, np.sqrt(np.diag(covariance)), constants.as_vector()
+    S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
+    sigma, values = np.sqrt(np.diag(S)), constants.as_vector()
     out: dict[str, Identified] = {}
     for latency in (
         _Latency("gps_position_latency", 0, config.gps.position_latency),
@@ -50,7 +51,7 @@ def identified_values(
     observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
     out["gps_velocity_response"] = _value(values[response], sigma[response], "s^2", observable, False)
     arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
-    if priors.holds_height:
+    if priors.holds_height and priors.drives:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
     arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
     sigma_b = np.sqrt(np.diag(arm_covariance))

@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import B, O, V, X
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, session_rows
+from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, expected_of, session_rows
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.imu import BinnedImu, corrected, dense_path, preintegrate
 from smoother.estimate.graph.inertial import inertial_factors
@@ -60,15 +60,23 @@ _WILDFIRE = 1e-5  # change of a step, in rad, m, m/s, that is still passed on to
 
 
 def solve_as_stream(
-    batch: Batch, data: Data, binned: BinnedImu, priors: Priors, noise: Noise, start: ChainState, constants: Constants
+    batch: Batch,
+    data: Data,
+    binned: BinnedImu,
+    priors: Priors,
+    noise: Noise,
+    start: ChainState,
+    constants: Constants,
+    held: Array | None = None,
 ) -> Solved:
     """Return the solution of :func:`solve_incrementally` after one step of `batch`, with that step's covariances.
 
     The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
-    which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are.
+    which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are: as the
+    step finds, or held (25, 25) where they are known from elsewhere.
     """
     state = solve_incrementally(data, binned, priors, noise, start, constants)
-    return batch.step(batch.graph(state, noise), state, noise)
+    return batch.step(batch.graph(state, noise), state, noise, held=held)
 
 
 def solve_incrementally(
@@ -199,9 +207,8 @@ class Stream:
         span = slice(first, end - 1)
         state.accel_bias_s[begin:end] = state.accel_bias_s[first]
         state.gyro_bias_s[begin:end] = state.gyro_bias_s[first]
-        measured = preintegrate(
-            _bins(self._binned, span), self._noise.inertial, state.accel_bias_s[span], state.gyro_bias_s[span]
-        )
+        bins = self._binned.between(first, end)
+        measured = preintegrate(bins, self._noise.inertial, state.accel_bias_s[span], state.gyro_bias_s[span])
         phi = np.exp(-state.interval / self._noise.offset_tau)
         for k, preintegrated in enumerate(measured, first):
             at = gtsam.NavState(gtsam.Rot3(state.R_ns[k]), state.position_n[k], state.velocity_n[k])
@@ -243,7 +250,7 @@ class Stream:
         """Rows of the intervals from `window` on, and linear ones before; intervals counted from the first of all."""
         begin = max(0, window - self._options.context)
         state, d = _part(self._state, begin, self._end), self._data
-        bins = _bins(self._binned, slice(begin, self._end - 1))
+        bins = self._binned.between(begin, self._end)
         last = self._end - 1  # intervals before it are complete
         use_position = (self._position_at >= window) & (self._position_at < last)
         use_velocity = (self._velocity_at >= window) & (self._velocity_at < last)
@@ -261,7 +268,8 @@ class Stream:
             heading=None,
         )
         path = dense_path(bins, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s)
-        for rows in session_rows(part, bins, self._priors, path, state, self._noise):
+        felt = expected_of(part, path, state, self._noise)
+        for rows in session_rows(part, self._priors, path, felt, state, self._noise):
             yield replace(rows, interval=rows.interval + begin)
         if d.heading is not None:
             rows = heading_rows(self._state, d.heading)
@@ -349,18 +357,6 @@ def _own_copy(state: ChainState, constants: Constants) -> ChainState:
 def _part(state: ChainState, begin: int, end: int) -> ChainState:
     fields = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
     return replace(state, **{name: getattr(state, name)[begin:end] for name in fields})
-
-
-def _bins(binned: BinnedImu, span: slice) -> BinnedImu:
-    """The bins of the intervals `span`."""
-    return replace(
-        binned,
-        t=binned.t[span.start : span.stop + 1],
-        specific_force_s=binned.specific_force_s[span],
-        angular_rate_s=binned.angular_rate_s[span],
-        missing=binned.missing[span],
-        rough=None if binned.rough is None else binned.rough[span],
-    )
 
 
 def _select(rows: Rows, use: BoolArray) -> Rows:

@@ -159,20 +159,26 @@ def linearize_increments(done: Increments, state: ChainState) -> LinearIncrement
 
 
 @_quietly
-def levelled(linear: LinearIncrements, state: ChainState) -> LinearIncrements:
-    """Return `linear` with attitudes that turn the force of a kart which goes from keyframe to keyframe, but level.
+def levelled(linear: LinearIncrements, state: ChainState, acceleration_n: Array) -> LinearIncrements:
+    """Return `linear` with attitudes that turn the force of a kart which accelerates as expected, and level.
+
+    acceleration_n (N, 3) m/s^2: expected means over the intervals, of which up is not used. Keyframes move by that and
+    by noise of the samples, which goes with itself whichever way the sensor points: in slow karts, whose motion is no
+    more than it, it would pass for most of what is known of yaw, and hold every step back by as much. (Errors in
+    variables; Fuller 1987. The most probable motion is no part of what it misses; Berkson 1950.)
 
     Fixes hardly tell how a kart moves up and down: keyframes have it from the samples, noise and all. By as little as
     that noise goes together with what is left in the residuals ahead and to the side, or is taken to do so by a noise
     that was not quite identified, an attitude would be pulled, the same way everywhere: the kart seems tilted by
-    degrees, with a bias in front of it and a crooked gyroscope to make up for that. (Errors in variables; Fuller 1987.)
-    Without noise that motion is a small part of gravity, up as often as down, and its mean is nothing.
+    degrees, with a bias in front of it and a crooked gyroscope to make up for that. Without noise that motion is a
+    small part of gravity, up as often as down, and its mean is nothing.
     """
-    T, p, v = linear.T, state.position_n[:, 2], state.velocity_n[:, 2]
-    rise = np.stack([p[1:] - p[:-1] - T * v[:-1], v[1:] - v[:-1]], axis=1)
-    rise_s = rise[:, :, None] * state.R_ns[:-1, None, 2, :]  # in axes of the left keyframe
+    T, p, v = linear.T, state.position_n, state.velocity_n
+    faster = v[1:] - v[:-1] - T * acceleration_n * [1.0, 1.0, 0.0]
+    farther = p[1:] - p[:-1] - T * v[:-1] - 0.5 * T**2 * acceleration_n * [1.0, 1.0, 0.0]
+    beyond_s = np.stack([farther, faster], axis=1) @ state.R_ns[:-1]  # in axes of the left keyframe
     by_rotation = linear.by_rotation_left.copy()
-    by_rotation[:, 1:] += linear.by_left[:, None] @ so3.skew(rise_s)
+    by_rotation[:, 1:] += linear.by_left[:, None] @ so3.skew(beyond_s)
     return replace(linear, by_rotation_left=by_rotation)
 
 

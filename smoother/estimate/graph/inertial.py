@@ -27,7 +27,7 @@ from smoother.estimate.graph.state import (
 
 _INERTIAL = slice(0, 15)
 _ERRORS = slice(ACCEL_ERROR.start, RECTIFICATION.stop)
-_MOTION, _MOVED = slice(0, 9), slice(3, 9)  # rows of rotation, position and velocity; of the latter two
+_MOTION, _MOVED, _BIASES = slice(0, 9), slice(3, 9), slice(9, 15)  # rows of rotation, position, velocity; of biases
 _LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 45)  # columns of a factor's Jacobian,
 _RESIDUAL = 45  # and of its residual beside it
 _WIDTH = _RESIDUAL + 1
@@ -108,19 +108,22 @@ class InertialGraph:
             ratios += np.sqrt(np.linalg.eigvals(np.linalg.solve(two, one)).real).tolist()
         return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
 
-    def linearize(self, state: ChainState, noise: InertialNoise) -> LinearInertial:
+    def linearize(self, state: ChainState, noise: InertialNoise, acceleration_n: Array | None = None) -> LinearInertial:
         """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
 
         Errors of scale act like a bias in proportion to the mean force and rate of the interval, rectification to the
         power of its vibration. Force and rate are those of the keyframes (:func:`felt_by`): a scale multiplies what was
         there to measure. By the measured ones it would multiply their noise too, which is in the residual as well, and
         the fit would make the scale small to make the noise small (errors in variables; Fuller 1987). What attitudes
-        turn is likewise free of the noise up and down (:func:`levelled`).
+        turn is likewise free of the noise where acceleration_n (K-1, 3) m/s^2 is given, the expected means over the
+        intervals (:func:`levelled`); with None it is what the samples say.
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
         felt = felt_by(state)
         linear = LinearInertial(np.empty((n, 15, _WIDTH)))
-        bare = levelled(linearize_increments(self._increments, state), state)
+        bare = linearize_increments(self._increments, state)
+        if acceleration_n is not None:
+            bare = levelled(bare, state, acceleration_n)
         J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]
@@ -175,6 +178,21 @@ class InertialGraph:
             for one, two, (shape, before) in zip(now, was, shapes, strict=True)
         )
         return force, rate
+
+
+def set_apart(linear: LinearInertial, at: BoolArray, state: ChainState, noise: InertialNoise, sigma: Array) -> None:
+    """Make the factors `at` (K-1,) say nothing of how the motion went on from left to right keyframe, in place.
+
+    The right one stays where it is, give or take sigma (9,) rad, m and m/s. Biases walk on.
+    """
+    walk = np.repeat([noise.accel_bias_walk, noise.gyro_bias_walk], 3) * np.sqrt(state.interval)
+    J = np.zeros((15, _WIDTH))
+    J[_MOTION, _RIGHT][:, _MOTION] = np.diag(1.0 / sigma)
+    J[_BIASES, _LEFT][:, _BIASES] = np.diag(1.0 / walk)
+    J[_BIASES, _RIGHT][:, _BIASES] = -np.diag(1.0 / walk)
+    biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)
+    linear.whitened[at] = J
+    linear.whitened[at, _BIASES, _RESIDUAL] = (-np.diff(biases, axis=0) / walk)[at]
 
 
 def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:

@@ -6,21 +6,22 @@ and roll over lateral acceleration, and through pitch over forward acceleration.
 with more turns to one side. (Over closed laps the slopes of the road cancel.)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
+from smoother.estimate.graph.imu import MOSTLY_MISSING
 from smoother.estimate.graph.state import ChainState
 from smoother.fit.running import gaussian_mean
 from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes
-from smoother.units import DEG
+from smoother.units import ANY_ANGLE, DEG
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
-MOSTLY_MISSING = 0.5  # share of an interval
+ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fitted
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
@@ -52,7 +53,7 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
         sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
         use &= sampled[1:] | sampled[:-1]
     if np.count_nonzero(use) < MIN_KEYFRAMES:
-        return FittedMounting(rough_R_bs, np.full(3, np.pi / 4.0), False)
+        return FittedMounting(rough_R_bs, np.full(3, ROUGH), False)
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
     R_sn = state.R_ns[use].transpose(0, 2, 1)
     velocity_s = np.einsum("kij,kj->ki", R_sn, state.velocity_n[use] * [1.0, 1.0, 0.0])
@@ -73,6 +74,14 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
         sigma = np.array([fit[1] for fit in fits])
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def without_heading(mounting: FittedMounting) -> FittedMounting:
+    """Return `mounting` of a kart that did not drive: its nose may point anywhere, also where the mounting is stated.
+
+    For where the sensor points is not known then either.
+    """
+    return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]))
 
 
 def swing_on_the_wheel(keyframes: Keyframes) -> Array | None:

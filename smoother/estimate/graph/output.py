@@ -6,16 +6,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.batch import Noise, Priors, Solved
-from smoother.estimate.graph.chain import ChainFactor, ChainSolution
+from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import (
+    MOSTLY_MISSING,
     BinnedImu,
     DensePath,
     InertialNoise,
@@ -51,6 +52,7 @@ from smoother.trajectory import (
     Sigmas,
     Trajectory,
 )
+from smoother.units import ANY_ANGLE
 
 MARGIN = 20.0  # s of the path around the rows that are made together: more than what is expected of them reaches
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
@@ -106,23 +108,29 @@ def estimated(solved: Solved) -> Estimated:
         uncertainty_of(solved),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
-        np.zeros((3, 3))
-        if factor is None
-        else _common_attitude(factor, solved.solution.covariance[:, ROTATION, ROTATION], _told(state)),
+        common_attitude(solved),
     )
 
 
-def _told(state: ChainState) -> IntArray:
-    """Keyframes that the mounting is fitted to, all where they are few: what it takes out of others' errors is less."""
-    driven = are_driven(state)
-    return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else np.ones_like(driven))
+def _told(state: ChainState, made_up: BoolArray | None) -> IntArray:
+    """Keyframes that the mounting is fitted to, all where they are few: what it takes out of others' errors is less.
 
-
-def _common_attitude(factor: ChainFactor, attitude: Array, told: IntArray) -> Array:
-    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes over the session.
-
-    attitude (K, 3, 3) rad^2: covariance of each keyframe's own error; told: those that the mounting is fitted to.
+    made_up (K,): keyframes without samples, which tell nothing.
     """
+    sampled = np.ones(len(state.t), dtype=np.bool_) if made_up is None else ~made_up
+    driven = are_driven(state) & sampled
+    return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else sampled)
+
+
+def common_attitude(solved: Solved, made_up: BoolArray | None = None) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes; zero where it is not known.
+
+    made_up (K,): keyframes without samples, whose errors have nothing in common with those of others.
+    """
+    factor, attitude = solved.solution.factor, solved.solution.covariance[:, ROTATION, ROTATION]
+    if factor is None:
+        return np.zeros((3, 3))
+    told = _told(solved.state, made_up)
     told = told[told < len(attitude) - 1]
     known = told[_usually_known(attitude[told])]
     at = np.repeat(known[np.linspace(0, len(known) - 1, SAMPLES).astype(np.int64)], 3)
@@ -321,15 +329,16 @@ def _turning(state: ChainState) -> Array:
     return np.concatenate([turn, turn[-1:]])
 
 
-def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -> Array:
+def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, made_up: BoolArray | None) -> Array:
     """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
 
     An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
     mounting: the box seems askew by so much more, and the kart is none the worse for it.
+    made_up (K,): keyframes without samples.
     """
     if not mounting.is_fitted:
         return np.ones(3)
-    told = _told(found.state)
+    told = _told(found.state, made_up)
     some = told[:: max(1, len(told) // (10 * SAMPLES))]
     attitude = R_nb[some].transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb[some]
     attitude = attitude[_usually_known(attitude)]
@@ -338,12 +347,21 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array) -
     return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
 
 
+def _made_up(binned: BinnedImu) -> BoolArray | None:
+    """Mask (K,) of the keyframes beside intervals whose samples are made up, None where there are none."""
+    made_up = binned.missing >= MOSTLY_MISSING
+    if not np.any(made_up):
+        return None
+    beside = np.concatenate([[False], made_up, [False]])
+    return np.asarray(beside[1:] | beside[:-1])
+
+
 def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unseen: Array) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
-    left = _left_of_attitude(found, mounting, R_nb)
+    left = _left_of_attitude(found, mounting, R_nb, _made_up(source.binned))
     for part in even_pieces(len(R), TOGETHER):
         covariance[part] = known.antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
@@ -415,7 +433,7 @@ def _sigmas(
         "position_n": np.sqrt(diagonal[:, 3:6]),
         "velocity_n": np.sqrt(diagonal[:, 0:3]),
         "speed": np.sqrt(np.maximum(speed, 0.0)),
-        "attitude": np.sqrt(np.maximum(attitude, 0.0)),
+        "attitude": np.sqrt(np.clip(attitude, 0.0, ANY_ANGLE**2)),  # no angle is less known than one that may be any
         "track": np.sqrt(np.maximum(variance, 0.0)),
     }
 

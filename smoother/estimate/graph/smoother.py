@@ -4,7 +4,9 @@
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
     -> solve and identify, in turns -> magnetometer -> mounting -> output
 
-When the inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
+Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
+the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
+fails, the result is the smoothing of the fixes alone.
 """
 
 import time
@@ -19,10 +21,19 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.mounting import FittedMounting, fit_mounting
+from smoother.estimate.graph.mounting import FittedMounting, fit_mounting, without_heading
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
+from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
-from smoother.estimate.graph.start import GraphOptions, Start, informed, make_start, on_path_without
+from smoother.estimate.graph.start import (
+    GraphOptions,
+    Start,
+    have_samples,
+    informed,
+    is_partly_sampled,
+    make_start,
+    on_path_without,
+)
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
@@ -41,8 +52,10 @@ UNLIKE = (
     "the inertial samples have nothing to do with the motion of the fixes; smoothed from the fixes alone. Is t_s of "
     "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
 )
+SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as well as they say, those above do not
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
+FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
 STRANGE = (
     0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
 )
@@ -93,7 +106,7 @@ class GraphSmoother:
             # densities and constants are known to some per cent from two minutes of driving
             start = make_start(session, options, options.identification_span)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
-            return self._from_fixes(session, (Problem("imu_unusable", UNLIKE),))
+            return self._from_fixes(session, (*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
             doubted = _jumped(session, start, start.noise, options, with_doppler=False)
             if doubted.any():
@@ -121,9 +134,32 @@ class GraphSmoother:
             told,
             identified={**told.identified, "accel_delay": identified_delay(delay)},
             timings=watch.seconds,
-            problems=told.problems + solution.problems,
+            problems=(
+                *start.alignment.problems,
+                *told.problems,
+                *solution.problems,
+                *_shaken(session, solution.noise),
+            ),
         )
         return replace(trajectory, report=report)
+
+
+def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
+    """Say so where samples are farther from the motion than any road pushes them.
+
+    An engine that turns nearly as often as samples are taken folds to the same push or turn wherever the kart is at
+    that speed. Lap by lap it goes with the motion as a delay or an arm does; as white noise, which sigmas count on, it
+    would not.
+    """
+    density = noise.inertial.accel
+    if session.config.imu.accel_noise is not None or density < SHAKEN:
+        return ()
+    text = (
+        f"the inertial samples are {density:.1f} m/s^2/sqrt(Hz) off the motion, as where the sampling folds the "
+        "engine's vibration into it: delays of the GPS and the antenna's place may be off by many times their sigma. "
+        "Damp the box, or sample faster with the sensor's low-pass filter on"
+    )
+    return (Problem("imu_shaken", text),)
 
 
 def _jumped(
@@ -146,12 +182,19 @@ def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:
     if together < SHORTEST_OVERLAP:
         text = f"the inertial samples and the fixes have only {together:.1f} s in common"
         return Problem("imu_too_short", f"{text} (at least {SHORTEST_OVERLAP:.0f}); smoothed from the fixes alone")
+    sampled = int(np.count_nonzero(have_samples(sampled_spans(imu.t), fixes.t)))
+    if sampled < FEWEST_SAMPLED:
+        text = f"only {counted(sampled, 'fix')} came while there were inertial samples (at least {FEWEST_SAMPLED})"
+        return Problem("imu_too_short", f"{text}; smoothed from the fixes alone")
     return None
 
 
 def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
-    """Time, s, that both cover."""
-    return float(min(imu.t[-1], fixes.t[-1]) - max(imu.t[0], fixes.t[0])) if len(imu.t) > 1 else 0.0
+    """Longest time, s, that both cover without a hole."""
+    if len(imu.t) < 2:
+        return 0.0
+    first, last = np.clip(sampled_spans(imu.t), fixes.t[0], fixes.t[-1]).T
+    return float(np.max(last - first))
 
 
 class Stopwatch:
@@ -183,8 +226,8 @@ class Stopwatch:
 def _solve(
     session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
 ) -> tuple[Estimated, Solution | WindowsSolution]:
-    """Solve a session in one piece, or in windows where it is long; and what it was solved with."""
-    if is_long(start) and options.solver == "batch":
+    """Solve a session in one piece, or with constants of a part of it; and what it was solved with."""
+    if is_partly_sampled(start) or (is_long(start) and options.solver == "batch"):
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
@@ -194,5 +237,7 @@ def _solve(
 def _mounting(session: Session, state: ChainState, alignment: Alignment, missing: Array) -> FittedMounting:
     stated = session.config.mounting.R_bs
     if stated is not None:
-        return FittedMounting(stated, np.zeros(3), True)
-    return fit_mounting(state, alignment.R_bs, missing)
+        mounting = FittedMounting(stated, np.zeros(3), True)
+    else:
+        mounting = fit_mounting(state, alignment.R_bs, missing)
+    return without_heading(mounting) if alignment.is_level_only else mounting

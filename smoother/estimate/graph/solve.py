@@ -19,13 +19,13 @@ from smoother.estimate.graph.batch import (
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.components import Scatter, update_noise
 from smoother.estimate.graph.heading import heading_from_field
-from smoother.estimate.graph.imu import ROUND
+from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.start import GraphOptions, Start, scatter_of
+from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
 from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
-from smoother.samples import Problem, Session
+from smoother.samples import MagSamples, Problem, Session
 
 WELL_KNOWN = 0.15  # of a sigma, which further steps would still move by; it adds 1 % to the error
 CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
@@ -82,6 +82,7 @@ def _is_worse(noise: Noise, other: Noise) -> bool:
 
 def identify(start: Start, options: GraphOptions, say: Say) -> tuple[Constants, tuple[Array, Array], Noise]:
     """Find constants, mean biases of force and rate and noise, turn by turn."""
+    start = where_sampled(start)
     state, noise = _settle(start, start.state, start.noise, scatter_of(start), options, say)
     return state.constants, (state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)), noise
 
@@ -171,7 +172,8 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
     if session.mag is None or session.config.magnetometer.use is False:
         return data, priors, ()
     earth, problems = session_field(session)
-    heading = heading_from_field(session.mag, state, earth.declination, earth.inclination)
+    mag = _where_sampled(session.mag, start.binned)
+    heading = heading_from_field(mag, state, earth.declination, earth.inclination)
     if heading is None:
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
         return data, priors, (*problems, Problem("magnetometer_unused", text))
@@ -179,3 +181,16 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
     sigma = priors.constants_sigma.copy()
     sigma[HEADING_OFFSET] = heading.offset_sigma
     return replace(data, heading=heading), replace(priors, constants_sigma=sigma), problems
+
+
+def _where_sampled(mag: MagSamples, binned: BinnedImu) -> MagSamples:
+    """The readings of the intervals that have inertial samples.
+
+    In a hole nobody knows how the kart leans to some degrees, by which a steep field turns its heading two or three
+    times as far. A heading factor turns the kart alone; where it can lean as well, the two chase one another.
+    """
+    if not np.any(binned.missing):
+        return mag
+    interval = np.clip(np.searchsorted(binned.t, mag.t) - 1, 0, len(binned.missing) - 1)
+    use = binned.missing[interval] < MOSTLY_MISSING
+    return replace(mag, t=mag.t[use], field_s=mag.field_s[use])

@@ -8,13 +8,15 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_offset import OffsetModel, offset_model
+from smoother.estimate.gnss_offset import LEAST_DOPPLER, OffsetModel, follows_positions, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths, tell_of_samples
 from smoother.estimate.graph.keyframes import keyframe_times
+from smoother.estimate.graph.made_up import MadeUpSamples
+from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -26,6 +28,9 @@ START_SHARE = 0.5  # of what alignment left unexplained, half of which is typica
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
+# m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
+# alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
+MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
 LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
 
 
@@ -78,7 +83,10 @@ class GraphOptions:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output."""
+    """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
+
+    spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`.
+    """
 
     path: GnssPath
     driven: PathMotion
@@ -91,6 +99,7 @@ class Start:
     priors: Priors
     receiver: float  # how the reported accuracy compares with the population's, at most 1
     stated: ImuNoise  # densities from the settings; they are not estimated
+    spans: Array
 
 
 def make_start(
@@ -106,10 +115,11 @@ def make_start(
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n)
     alignment = align(session.imu, driven)
     priors = _priors(session, alignment, path, options)
-    begin, end = _busiest_span(driven, span)
+    spans = sampled_spans(session.imu.t)
+    begin, end = _busiest_span(driven, spans, span)
     t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
-    fine, binned = _bins(session, t, alignment, options)
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    fine, binned = _bins(session, t, path, alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, driven, alignment)
     return Start(
         path,
@@ -123,6 +133,7 @@ def make_start(
         priors,
         _receiver(session, options),
         session.config.imu,
+        spans,
     )
 
 
@@ -142,7 +153,7 @@ def informed(
     gnss, T = session.gnss, options.keyframe_interval
     felt_at = gnss.t[np.isfinite(gnss.velocity_n[:, 0])] - constants.velocity_latency
     t = keyframe_times(gnss.t[0] - MAX_LATENCY, gnss.t[-1] + T, T, felt_at)
-    fine, binned = _bins(session, t, start.alignment, options)
+    fine, binned = _bins(session, t, start.path, start.alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
     state = _first_guess(start.path, t, R_ns, constants, biases)
     everything = np.ones(len(gnss), dtype=np.bool_)
@@ -167,16 +178,26 @@ def without_positions(session: Session, doubted: BoolArray) -> Session:
 def _first_guess(
     path: GnssPath, t: Array, R_ns: Array, constants: Constants, biases: tuple[Array, Array]
 ) -> ChainState:
-    at = path.at(t + constants.position_latency)
+    at = path.at(t + _late(path, constants))
     accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
     return ChainState(t, R_ns, at.position_n, at.velocity_n, accel_bias, gyro_bias, at.offset_n, constants)
 
 
-def _bins(session: Session, t: Array, alignment: Alignment, options: GraphOptions) -> tuple[BinnedImu, BinnedImu]:
+def _late(path: GnssPath, constants: Constants) -> float:
+    """How much later than the sensor, s, the path is where a place is the same: a stated latency is taken out of it."""
+    return constants.position_latency - path.position_latency
+
+
+def _bins(
+    session: Session, t: Array, path: GnssPath, alignment: Alignment, constants: Constants, options: GraphOptions
+) -> tuple[BinnedImu, BinnedImu]:
     """Inertial samples between the keyframes t (K,), in fine bins and in those to solve with."""
     assert session.imu is not None
     n_bins = max(1, round(options.keyframe_interval / options.bin_interval))
-    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
+    made_up = MadeUpSamples(session.imu, path, alignment, _late(path, constants), session.gnss)
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s, made_up.at)
+    if np.any(fine.missing):
+        fine = replace(fine, blind=made_up.blind(t, hole_lengths(fine.missing, np.diff(t))))
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
@@ -246,6 +267,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
         sigma,
         holds_height=mounting.lever_arm_b is None,
         has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
+        drives=not alignment.is_level_only,
     )
 
 
@@ -255,22 +277,26 @@ def _first_noise(
     """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
 
     That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
-    samples are perfect and the fixes are bad.
+    samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
+    of it would pass for a wandering offset.
     """
     stated = session.config.imu
     inertial = InertialNoise(
         stated.accel_noise
-        or max(START_SHARE * alignment.accel_noise, _density(binned.specific_force_s, binned.dt, DATA_SHEET_ACCEL)),
+        or max(START_SHARE * alignment.accel_noise, _density(binned, binned.specific_force_s, DATA_SHEET_ACCEL)),
         stated.gyro_noise
-        or max(START_SHARE * alignment.gyro_noise, _density(binned.angular_rate_s, binned.dt, DATA_SHEET_GYRO)),
+        or max(START_SHARE * alignment.gyro_noise, _density(binned, binned.angular_rate_s, DATA_SHEET_GYRO)),
         stated.accel_bias_walk or options.accel_bias_walk,
         stated.gyro_bias_walk or options.gyro_bias_walk,
     )
     usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
+    position = path.position_sigma
+    if follows_positions(session.gnss.t, path):
+        position = np.maximum(position, MOST_SCATTER if _has_doppler(session) else SOME_SCATTER)
     return Noise(
         inertial,
-        path.position_sigma,
+        position,
         path.velocity_sigma,
         offset.sigma,
         offset.tau,
@@ -279,8 +305,14 @@ def _first_noise(
     )
 
 
-def _density(bins: Array, dt: float, floor: float) -> float:
-    """Noise density of binned samples (K, n, 3): second differences of white noise have six times its variance."""
+def _has_doppler(session: Session) -> bool:
+    """Whether most fixes come with a velocity."""
+    return float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) >= LEAST_DOPPLER
+
+
+def _density(binned: BinnedImu, bins: Array, floor: float) -> float:
+    """Noise density of bins (K, n, 3) of `binned`: second differences of white noise have six times its variance."""
+    bins = bins if np.all(telling := tell_of_samples(binned.missing)) else bins[telling]
     if len(bins) > ENOUGH_BINS:  # a day: those within intervals, evenly taken, are as good
         some = bins[:: len(bins) // ENOUGH_BINS]
         second = some[:, 2:] - 2.0 * some[:, 1:-1] + some[:, :-2]
@@ -288,22 +320,30 @@ def _density(bins: Array, dt: float, floor: float) -> float:
         flat = bins.reshape(-1, 3)
         second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
     sigma = 1.4826 * median(np.abs(second).ravel())
-    return max(floor, sigma * math.sqrt(dt / 6.0))
+    return max(floor, sigma * math.sqrt(binned.dt / 6.0))
 
 
 def scatter_of(start: Start) -> Scatter:
     """Return the densities that neighbouring bins show."""
-    accel = _density(start.binned.specific_force_s, start.binned.dt, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
-    gyro = _density(start.binned.angular_rate_s, start.binned.dt, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
+    binned = start.binned
+    accel = _density(binned, binned.specific_force_s, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
+    gyro = _density(binned, binned.angular_rate_s, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
     return Scatter(accel, gyro)
 
 
-def _busiest_span(driven: PathMotion, span: float) -> tuple[float, float]:
-    """First and last time of the stretch of `span` seconds with most fixes at speed, or of all if not much longer."""
+def _busiest_span(driven: PathMotion, spans: Array, span: float) -> tuple[float, float]:
+    """First and last time of the stretch of `span` seconds with most fixes at speed, or of all if not much longer.
+
+    Of those that there are samples for, by spans (S, 2) s.
+    """
     t = driven.t
     if t[-1] - t[0] < 1.5 * span:
         return float(t[0]), float(t[-1])
-    fast = np.concatenate([[0], np.cumsum(np.hypot(driven.velocity_n[:, 0], driven.velocity_n[:, 1]) > MIN_SPEED)])
+    counted = driven.speed > MIN_SPEED
+    if has_hole(spans, t[0], t[-1]):
+        sampled = have_samples(spans, t)
+        counted = counted & sampled if np.any(counted & sampled) else sampled
+    fast = np.concatenate([[0], np.cumsum(counted)])
     whole = t <= t[-1] - span
     first = int(np.argmax(fast[np.searchsorted(t, t[whole] + span)] - fast[:-1][whole]))
     return float(t[first]), float(t[first] + span)
@@ -311,12 +351,37 @@ def _busiest_span(driven: PathMotion, span: float) -> tuple[float, float]:
 
 def busiest_part(start: Start, span: float) -> Start:
     """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
-    begin, end = _busiest_span(start.driven, span)
+    begin, end = _busiest_span(start.driven, start.spans, span)
     t = start.state.t
     if end == start.driven.t[-1]:
         return start
     first, last = np.searchsorted(t, [begin - MAX_LATENCY, end])
     return stretch(start, int(first), min(int(last), len(t) - 1))
+
+
+def have_samples(spans: Array, t: Array) -> BoolArray:
+    """Mask (N,) of the fixes at t (N,) s that samples of the spans (S, 2) s go with, whatever their latency."""
+    return are_sampled(spans, t - MAX_LATENCY, t)
+
+
+def is_partly_sampled(start: Start) -> bool:
+    """Whether some of the fixes have no samples, and must not tell the constants."""
+    return has_hole(start.spans, start.data.t[0], start.data.t[-1])
+
+
+def where_sampled(start: Start) -> Start:
+    """Return the start that the constants are found from: the fixes that have samples, holes between them not bridged.
+
+    The start itself where all of it is sampled.
+    """
+    if not is_partly_sampled(start):
+        return start
+    t = start.state.t
+    spans = start.spans[(start.spans[:, 1] > t[0]) & (start.spans[:, 0] < t[-1])]
+    first, last = np.searchsorted(t, [spans[0, 0], spans[-1, 1]])
+    part = stretch(start, max(int(first) - 1, 0), min(int(last), len(t) - 1))
+    data = _of_fixes(part.data, have_samples(spans, part.data.t))
+    return replace(part, data=replace(data, sampled=spans))
 
 
 def fixes_between(start: Start, first: int, last: int) -> BoolArray:
@@ -328,11 +393,14 @@ def fixes_between(start: Start, first: int, last: int) -> BoolArray:
 def stretch(start: Start, first: int, last: int) -> Start:
     """Return the start of the keyframes first .. last alone."""
     data = start.data
-    inside = fixes_between(start, first, last)
     still = data.still[(data.still >= first) & (data.still < last)] - first
-    names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
-    doubted = None if data.doubted is None else data.doubted[inside]
-    of_fixes = {name: getattr(data, name)[inside] for name in names}
-    part = replace(data, still=still, heading=None, doubted=doubted, **of_fixes)
+    part = replace(_of_fixes(data, fixes_between(start, first, last)), still=still, heading=None)
     state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
     return replace(start, state=state, data=part, binned=binned)
+
+
+def _of_fixes(data: Data, use: BoolArray) -> Data:
+    """Return the measurements with the fixes `use` (N,) alone."""
+    names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+    doubted = None if data.doubted is None else data.doubted[use]
+    return replace(data, doubted=doubted, **{name: getattr(data, name)[use] for name in names})

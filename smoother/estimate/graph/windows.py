@@ -1,9 +1,13 @@
-"""Sessions of hours: solved in windows that overlap, one after the other, at a cost in memory that does not grow.
+"""Sessions of hours, and those that samples cover a part of: solved with constants that are found from a part.
 
-Latencies, lever arm and all other constants are those of the busiest window, which is solved first with everything
-free. They are known there far better than a lap needs, and held in all windows, so that no seam can show in them; how
-unsure they are is in the covariance of every window as it is in that of the whole. What remains at a seam is what the
-fixes beyond the overlap would have told of the slow GPS offset, minutes away.
+Hours are solved in windows that overlap, one after the other, at a cost in memory that does not grow. Latencies, lever
+arm and all other constants are those of the busiest window, which is solved first with everything free. They are known
+there far better than a lap needs, and held in all windows, so that no seam can show in them; how unsure they are is in
+the covariance of every window as it is in that of the whole. What remains at a seam is what the fixes beyond the
+overlap would have told of the slow GPS offset, minutes away.
+
+Fixes without samples must not tell the constants, nor how they scatter (:func:`where_sampled`): along a way that is
+made up, delays and lever arm would seem to be known, several of their sigmas from where they are.
 """
 
 from dataclasses import dataclass, replace
@@ -17,11 +21,13 @@ from smoother.arrays import Array, IntArray
 from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
+from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
-from smoother.estimate.graph.output import Estimated, Uncertainty, uncertainty_of
+from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
+from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import Say, solve_whole, with_heading
-from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch
+from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
 from smoother.samples import Problem, Session
 
@@ -64,11 +70,14 @@ class WindowsSolution:
 
 
 def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
-    """Solve all keyframes of `start` window by window, with constants and noise of the busiest one."""
-    main = solve_whole(session, busiest_part(start, WINDOW), noise, options, lambda fraction: say(0.3 * fraction))
+    """Solve all keyframes of `start` window by window, with constants and noise of the busiest, sampled one."""
+    busiest = where_sampled(busiest_part(start, WINDOW))
+    in_one = replace(options, solver="batch")  # a stream takes the constants as they are
+    main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
     noise, priors, problems = main.noise, main.priors, main.problems
-    del main  # the windows need its room
+    common = _common_attitude(main.solved, start)
+    del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     edges = _edges(len(start.state.t), start.state.interval)
     n, pieces = len(start.state.t), []
@@ -80,7 +89,19 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
             values[first:last] = getattr(known, name)
         settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
-    return WindowsSolution(_joined(pieces, start, held, whole), noise, priors, problems)
+    return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
+
+
+def _common_attitude(main: Solved, start: Start) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude; zero where `main` is not all that has samples.
+
+    Over hours other errors are common than in one window.
+    """
+    t, whole = main.state.t, start.state.t
+    first, last = max(start.spans[0, 0], whole[0]), min(start.spans[-1, 1], whole[-1])
+    if t[0] - first > HOLE or last - t[-1] > HOLE:
+        return np.zeros((3, 3))
+    return common_attitude(main, are_unsampled(start.spans, t, t))
 
 
 def _edges(n_keyframes: int, interval: float) -> list[int]:
@@ -96,10 +117,15 @@ def _solve_piece(
     begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
     part = stretch(start, begin, end)
     state = near_solution(part, noise, options.approaches)
-    batch = Batch(_with_level_heading(session, part, state), part.binned, start.priors)
-    graph = batch.graph(state, noise)
-    state = batch.approach(graph, state, noise, NEAR, 2 * options.approaches)
-    solved = batch.step(graph, state, noise, held=held)
+    data = _with_level_heading(session, part, state)
+    batch = Batch(data, part.binned, start.priors)
+    if options.solver == "isam2":
+        constants = part.state.constants
+        solved = solve_as_stream(batch, data, part.binned, start.priors, noise, part.state, constants, held)
+    else:
+        graph = batch.graph(state, noise)
+        state = batch.approach(graph, state, noise, NEAR, 2 * options.approaches)
+        solved = batch.step(graph, state, noise, held=held)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved)
     known = Uncertainty(*(values[core] for values in vars(known).values()))
@@ -156,11 +182,11 @@ def _figures(rows: Rows, use: IntArray, begin: int) -> Rows:
     )
 
 
-def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty) -> Estimated:
+def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty, common: Array) -> Estimated:
     kinds = {name for piece in pieces for name in piece.rows}
     rows = {name: _joined_rows(name, pieces, len(start.data.t)) for name in kinds}
     windows = [piece.factor for piece in pieces]
-    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows))
+    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows), common)
 
 
 def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:

@@ -7,6 +7,7 @@
   const UNITS = { "km/h": 3.6, mph: 1 / 0.44704 };
   const MARGIN = { left: 50, right: 10, top: 22, bottom: 6 };
   const AXIS = 24; // px below the lowest panel
+  const LINE = 15; // px of a title that takes another line
   const data = JSON.parse(document.getElementById("data").textContent);
   const place = (id) => document.getElementById(id);
 
@@ -57,8 +58,8 @@
     for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step) out.push(v);
     return [out, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
   }
-  function clockTicks(low, high) {
-    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200].find((s) => (high - low) / s <= 9) || 14400;
+  function clockTicks(low, high, most) {
+    const step = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200].find((s) => (high - low) / s <= most) || 14400;
     const out = [];
     for (let v = Math.ceil(low / step) * step; v <= high; v += step) out.push(v);
     return out;
@@ -116,11 +117,43 @@
     return svg;
   }
 
+  // ---- titles: as many lines as a narrow screen makes of them ----
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = `600 12px ${getComputedStyle(document.body).fontFamily}`; // as .chart text.title
+  function wrapped(text, room) {
+    const fits = (line) => pen.measureText(line).width <= room;
+    const lines = [""];
+    for (let word of text.split(" ")) {
+      const last = lines.length - 1, longer = lines[last] ? `${lines[last]} ${word}` : word;
+      if (fits(longer)) { lines[last] = longer; continue; }
+      if (lines[last]) lines.push("");
+      while (!fits(word) && word.length > 1) { // a name without a space may be wider than the screen
+        let n = word.length - 1;
+        while (n > 1 && !fits(word.slice(0, n))) n--;
+        lines.splice(-1, 1, word.slice(0, n), "");
+        word = word.slice(n);
+      }
+      lines[lines.length - 1] = word;
+    }
+    return lines;
+  }
+  const titleLines = (title, width) => wrapped(title, width - MARGIN.left - MARGIN.right);
+  const grown = (height, title, width) => height + LINE * (titleLines(title, width).length - 1);
+
+  function clipped(svg, x, y, width, height) { // what is drawn into it shows inside this box only
+    const id = `clip-${++clipped.count}`;
+    const shape = make("clipPath", { id }, make("defs", {}, svg));
+    make("rect", { x, y, width: Math.max(0, width), height: Math.max(0, height) }, shape);
+    return make("g", { "clip-path": `url(#${id})` }, svg);
+  }
+  clipped.count = 0;
+
   // ---- one panel: y over a shared x ----
   function panel(svg, box, spec) {
     const { x0, x1, width } = spec;
     const left = MARGIN.left, right = width - MARGIN.right;
-    const top = box.top + MARGIN.top, bottom = box.top + box.height - MARGIN.bottom;
+    const lines = titleLines(spec.title, width);
+    const top = box.top + MARGIN.top + LINE * (lines.length - 1), bottom = box.top + box.height - MARGIN.bottom;
     const X = (x) => left + ((x - x0) / (x1 - x0 || 1)) * (right - left);
     let [low, high] = spec.limits;
     const least = spec.least || 0;
@@ -138,11 +171,8 @@
       make("path", { d: `M${left} ${Y(mark).toFixed(1)}H${right}`, class: isZero && low < 0 ? "zero" : "grid" }, svg);
       write(svg, left - 6, Y(mark) + 4, (isZero ? 0 : mark).toFixed(digits), "", "end");
     }
-    write(svg, left, box.top + 14, spec.title, "title");
-    const clip = `clip-${++panel.count}`;
-    const shape = make("clipPath", { id: clip }, make("defs", {}, svg));
-    make("rect", { x: left, y: top - 2, width: Math.max(0, right - left), height: bottom - top + 4 }, shape);
-    const inside = make("g", { "clip-path": `url(#${clip})` }, svg);
+    lines.forEach((line, i) => write(svg, left, box.top + 14 + LINE * i, line, "title"));
+    const inside = clipped(svg, left, top - 2, right - left, bottom - top + 4);
     for (const s of spec.series) {
       const [first, last] = s.span || [0, s.x.length - 1];
       if (s.sigma) make("path", { d: bandOf(s.x, s.y, s.sigma, X, Y, first, last), class: `band f${s.slot % 6}` }, inside);
@@ -162,19 +192,20 @@
     }
     return { X, Y, top, bottom, left, right };
   }
-  panel.count = 0;
   function bottomAxis(svg, x0, x1, width, y, isTime) {
     const X = (x) => MARGIN.left + ((x - x0) / (x1 - x0 || 1)) * (width - MARGIN.left - MARGIN.right);
-    const [marks, digits] = isTime ? [clockTicks(x0, x1), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
+    const [marks, digits] = isTime ? [clockTicks(x0, x1, Math.min(9, width / 65)), 0] : ticks(x0, x1, Math.max(2, Math.floor(width / 90)));
     for (const mark of marks) {
+      const text = isTime ? clock(mark) : mark.toFixed(digits);
       make("path", { d: `M${X(mark).toFixed(1)} ${y}v4`, class: "line faint" }, svg);
-      write(svg, X(mark), y + 17, isTime ? clock(mark) : mark.toFixed(digits), "", "middle");
+      write(svg, Math.min(X(mark), width - 4 * text.length), y + 17, text, "", "middle"); // the last one stays on the sheet
     }
   }
+  const room = (id, wanted) => wanted || Math.max(280, Math.round(place(id).clientWidth));
   function sheet(id, height, wanted) {
     const figure = place(id);
     const old = figure.querySelector("svg");
-    const width = wanted || Math.max(280, Math.round(figure.clientWidth));
+    const width = room(id, wanted);
     const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, class: "chart", role: "img", "aria-label": figure.dataset.label || "" });
     if (old) old.replaceWith(svg);
     else figure.prepend(svg);
@@ -191,13 +222,14 @@
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {
-    const panels = PANELS.filter((p) => traces[p.name]);
+    const wide = room("traces", wanted);
+    const panels = PANELS.filter((p) => traces[p.name]).map((p) => ({ ...p, title: p.title(), height: grown(p.height, p.title(), wide) }));
     const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
     const [svg, width] = sheet("traces", total, wanted);
     const [first, last] = state.range;
     const [x0, x1] = [grid[first], grid[last]];
     const bends = data.corners.map((c) => [c.start, c.end]);
-    let top = 0, frame;
+    let top = 0, frame, highest;
     const marks = [];
     for (const p of panels) {
       const k = p.scale ? p.scale() : 1;
@@ -207,7 +239,8 @@
         sure: p.sure && traces[p.sure] ? traces[p.sure][lap] : null,
       }));
       const limits = extent(series.map((s) => s.y), first, last);
-      frame = panel(svg, { top, height: p.height }, { x0, x1, width: wanted || width, title: width < 520 ? p.title().split(",")[0] : p.title(), series, bends, limits, least: p.least });
+      frame = panel(svg, { top, height: p.height }, { x0, x1, width, title: p.title, series, bends, limits, least: p.least });
+      highest ??= frame.top;
       for (const s of series) marks.push([make("circle", { r: 4, class: `dot f${s.slot % 6}` }, svg), s.y, frame.Y]);
       top += p.height;
     }
@@ -216,7 +249,7 @@
     for (const c of range) {
       const x = frame.X(c.apex), half = 4 * String(c.number).length + 1;
       if (x - half < free) continue;
-      write(svg, x, 30, c.number, "corner", "middle");
+      write(svg, x, highest + 8, c.number, "corner", "middle");
       free = x + half;
     }
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
@@ -225,7 +258,7 @@
     cursors.push((at) => {
       const x = frame.X(grid[at]);
       const shown = at >= first && at <= last;
-      cursor.setAttribute("d", shown ? `M${x.toFixed(1)} ${MARGIN.top}V${top}` : "");
+      cursor.setAttribute("d", shown ? `M${x.toFixed(1)} ${highest}V${top}` : "");
       for (const [dot, y, Y] of marks) {
         const there = shown && Number.isFinite(y[at]);
         dot.setAttribute("visibility", there ? "visible" : "hidden");
@@ -283,12 +316,13 @@
     const laps = [...state.slots.keys()];
     const cut = (list) => list.subarray(first, last + 1);
     const { scale, X, Y } = fit([...laps, lap].map((i) => cut(traces.x[i])), [...laps, lap].map((i) => cut(traces.y[i])), width, height, 26);
-    if (data.mean_line) make("path", { d: trail(meanLine.x, meanLine.y, X, Y, 0, meanLine.x.length - 1), class: "line faint" }, svg);
+    const inside = clipped(svg, 0, 0, width, height);
+    if (data.mean_line) make("path", { d: trail(meanLine.x, meanLine.y, X, Y, 0, meanLine.x.length - 1), class: "line faint" }, inside);
     for (const i of laps.filter((i) => i !== lap)) {
       const slot = state.slots.get(i);
-      make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, svg);
+      make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, inside);
     }
-    make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, svg);
+    make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, inside);
     const [slow, fast] = extent([traces.speed[lap]], first, last);
     const shades = data.palette.map(() => "");
     const bin = (v) => Math.min(shades.length - 1, Math.floor(((v - slow) / (fast - slow || 1)) * shades.length));
@@ -297,12 +331,17 @@
       if (!Number.isFinite(a + b) || !Number.isFinite(traces.speed[lap][i])) continue;
       shades[bin(traces.speed[lap][i])] += `M${X(a).toFixed(1)} ${Y(traces.y[lap][i]).toFixed(1)}L${X(b).toFixed(1)} ${Y(traces.y[lap][i + 1]).toFixed(1)}`;
     }
-    shades.forEach((d, i) => d && make("path", { d, class: "speed", stroke: data.palette[i] }, svg));
-    for (const g of data.gates) make("path", { d: `M${X(g.x[0])} ${Y(g.y[0])}L${X(g.x[1])} ${Y(g.y[1])}`, class: g.is_start ? "gate" : "split" }, svg);
-    for (const c of data.corners) write(svg, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
+    shades.forEach((d, i) => d && make("path", { d, class: "speed", stroke: data.palette[i] }, inside));
+    for (const g of data.gates) {
+      const [a, b, c, d] = [X(g.x[0]), Y(g.y[0]), X(g.x[1]), Y(g.y[1])];
+      const isShown = Math.abs(a + c - width) < width && Math.abs(b + d - height) < height; // its middle
+      if (isShown) make("path", { d: `M${a} ${b}L${c} ${d}`, class: g.is_start ? "gate" : "split" }, inside);
+    }
+    const range = data.corners.filter((c) => c.apex >= grid[first] && c.apex <= grid[last]);
+    for (const c of range) write(inside, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
     scaleBar(svg, scale, width, height);
     colourBar(svg, slow, fast, width, height);
-    const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, svg), i]);
+    const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, inside), i]);
     cursors.push((at) => {
       for (const [dot, i] of dots) {
         const there = Number.isFinite(traces.x[i][at]) && Number.isFinite(traces.y[i][at]);
@@ -349,18 +388,19 @@
       for (let i = 0; i < right.length; i++) if (Number.isFinite(right[i] + forward[i])) d += `M${X(right[i]).toFixed(1)} ${Y(forward[i]).toFixed(1)}h0`;
       return d;
     };
-    make("path", { d: dots(...cloud), class: "cloud" }, svg);
+    const inside = clipped(svg, 0, 0, size0, size0);
+    make("path", { d: dots(...cloud), class: "cloud" }, inside);
     const [first, last] = state.range;
     for (const [lap, slot] of state.slots) {
       const right = traces.sideways[lap].subarray(first, last + 1).map((v) => -v / 9.80665);
       const forward = traces.longitudinal[lap].subarray(first, last + 1).map((v) => v / 9.80665);
-      make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, svg);
+      make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, inside);
     }
     write(svg, half, 14, "driving", "", "middle");
     write(svg, half, size0 - 6, "braking", "", "middle");
     write(svg, 4, half - 6, "left");
     write(svg, size0 - 4, half - 6, "right", "", "end");
-    const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, svg), lap]);
+    const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, inside), lap]);
     cursors.push((at) => {
       for (const [mark, lap] of marks) {
         const [r, f] = [-traces.sideways[lap][at] / 9.80665, traces.longitudinal[lap][at] / 9.80665];
@@ -386,12 +426,13 @@
     const height = Math.round(Math.min(width0 * 0.85, 440));
     const [svg, width] = sheet("compared-map", height, wanted ? width0 : undefined);
     const { scale, X, Y } = fit([compared.x.subarray(a, b + 1)], [compared.y.subarray(a, b + 1)], width, height, 30);
+    const inside = clipped(svg, 0, 0, width, height);
     const tracks = [["baseline_", "line s4", "7 3"], ["", "line s0", ""]];
-    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, svg);
+    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, inside);
     const [c, d] = part(compared.fix_t);
     let dots = "";
     for (let i = c; i <= d; i++) dots += `M${X(compared.fix_x[i]).toFixed(1)} ${Y(compared.fix_y[i]).toFixed(1)}h0`;
-    make("path", { d: dots, class: "points s1" }, svg);
+    make("path", { d: dots, class: "points s1" }, inside);
     scaleBar(svg, scale, width, height);
     const speeds = [{ x: compared.t, y: compared.speed.map((v) => v * factor()), slot: 0, dash: "" }];
     if (compared.baseline_speed) speeds.unshift({ x: compared.t, y: compared.baseline_speed.map((v) => v * factor()), slot: 4, dash: "7 3" });
@@ -408,12 +449,16 @@
     }
     if (quality.fix_t) panels.push({ title: "each fix: metres left over (orange: given little weight)", series: [{ x: quality.fix_t, y: quality.residual, slot: 0, dots: true }, { x: quality.fix_t, y: quality.doubted, slot: 1, dots: true }], cap: quality.cap });
     if (quality.interval) panels.push({ title: "seconds between fixes", series: [{ x: quality.fix_all_t, y: quality.interval, slot: 2, dots: true }] });
-    const [svg, width] = sheet("quality-time", 150 * panels.length + AXIS, wanted);
+    const wide = room("quality-time", wanted), heights = panels.map((p) => grown(150, p.title, wide));
+    const total = heights.reduce((sum, height) => sum + height, 0);
+    const [svg, width] = sheet("quality-time", total + AXIS, wanted);
+    let top = 0;
     panels.forEach((p, i) => {
       const [, high] = extent(p.series.map((s) => s.y));
-      panel(svg, { top: 150 * i, height: 150 }, { x0: 0, x1, width, title: width < 520 ? p.title.split(":")[0] : p.title, series: p.series, limits: [0, p.cap || high], floor: 0, least: 0.01 });
+      panel(svg, { top, height: heights[i] }, { x0: 0, x1, width, title: p.title, series: p.series, limits: [0, p.cap || high], floor: 0, least: 0.01 });
+      top += heights[i];
     });
-    bottomAxis(svg, 0, x1, width, 150 * panels.length, true);
+    bottomAxis(svg, 0, x1, width, total, true);
   }
 
   // ---- state ----
@@ -497,10 +542,6 @@
   function remembered(key) {
     try { return localStorage.getItem(key); } catch { return null; }
   }
-  function setTheme(theme) {
-    if (theme === "auto") delete document.documentElement.dataset.theme;
-    else document.documentElement.dataset.theme = theme;
-  }
   function keys(event) {
     const step = event.shiftKey ? 10 : 1;
     const moves = { ArrowLeft: state.at - step, ArrowRight: state.at + step, ArrowDown: state.at - step, ArrowUp: state.at + step, Home: state.range[0], End: state.range[1], PageDown: state.at - 25, PageUp: state.at + 25 };
@@ -522,7 +563,6 @@
   for (const box of document.querySelectorAll("#laps-picked input")) box.addEventListener("change", () => pick(Number(box.value), box.checked));
   control("coloured", "change", (value) => { state.coloured = Number(value); draw(); });
   control("units", "change", (value) => { state.unit = value; remember("kart-report-units", value); draw(); });
-  control("theme", "change", (value) => { setTheme(value); remember("kart-report-theme", value); });
   control("stretch", "change", (value) => {
     if (value === "own") return;
     const part = data.stretches[Number(value)];
@@ -533,8 +573,6 @@
   place("cursor").addEventListener("keydown", keys);
   control("cursor", "input", (value) => moveTo(Number(value)));
   for (const lap of data.first) state.slots.set(lap, state.slots.size);
-  const theme = remembered("kart-report-theme");
-  if (["light", "dark"].includes(theme)) { place("theme").value = theme; setTheme(theme); }
   if (remembered("kart-report-units") in UNITS) { state.unit = remembered("kart-report-units"); place("units").value = state.unit; }
   showPicked();
   draw();

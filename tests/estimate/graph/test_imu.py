@@ -17,6 +17,7 @@ from smoother.estimate.graph.imu import (
     bin_imu,
     dense_path,
     halved,
+    hole_lengths,
     interval_noise,
     motion_at,
     preintegrate,
@@ -223,12 +224,35 @@ class TestNoise:
         )
         binned = replace(base, missing=np.array([0.0, 0.5, 0.0]))
         accel, gyro = interval_noise(binned, NOISE)
-        root = np.sqrt(0.4)
-        # an unseen motion of rms a over a share u of T leaves a u T in the velocity: density a u sqrt(T)
-        want_accel = np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * 0.5 * root, 0.0])
-        want_gyro = np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * 0.5 * root, 0.0])
-        np.testing.assert_allclose(accel, want_accel)
-        np.testing.assert_allclose(gyro, want_gyro)
+        # a hole of 0.2 s, whose force and rate are off by what they change in it: over all of it by rms 1 - exp(-0.2)
+        unseen = (1.0 - np.exp(-0.2)) * np.sqrt(0.2) * np.sqrt(0.5)
+        np.testing.assert_allclose(accel, np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * unseen, 0.0]))
+        np.testing.assert_allclose(gyro, np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * unseen, 0.0]))
+
+    @pytest.mark.parametrize(("length", "turned"), [(0.2, 0.018), (1.0, 0.32), (3.0, 1.16), (30.0, 3.9)])
+    def test_a_turn_unseen_adds_up_with_the_time_and_in_long_holes_with_its_root(
+        self, length: float, turned: float
+    ) -> None:
+        n = round(length / 0.2)
+        missing = np.concatenate([np.zeros(3), np.ones(n), np.zeros(3)])
+        no = np.zeros((n + 6, 4, 3))
+        binned = BinnedImu(0.2 * np.arange(n + 7), 0.05, no, no, missing)
+        _, gyro = interval_noise(binned, replace(NOISE, gyro=0.0))
+        assert np.sqrt(np.sum(gyro**2 * 0.2)) == pytest.approx(turned, rel=0.02)
+
+    def test_what_fixes_tell_in_between_bounds_it(self) -> None:
+        no = np.zeros((10, 4, 3))
+        told = np.tile([0.2, 0.4], (10, 1))
+        binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.ones(10))
+        accel, gyro = interval_noise(replace(binned, blind=told), NOISE)
+        alone = interval_noise(binned, NOISE)
+        assert np.all(accel < 0.2 * alone[0])
+        assert np.all(gyro < 0.3 * alone[1])
+
+    def test_holes_are_as_long_as_the_intervals_in_a_row_that_miss_samples(self) -> None:
+        missing = np.array([0.5, 1.0, 0.0, 0.0, 0.25, 0.0, 1.0])
+        np.testing.assert_allclose(hole_lengths(missing, np.full(7, 0.2)), [0.3, 0.3, 0.0, 0.0, 0.05, 0.0, 0.2])
+        np.testing.assert_allclose(hole_lengths(np.zeros(3), np.full(3, 0.2)), 0.0)
 
     def test_noise_follows_the_vibration_by_its_share(self) -> None:
         t, rng = np.arange(1, 4001) / 100.0, np.random.default_rng(0)

@@ -90,18 +90,23 @@ def test_residuals_and_jacobians_are_gtsam_s(seed: int, crooked: float) -> None:
         np.testing.assert_allclose(J[k], np.linalg.solve(factor.noiseModel().R(), whitened), atol=1e-10)
 
 
+@pytest.mark.parametrize("expected", [1.0, 0.3, 0.0])
 @pytest.mark.parametrize("seed", range(2))
-def test_attitudes_turn_what_a_level_path_would_feel(seed: int) -> None:
-    """Both ends turned by the same small turn in n: change of the residual of velocity, in n."""
+def test_attitudes_turn_what_a_level_path_is_expected_to_feel(seed: int, expected: float) -> None:
+    """Both ends turned by the same small turn in n: change of the residual of velocity, in n.
+
+    expected: share of what the keyframes accelerate by that is not noise.
+    """
     drive, J = Drive(seed, 0.0), np.zeros((K - 1, 15, 30))
     accel_bias, gyro_bias = (np.tile(bias, (K, 1)) for bias in BIASES)  # so that keyframes and samples agree
     state = replace(drive.state, accel_bias_s=accel_bias, gyro_bias_s=gyro_bias)
-    levelled(linearize_increments(drive.increments(), state), state).put(J, slice(0, K - 1))
     R, change = state.R_ns, np.diff(state.velocity_n, axis=0)
+    linear = linearize_increments(drive.increments(), state)
+    levelled(linear, state, expected * change / T).put(J, slice(0, K - 1))
     assert np.all(np.abs(change[:, 2]) > 0.01)  # it does not stay level
     for k in range(K - 1):
         turned = R[k + 1] @ (J[k, 6:9, 0:3] @ R[k].T + J[k, 6:9, 15:18] @ R[k + 1].T)
-        felt = np.array([change[k, 0], change[k, 1], -T * GRAVITY_N[2]])  # dv - g T, without what goes up and down
+        felt = np.array([*expected * change[k, :2], -T * GRAVITY_N[2]])  # dv - g T, without what goes up and down
         np.testing.assert_allclose(turned, -so3.skew(felt), atol=1e-9)
 
 
@@ -112,7 +117,9 @@ def test_a_kart_that_stays_level_has_gtsam_s_slopes() -> None:
     position_n[:, 2] = 0.3 * drive.state.t
     state = replace(drive.state, velocity_n=velocity_n, position_n=position_n)
     linear = linearize_increments(drive.increments(), state)
-    np.testing.assert_allclose(levelled(linear, state).by_rotation_left, linear.by_rotation_left, atol=1e-12)
+    found = levelled(linear, state, np.diff(velocity_n, axis=0) / T)
+    for rows in (0, 2):  # turn and velocity; position as at steady acceleration
+        np.testing.assert_allclose(found.by_rotation_left[:, rows], linear.by_rotation_left[:, rows], atol=1e-12)
 
 
 def test_a_part_of_the_intervals_is_that_part_of_all() -> None:

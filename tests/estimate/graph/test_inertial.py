@@ -23,6 +23,7 @@ from smoother.estimate.graph.inertial import (
     inertial_after_step,
     inertial_components,
     inertial_factors,
+    set_apart,
 )
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
@@ -123,7 +124,7 @@ def test_another_noise_is_a_scaled_covariance(ratio: float, shape: Shape) -> Non
 def test_jacobians_are_the_numerical_ones_of_the_chain_s_own_retraction(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inertial, "levelled", lambda linear, _: linear)
+    monkeypatch.setattr(inertial, "levelled", lambda linear, *_: linear)
     state, binned = drive(seed)
     graph = inertial_graph(state, binned)
     linear = graph.linearize(state, NOISE)
@@ -409,3 +410,20 @@ class TestVarianceComponents:
             assert component.redundancy == pytest.approx(np.trace(component.redundancy_in))
             for by_direction in (component.squares_in, component.redundancy_in):
                 np.testing.assert_allclose(by_direction, by_direction.T, rtol=1e-9, atol=1e-9)
+
+
+def test_keyframes_that_are_set_apart_have_nothing_but_their_biases_in_common() -> None:
+    state, binned = drive(9)
+    linear, sigma = linearized(state, binned), np.repeat([3.0, 1e4, 1e3], 3)
+    before = linear.whitened.copy()
+    set_apart(linear, np.arange(K - 1) == 2, state, NOISE, sigma)
+    np.testing.assert_array_equal(linear.whitened[[0, 1, 3]], before[[0, 1, 3]])
+    walk = np.sqrt(T) * np.repeat([NOISE.accel_bias_walk, NOISE.gyro_bias_walk], 3)
+    np.testing.assert_array_equal(linear.left[2, :9], 0.0)
+    np.testing.assert_allclose(linear.right[2, :9, :9], np.diag(1.0 / sigma))
+    np.testing.assert_array_equal(linear.residual[2, :9], 0.0)
+    step = np.concatenate([values[2] - values[3] for values in (state.accel_bias_s, state.gyro_bias_s)])
+    np.testing.assert_allclose(linear.residual[2, 9:], step / walk)
+    np.testing.assert_allclose(linear.left[2, 9:, 9:], np.diag(1.0 / walk))
+    np.testing.assert_allclose(linear.right[2, 9:, 9:], -np.diag(1.0 / walk))
+    np.testing.assert_array_equal(linear.jacobian[2, :, 30:], 0.0)

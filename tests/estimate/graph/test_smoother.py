@@ -418,6 +418,18 @@ class TestDegrading:
         assert "imu_elsewhere" in [p.code for p in s.trajectory.report.problems]
         assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
 
+    @pytest.mark.parametrize(("density", "is_said"), [(0.0, False), (1.5, True)])
+    def test_samples_that_shake_more_than_a_road_makes_them_are_named(self, density: float, is_said: bool) -> None:
+        simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
+        session = prepare(simulation.raw)
+        assert session.imu is not None
+        rate = 1.0 / float(np.median(np.diff(session.imu.t)))
+        push = density * np.sqrt(rate) * np.random.default_rng(0).normal(size=session.imu.specific_force_s.shape)
+        shaken = replace(session.imu, specific_force_s=session.imu.specific_force_s + push)
+        found = GraphSmoother(GraphOptions()).estimate(replace(session, imu=shaken))
+        assert found.report.mode == "full"
+        assert ("imu_shaken" in [p.code for p in found.report.problems]) is is_said
+
     def test_inertial_samples_that_end_half_way_leave_the_rest_to_the_fixes(self) -> None:
         simulation = simulate_preset("white", 4, duration=100.0, motion_standstill=5.0, mag=None)
         session = prepare(simulation.raw)
@@ -620,3 +632,32 @@ def test_no_velocity_is_known_exactly() -> None:
     made = smoothed(simulate_preset("kart", 1, track="longmeadow", duration=100.0, motion_standstill=100.0))
     assert made.trajectory.sigmas is not None
     assert np.min(made.trajectory.sigmas.velocity_n) > 1e-3
+
+
+def test_fixes_far_apart_tell_their_noise_from_a_wandering_offset() -> None:
+    changes = {"gnss_rate": 0.5, "gnss_white_horizontal": 1.5, "gnss_white_up": 2.5}
+    found = smoothed(simulate_preset("kart", 4, duration=300.0, **changes))
+    noise = np.asarray(found.trajectory.report.identified["gps_position_noise"].value)
+    assert noise[0] == pytest.approx(1.5, rel=0.25)
+
+
+def test_fixes_far_apart_are_not_said_to_be_without_an_offset_because_none_can_be_seen() -> None:
+    changes = {"gnss_rate": 1.0, "gnss_white_horizontal": 3.0, "gnss_white_up": 5.0}
+    found = [smoothed(simulate_preset("kart", seed, duration=300.0, **changes)) for seed in (4, 5)]
+    ratio = []
+    for each in found:
+        assert each.trajectory.sigmas is not None
+        ratio.append(each.error_n[:, :2] / each.trajectory.sigmas.position_n[:, :2])
+    assert np.sqrt(np.mean(np.concatenate(ratio) ** 2)) < 1.5
+
+
+@pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity"])
+def test_fixes_that_report_a_sigma_of_nothing_count_as_those_that_report_none(name: str) -> None:
+    session = prepare(simulate_preset("kart", 3, duration=40.0).raw)
+    nothing, unknown = (
+        GraphSmoother().estimate(
+            replace(session, gnss=replace(session.gnss, **{name: np.full(len(session.gnss), value)}))
+        )
+        for value in (0.0, np.nan)
+    )
+    np.testing.assert_array_equal(nothing.position_n, unknown.position_n)

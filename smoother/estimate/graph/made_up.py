@@ -1,0 +1,109 @@
+"""What the inertial samples would have been where they are missing, as far as the fixes and the samples beside tell.
+
+Force and rate of a kart that follows the path of the fixes, level and nose ahead, plus what the samples at both edges
+of the hole differ from that, which is forgotten within half a second: a line from edge to edge in short holes, the path
+in long ones. A single sample at an edge would be mostly vibration. How far off that may be is for
+:func:`smoother.estimate.graph.imu.interval_noise` to say, from how long nothing told of the motion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, IntArray
+from smoother.estimate.align import MIN_SPEED, Alignment
+from smoother.estimate.gnss_path import GnssPath
+from smoother.samples import GnssFixes, ImuSamples
+from smoother.units import STANDARD_GRAVITY
+
+EDGE = 0.1  # s of samples beside a hole that are averaged; an engine turns ten times in it
+FORGOTTEN = 0.5  # s after which a kart's force and rate no longer say what they will be
+TOLD = 0.2, 0.4  # s in which fixes with a speed tell a mean acceleration, and a turn: a nose slides to and fro as well
+SPACINGS = 0.5, 1.0  # of such fixes, likewise
+WITHOUT_SPEEDS = 4.0  # times as long, where positions alone tell it
+
+
+@dataclass(frozen=True, eq=False)
+class MadeUpSamples:
+    """Samples for holes of `imu`, from the path of the fixes `gnss`.
+
+    latency s: the path's time of what the sensor felt at t is t + latency.
+    """
+
+    imu: ImuSamples
+    path: GnssPath
+    alignment: Alignment
+    latency: float
+    gnss: GnssFixes
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Force, m/s^2, and rate, rad/s, at t (M,) s in holes; each (M, 3) in s."""
+        after = np.searchsorted(self.imu.t, t)
+        out = self._by_path(t)
+        for end in np.unique(after):
+            inside = after == end
+            out[inside] += self._beside(t[inside], int(end))
+        return out[:, :3], out[:, 3:]
+
+    def blind(self, t: Array, hole: Array) -> Array:
+        """How long nothing tells of force and rate between the keyframes t (K,), which lie in holes of `hole` (K-1,) s.
+
+        Returns (K-1, 2) s. Fixes tell both of a kart that drives, and the force at any speed.
+        """
+        middle = 0.5 * (t[:-1] + t[1:]) + self.latency
+        between = self._between_fixes(middle)
+        force, rate = (
+            np.minimum(hole, np.maximum(*figures))
+            for figures in zip(TOLD, np.multiply.outer(SPACINGS, between), strict=True)
+        )
+        velocity_n = self.path.at(middle).velocity_n
+        turns = (np.hypot(velocity_n[:, 0], velocity_n[:, 1]) > MIN_SPEED) & (not self.alignment.is_level_only)
+        return np.column_stack([force, np.where(turns, rate, hole)])
+
+    def _between_fixes(self, t: Array) -> Array:
+        """Time from the fix before t (N,) s to the one after it, (N,) s, of those with a speed if there are any."""
+        speeds = np.isfinite(self.gnss.velocity_n[:, 0])
+        fixes, count = (self.gnss.t[speeds], 1.0) if np.any(speeds) else (self.gnss.t, WITHOUT_SPEEDS)
+        after = np.clip(np.searchsorted(fixes, t), 1, len(fixes) - 1)
+        return np.asarray(count * (np.maximum(fixes[after], t) - np.minimum(fixes[after - 1], t)))
+
+    def _by_path(self, t: Array) -> Array:
+        """Force and rate (M, 6) in s of a level kart on the path; of one at rest where its nose may point anywhere."""
+        motion = self.path.at(t + self.latency)
+        (vx, vy), (ax, ay) = motion.velocity_n[:, :2].T, motion.acceleration_n[:, :2].T
+        speed = np.hypot(vx, vy)
+        told = (speed > MIN_SPEED) & (not self.alignment.is_level_only)
+        forward, left = (
+            (told * part) / np.maximum(speed, MIN_SPEED) for part in (vx * ax + vy * ay, vx * ay - vy * ax)
+        )
+        turn = left / np.maximum(speed, MIN_SPEED)
+        zero, R_bs = np.zeros_like(turn), self.alignment.R_bs
+        force_b = np.column_stack([forward, left, zero + STANDARD_GRAVITY])
+        return np.hstack([force_b @ R_bs, np.column_stack([zero, zero, turn]) @ R_bs + self.alignment.gyro_bias_s])
+
+    def _beside(self, t: Array, end: int) -> Array:
+        """What the edges of the hole that ends with sample `end` differ by from the path, carried to t (M,): (M, 6)."""
+        times = self.imu.t
+        before, after = max(end - 1, 0), min(end, len(times) - 1)
+        since, until = t - times[before], times[after] - t
+        share = np.clip(since / max(float(times[after] - times[before]), 1e-9), 0.0, 1.0)
+        if end == 0 or end == len(times):  # nothing on the other side
+            share = np.full(len(t), float(end == 0))
+        fades = [np.exp(-np.maximum(passed, 0.0) / FORGOTTEN) for passed in (since, until)]
+        return np.asarray(
+            np.multiply.outer((1.0 - share) * fades[0], self._difference(self._last(before)))
+            + np.multiply.outer(share * fades[1], self._difference(self._first(after)))
+        )
+
+    def _last(self, before: int) -> IntArray:
+        first = int(np.searchsorted(self.imu.t, self.imu.t[before] - EDGE))
+        return np.arange(first, before + 1)
+
+    def _first(self, after: int) -> IntArray:
+        last = int(np.searchsorted(self.imu.t, self.imu.t[after] + EDGE, side="right"))
+        return np.arange(after, last)
+
+    def _difference(self, samples: IntArray) -> Array:
+        """Mean of the samples less that of the path, (6,)."""
+        measured = np.hstack([self.imu.specific_force_s[samples], self.imu.angular_rate_s[samples]])
+        return np.asarray(np.mean(measured - self._by_path(self.imu.t[samples]), axis=0))
