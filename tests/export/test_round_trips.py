@@ -5,6 +5,7 @@ VBO, RaceChrono and AiM), and for MoTeC a walk along the pointers of the documen
 """
 
 import json
+import math
 import struct
 import tempfile
 from collections.abc import Callable
@@ -61,7 +62,13 @@ def choices() -> st.SearchStrategy[dict[str, Any]]:
             "title": st.text(max_size=20),
             "driver": st.text(max_size=40),
         }
-    )
+    ).map(drivable)
+
+
+def drivable(chosen: dict[str, Any]) -> dict[str, Any]:
+    """No faster than tyres hold, and half a radian from fix to fix: readers leave out speeds that positions deny."""
+    held = min(math.sqrt(4.0 * STANDARD_GRAVITY * chosen["radius"]), 0.5 * chosen["radius"] * chosen["rate"])
+    return {**chosen, "speed": min(chosen["speed"], held)}
 
 
 class Written:
