@@ -79,6 +79,15 @@ def test_a_kart_that_neither_slides_nor_leans_has_felt_what_is_made_up(hole: tup
     assert np.max(np.abs(force - want_force)) < np.max(np.abs(ACCEL_BIAS)) + 1e-6  # it is forgotten in long holes
 
 
+def test_what_is_made_up_in_a_hole_does_not_depend_on_other_holes() -> None:
+    path, holes = Circle(15.0, swing=0.3), [(-1.0, 2.0), (4.0, 4.1), (4.3, 5.0), (12.0, 21.0)]
+    some = made_up(path, holes, noise=1.0)
+    times = [np.linspace(begin + 0.02, end - 0.02, 10) for begin, end in holes]
+    alone = [np.hstack(some.at(t)) for t in times]
+    np.testing.assert_allclose(np.hstack(some.at(np.concatenate(times))), np.concatenate(alone), atol=1e-9)
+    assert np.all(np.abs(np.concatenate(alone)) < 50.0)
+
+
 def test_noise_at_the_edges_is_averaged() -> None:
     path, hole = Circle(15.0), (4.0, 4.3)
     t = np.linspace(*hole, 30)[1:-1]
