@@ -27,7 +27,8 @@ WITHOUT_SPEEDS = 4.0  # times as long, where positions alone tell it
 class MadeUpSamples:
     """Samples for holes of `imu`, from the path of the fixes `gnss`.
 
-    latency s: the path's time of what the sensor felt at t is t + latency.
+    latency s: the path's time of what the sensor felt at t is t + latency. A stated latency is taken out of the path's
+    times, and not of the stamps of the fixes.
     """
 
     imu: ImuSamples
@@ -47,7 +48,7 @@ class MadeUpSamples:
         Returns (K-1, 2) s. Fixes tell both of a kart that drives, and the force at any speed.
         """
         middle = 0.5 * (t[:-1] + t[1:]) + self.latency
-        between = self._between_fixes(middle)
+        between = self._between_fixes(middle + self.path.position_latency)
         force, rate = (
             np.minimum(hole, np.maximum(*figures))
             for figures in zip(TOLD, np.multiply.outer(SPACINGS, between), strict=True)
