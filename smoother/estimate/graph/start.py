@@ -8,7 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_offset import LEAST_DOPPLER, OffsetModel, follows_positions, offset_model
+from smoother.estimate.gnss_offset import OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
@@ -293,7 +293,7 @@ def _first_noise(
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
     position = path.position_sigma
     if follows_positions(session.gnss.t, path):
-        position = np.maximum(position, MOST_SCATTER if _has_doppler(session) else SOME_SCATTER)
+        position = np.maximum(position, MOST_SCATTER if has_doppler(path) else SOME_SCATTER)
     return Noise(
         inertial,
         position,
@@ -303,11 +303,6 @@ def _first_noise(
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
         offset.tau_spread,
     )
-
-
-def _has_doppler(session: Session) -> bool:
-    """Whether most fixes come with a velocity."""
-    return float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) >= LEAST_DOPPLER
 
 
 def _density(binned: BinnedImu, bins: Array, floor: float) -> float:
