@@ -247,7 +247,7 @@ def _receiver(session: Session, options: GraphOptions) -> float:
 def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
-    lag = float(np.clip(alignment.lag, 0.0, MAX_LATENCY))
+    lag = float(np.clip(alignment.lag + path.position_latency, 0.0, MAX_LATENCY))
     position = lag - (path.velocity_lag.value if has_velocity else 0.0)
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
