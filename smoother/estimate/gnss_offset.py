@@ -123,8 +123,12 @@ def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:
 
 def _tells(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
     """Whether there are means and Doppler enough to say anything of an offset."""
-    has_doppler = float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER
-    return len(seen.t) >= FEWEST and has_doppler and not follows_positions(fixes_t, path)
+    return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
+
+
+def has_doppler(path: GnssPath) -> bool:
+    """Whether most fixes of `path` come with a velocity that agrees with it."""
+    return float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER
 
 
 def follows_positions(fixes_t: Array, path: GnssPath) -> bool:

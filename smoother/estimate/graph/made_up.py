@@ -27,7 +27,8 @@ WITHOUT_SPEEDS = 4.0  # times as long, where positions alone tell it
 class MadeUpSamples:
     """Samples for holes of `imu`, from the path of the fixes `gnss`.
 
-    latency s: the path's time of what the sensor felt at t is t + latency.
+    latency s: the path's time of what the sensor felt at t is t + latency. A stated latency is taken out of the path's
+    times, and not of the stamps of the fixes.
     """
 
     imu: ImuSamples
@@ -38,11 +39,7 @@ class MadeUpSamples:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Force, m/s^2, and rate, rad/s, at t (M,) s in holes; each (M, 3) in s."""
-        after = np.searchsorted(self.imu.t, t)
-        out = self._by_path(t)
-        for end in np.unique(after):
-            inside = after == end
-            out[inside] += self._beside(t[inside], int(end))
+        out = self._by_path(t) + self._beside(t)
         return out[:, :3], out[:, 3:]
 
     def blind(self, t: Array, hole: Array) -> Array:
@@ -51,7 +48,7 @@ class MadeUpSamples:
         Returns (K-1, 2) s. Fixes tell both of a kart that drives, and the force at any speed.
         """
         middle = 0.5 * (t[:-1] + t[1:]) + self.latency
-        between = self._between_fixes(middle)
+        between = self._between_fixes(middle + self.path.position_latency)
         force, rate = (
             np.minimum(hole, np.maximum(*figures))
             for figures in zip(TOLD, np.multiply.outer(SPACINGS, between), strict=True)
@@ -61,7 +58,7 @@ class MadeUpSamples:
         return np.column_stack([force, np.where(turns, rate, hole)])
 
     def _between_fixes(self, t: Array) -> Array:
-        """Time from the fix before t (N,) s to the one after it, (N,) s, of those with a speed if there are any."""
+        """Time from the fix stamped before t (N,) s to the one after it, (N,) s, of those with a speed if any has."""
         speeds = np.isfinite(self.gnss.velocity_n[:, 0])
         fixes, count = (self.gnss.t[speeds], 1.0) if np.any(speeds) else (self.gnss.t, WITHOUT_SPEEDS)
         after = np.clip(np.searchsorted(fixes, t), 1, len(fixes) - 1)
@@ -81,29 +78,23 @@ class MadeUpSamples:
         force_b = np.column_stack([forward, left, zero + STANDARD_GRAVITY])
         return np.hstack([force_b @ R_bs, np.column_stack([zero, zero, turn]) @ R_bs + self.alignment.gyro_bias_s])
 
-    def _beside(self, t: Array, end: int) -> Array:
-        """What the edges of the hole that ends with sample `end` differ by from the path, carried to t (M,): (M, 6)."""
+    def _beside(self, t: Array) -> Array:
+        """What the edges of the holes differ by from the path, carried to t (M,) s in them: (M, 6)."""
         times = self.imu.t
-        before, after = max(end - 1, 0), min(end, len(times) - 1)
-        since, until = t - times[before], times[after] - t
-        share = np.clip(since / max(float(times[after] - times[before]), 1e-9), 0.0, 1.0)
-        if end == 0 or end == len(times):  # nothing on the other side
-            share = np.full(len(t), float(end == 0))
+        ends, hole = np.unique(np.searchsorted(times, t), return_inverse=True)  # the sample that ends each hole
+        before, after = np.maximum(ends - 1, 0), np.minimum(ends, len(times) - 1)
+        since, until = t - times[before][hole], times[after][hole] - t
+        share = np.clip(since / np.maximum(times[after] - times[before], 1e-9)[hole], 0.0, 1.0)
+        share[(ends == 0)[hole]], share[(ends == len(times))[hole]] = 1.0, 0.0  # nothing on the other side
         fades = [np.exp(-np.maximum(passed, 0.0) / FORGOTTEN) for passed in (since, until)]
-        return np.asarray(
-            np.multiply.outer((1.0 - share) * fades[0], self._difference(self._last(before)))
-            + np.multiply.outer(share * fades[1], self._difference(self._first(after)))
-        )
+        last = self._differences(np.searchsorted(times, times[before] - EDGE), before + 1)
+        first = self._differences(after, np.searchsorted(times, times[after] + EDGE, side="right"))
+        return np.asarray(((1.0 - share) * fades[0])[:, None] * last[hole] + (share * fades[1])[:, None] * first[hole])
 
-    def _last(self, before: int) -> IntArray:
-        first = int(np.searchsorted(self.imu.t, self.imu.t[before] - EDGE))
-        return np.arange(first, before + 1)
-
-    def _first(self, after: int) -> IntArray:
-        last = int(np.searchsorted(self.imu.t, self.imu.t[after] + EDGE, side="right"))
-        return np.arange(after, last)
-
-    def _difference(self, samples: IntArray) -> Array:
-        """Mean of the samples less that of the path, (6,)."""
+    def _differences(self, first: IntArray, last: IntArray) -> Array:
+        """Means of the samples first to last (H,), exclusive, less those of the path, (H, 6)."""
+        count = last - first
+        begin = np.cumsum(count) - count
+        samples = np.arange(int(count.sum())) + np.repeat(first - begin, count)
         measured = np.hstack([self.imu.specific_force_s[samples], self.imu.angular_rate_s[samples]])
-        return np.asarray(np.mean(measured - self._by_path(self.imu.t[samples]), axis=0))
+        return np.asarray(np.add.reduceat(measured - self._by_path(self.imu.t[samples]), begin) / count[:, None])

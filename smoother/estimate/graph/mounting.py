@@ -43,6 +43,15 @@ def are_driven(state: ChainState) -> BoolArray:
     return np.asarray(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > 1.5 * MIN_SPEED)
 
 
+def are_beside_samples(missing: Array) -> BoolArray:
+    """Mask (K,) of the keyframes whose attitude samples tell, on one side at least; of others it is made up.
+
+    missing (K-1,): share of each interval without samples.
+    """
+    sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
+    return np.asarray(sampled[1:] | sampled[:-1])
+
+
 def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = None) -> FittedMounting:
     """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
 
@@ -50,8 +59,7 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
     """
     use = are_driven(state)
     if missing is not None:
-        sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
-        use &= sampled[1:] | sampled[:-1]
+        use &= are_beside_samples(missing)
     if np.count_nonzero(use) < MIN_KEYFRAMES:
         return FittedMounting(rough_R_bs, np.full(3, ROUGH), False)
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]

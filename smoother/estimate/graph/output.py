@@ -16,7 +16,6 @@ from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import (
-    MOSTLY_MISSING,
     BinnedImu,
     DensePath,
     InertialNoise,
@@ -26,7 +25,13 @@ from smoother.estimate.graph.imu import (
     motion_at,
 )
 from smoother.estimate.graph.joint import ChainJoint
-from smoother.estimate.graph.mounting import MIN_KEYFRAMES, FittedMounting, are_driven, swing_on_the_wheel
+from smoother.estimate.graph.mounting import (
+    MIN_KEYFRAMES,
+    FittedMounting,
+    are_beside_samples,
+    are_driven,
+    swing_on_the_wheel,
+)
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -348,12 +353,9 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, m
 
 
 def _made_up(binned: BinnedImu) -> BoolArray | None:
-    """Mask (K,) of the keyframes beside intervals whose samples are made up, None where there are none."""
-    made_up = binned.missing >= MOSTLY_MISSING
-    if not np.any(made_up):
-        return None
-    beside = np.concatenate([[False], made_up, [False]])
-    return np.asarray(beside[1:] | beside[:-1])
+    """Mask (K,) of the keyframes that the mounting is not fitted to since no samples tell them, None without any."""
+    sampled = are_beside_samples(binned.missing)
+    return None if np.all(sampled) else ~sampled
 
 
 def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unseen: Array) -> Keyframes:

@@ -8,7 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_offset import LEAST_DOPPLER, OffsetModel, follows_positions, offset_model
+from smoother.estimate.gnss_offset import OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.batch import Data, Noise, Priors
@@ -247,7 +247,7 @@ def _receiver(session: Session, options: GraphOptions) -> float:
 def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
-    lag = float(np.clip(alignment.lag, 0.0, MAX_LATENCY))
+    lag = float(np.clip(alignment.lag + path.position_latency, 0.0, MAX_LATENCY))
     position = lag - (path.velocity_lag.value if has_velocity else 0.0)
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
@@ -293,7 +293,7 @@ def _first_noise(
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
     position = path.position_sigma
     if follows_positions(session.gnss.t, path):
-        position = np.maximum(position, MOST_SCATTER if _has_doppler(session) else SOME_SCATTER)
+        position = np.maximum(position, MOST_SCATTER if has_doppler(path) else SOME_SCATTER)
     return Noise(
         inertial,
         position,
@@ -303,11 +303,6 @@ def _first_noise(
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
         offset.tau_spread,
     )
-
-
-def _has_doppler(session: Session) -> bool:
-    """Whether most fixes come with a velocity."""
-    return float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) >= LEAST_DOPPLER
 
 
 def _density(binned: BinnedImu, bins: Array, floor: float) -> float:

@@ -1,6 +1,6 @@
 """Samples made up where they are missing: what a kart on the path of its fixes would have felt."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +26,7 @@ class Circle:
 
     speed: float
     swing: float = 0.0
+    position_latency: float = 0.0
 
     def angle(self, t: Array, derivative: int = 0) -> Array:
         """How far round, rad, or its derivatives."""
@@ -79,6 +80,15 @@ def test_a_kart_that_neither_slides_nor_leans_has_felt_what_is_made_up(hole: tup
     assert np.max(np.abs(force - want_force)) < np.max(np.abs(ACCEL_BIAS)) + 1e-6  # it is forgotten in long holes
 
 
+def test_what_is_made_up_in_a_hole_does_not_depend_on_other_holes() -> None:
+    path, holes = Circle(15.0, swing=0.3), [(-1.0, 2.0), (4.0, 4.1), (4.3, 5.0), (12.0, 21.0)]
+    some = made_up(path, holes, noise=1.0)
+    times = [np.linspace(begin + 0.02, end - 0.02, 10) for begin, end in holes]
+    alone = [np.hstack(some.at(t)) for t in times]
+    np.testing.assert_allclose(np.hstack(some.at(np.concatenate(times))), np.concatenate(alone), atol=1e-9)
+    assert np.all(np.abs(np.concatenate(alone)) < 50.0)
+
+
 def test_noise_at_the_edges_is_averaged() -> None:
     path, hole = Circle(15.0), (4.0, 4.3)
     t = np.linspace(*hole, 30)[1:-1]
@@ -111,6 +121,15 @@ def test_fixes_say_how_long_nothing_is_told() -> None:
     np.testing.assert_allclose(often.blind(keyframes, 0.01 * hole), 0.09)  # a hole is no longer than it is
     slow = made_up(Circle(0.5), [(4.0, 14.0)])
     np.testing.assert_allclose(slow.blind(keyframes, hole), np.tile([0.2, 9.0], (10, 1)))
+
+
+def test_a_stated_latency_does_not_move_the_time_without_fixes() -> None:
+    keyframes, hole = np.array([9.2, 9.4]), np.full(1, 9.0)
+    usual = made_up(Circle(15.0), [(4.0, 14.0)])
+    for path, latency in ((Circle(15.0), 0.5), (Circle(15.0, position_latency=0.5), 0.0)):
+        gnss = SimpleNamespace(t=np.array([0.0, 9.6, 19.0]), velocity_n=np.zeros((3, 3)))
+        some = replace(usual, path=path, latency=latency, gnss=gnss)  # type: ignore[arg-type]
+        np.testing.assert_allclose(some.blind(keyframes, hole), [[0.5 * 9.4, 9.0]])
 
 
 def test_bins_hold_what_is_made_up_in_place_of_a_line_from_edge_to_edge() -> None:
