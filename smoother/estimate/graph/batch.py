@@ -243,8 +243,19 @@ def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
 
 
 def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> ExpectedMotion:
-    """Return the most probable motion along the dense path of `state`."""
+    """Return the most probable motion along the dense path of `state`.
+
+    Where it is set apart nothing holds the path: it may leap, by 500 m/s^2 across a hole in an outage, and the spectrum
+    of the whole session would be that of the leap. It counts as rest there; no fix is read in it.
+    """
     level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
+    if d.sampled is not None:
+        apart = np.repeat(are_unsampled(d.sampled, state.t[:-1], state.t[1:]), (len(path.t) - 1) // (len(state.t) - 1))
+        path = replace(
+            path,
+            acceleration_n=np.where(apart[:, None], 0.0, path.acceleration_n),
+            velocity_n=np.where(np.append(apart, False)[:, None], 0.0, path.velocity_n),
+        )
     return expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
 
 
