@@ -49,6 +49,7 @@ ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / 
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
 ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known
+APART = np.repeat([3.0, 1e3, 1e2], 3)  # likewise, beside where the path of the fixes puts a keyframe
 HELD = 1e-4  # m; what is held does not move by a digit
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
@@ -223,7 +224,7 @@ class Batch:
         inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
         if self._data.sampled is not None:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
-            set_apart(inertial, apart, state, noise.inertial, ANYWHERE)
+            set_apart(inertial, apart, state, noise.inertial, APART)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
