@@ -18,6 +18,7 @@ from matplotlib.patches import Polygon, Rectangle
 from smoother.arrays import Array
 from smoother.report import style
 from smoother.report.files import replacing
+from smoother.report.summary import fastest_row
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, KMH, STANDARD_GRAVITY
@@ -417,7 +418,7 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
 def _near_fastest(shown: Shown) -> tuple[float, float]:
     """Times (s) around the top speed."""
     t = shown.smoothed.t
-    middle = float(t[np.argmax(shown.smoothed.speed)])
+    middle = float(t[fastest_row(shown.smoothed)])
     first = float(np.clip(middle - 0.5 * CLOSE_UP_TIME, t[0], max(t[-1] - CLOSE_UP_TIME, t[0])))
     return first, first + min(CLOSE_UP_TIME, shown.seconds)
 

@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex
 from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
+from smoother.report.summary import fastest_row
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -273,7 +274,7 @@ def compared_times(numbers: Numbers) -> tuple[float, float]:
     if numbers.laps is not None and numbers.traces is not None:
         lap = numbers.laps.laps[main_lap(numbers.laps)]
         return max(lap.start, float(t[0])), min(lap.end, float(t[-1]))
-    middle = float(t[int(np.argmax(numbers.smoothed.speed))])
+    middle = float(t[fastest_row(numbers.smoothed)])
     return max(float(t[0]), middle - 0.5 * WITHOUT_LAPS), min(float(t[-1]), middle + 0.5 * WITHOUT_LAPS)
 
 

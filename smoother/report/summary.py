@@ -59,13 +59,18 @@ def distance_driven(estimate: Trajectory) -> float:
     return float(np.sum(0.5 * (estimate.speed[1:] + estimate.speed[:-1]) * np.diff(estimate.t)))
 
 
-def top_speed(estimate: Trajectory) -> float:
-    """Return the highest speed, m/s, of those as sure as most of the session or to a tenth of themselves."""
+def fastest_row(estimate: Trajectory) -> int:
+    """Return the row of the highest speed of those as sure as most of the session or to a tenth of themselves."""
     speed, sigmas = estimate.speed, estimate.sigmas
     if sigmas is None or not np.isfinite(sigmas.speed).any():
-        return float(np.max(speed))
+        return int(np.argmax(speed))
     usual = float(np.nanmedian(sigmas.speed))
-    return float(np.max(speed[sigmas.speed <= np.maximum(SURE_SPEED * speed, 2.0 * usual)]))
+    return int(np.argmax(np.where(sigmas.speed <= np.maximum(SURE_SPEED * speed, 2.0 * usual), speed, -np.inf)))
+
+
+def top_speed(estimate: Trajectory) -> float:
+    """Return the speed of the fastest row, m/s."""
+    return float(estimate.speed[fastest_row(estimate)])
 
 
 def _about(session: Session, estimate: Trajectory) -> Document:

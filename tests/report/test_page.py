@@ -288,3 +288,17 @@ def test_the_page_says_the_length_of_the_drive_as_the_terminal_does(report: Repo
     length = float(trajectory.t[-1] - trajectory.t[0])
     stretched = replace(trajectory, t=trajectory.t[0] + (trajectory.t - trajectory.t[0]) * (199.7 / length))
     assert "in 3 min 20 s" in page(replace(report, smoothed=stretched))
+
+
+def test_without_laps_the_time_shown_is_around_the_top_speed_that_is_told(
+    session: Session, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not around a step of the fixes, where speed is high and known to be wrong."""
+    assert trajectory.sigmas is not None
+    monkeypatch.setattr(page_data, "WITHOUT_LAPS", 6.0)  # of a session of 40 s
+    told = page_data.compared_times(page_data.Numbers(session, trajectory, None, None))
+    step = 0 if told[0] > trajectory.t[0] else -1
+    speed, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    speed[step], sigma[step] = [200.0, 0.0, 0.0], 100.0
+    stepped = replace(trajectory, velocity_n=speed, sigmas=replace(trajectory.sigmas, speed=sigma))
+    assert page_data.compared_times(page_data.Numbers(session, stepped, None, None)) == told
