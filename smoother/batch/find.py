@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from smoother.batch.task import SUMMARY, TRAJECTORY, Task, is_there
+from smoother.batch.task import Task, is_there
 from smoother.calibration import FILE_NAME as CALIBRATION
 from smoother.calibration import find_calibration
 from smoother.errors import SmootherError, UsageError
-from smoother.session.files import SessionFiles, list_files
+from smoother.session.files import RESULTS, SessionFiles, list_files
 from smoother.session.load import place_of_its_own
 from smoother.session.settings import load_settings
 
@@ -114,7 +114,7 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
 
 
 def _holds_results(folder: Path) -> bool:
-    return is_there(folder / SUMMARY) and is_there(folder / TRAJECTORY)
+    return all(is_there(folder / name) for name in RESULTS)
 
 
 def _unsearched(error: OSError) -> str:

@@ -13,6 +13,7 @@ FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
+RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
 WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people

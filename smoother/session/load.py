@@ -22,7 +22,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.files import OWN_NAMES, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
@@ -47,7 +47,6 @@ MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
-RESULTS = {"trajectory.csv", "summary.json"}  # in a folder of ours
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 

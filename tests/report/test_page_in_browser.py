@@ -8,6 +8,7 @@ import itertools
 import json
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -226,6 +227,17 @@ def test_a_part_of_the_track_is_looked_at_closely_and_left_again(opened: Any) ->
     assert part.first_selected_option.text == "whole lap"
 
 
+@contextmanager
+def sized(browser: Any, width: int, height: int) -> Iterator[None]:
+    """The window with an inside of so many pixels, and as it was afterwards."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        yield
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 @pytest.mark.parametrize("name", ["simulated_page", "adria_page", "shaken_page", "compared_page"])
 def test_no_chart_paints_over_the_page_around_it(
@@ -234,17 +246,15 @@ def test_no_chart_paints_over_the_page_around_it(
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.select import Select
 
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get(request.getfixturevalue(name).as_uri())
-    part = Select(browser.find_element("id", "stretch"))
-    assert browser.execute_script(PAINTED_OUTSIDE) == []
-    for i, option in enumerate(part.options[:-1]):
-        part.select_by_index(i)
-        assert browser.execute_script(PAINTED_OUTSIDE) == [], option.text
-    browser.find_element("id", "cursor").send_keys(Keys.PAGE_DOWN * 3)  # beyond the part, where it has no place
-    assert browser.execute_script(PAINTED_OUTSIDE) == []
-    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with sized(browser, width, 900):
+        browser.get(request.getfixturevalue(name).as_uri())
+        part = Select(browser.find_element("id", "stretch"))
+        assert browser.execute_script(PAINTED_OUTSIDE) == []
+        for i, option in enumerate(part.options[:-1]):
+            part.select_by_index(i)
+            assert browser.execute_script(PAINTED_OUTSIDE) == [], option.text
+        browser.find_element("id", "cursor").send_keys(Keys.PAGE_DOWN * 3)  # beyond the part, where it has no place
+        assert browser.execute_script(PAINTED_OUTSIDE) == []
 
 
 def test_corners_and_lines_that_are_not_in_the_part_shown_are_not_on_its_map(opened: Any) -> None:
@@ -270,16 +280,14 @@ def test_corners_and_lines_that_are_not_in_the_part_shown_are_not_on_its_map(ope
 @pytest.mark.parametrize("width", [1280, 390])
 @pytest.mark.parametrize("name", ["simulated_page", "shaken_page"])
 def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, request: pytest.FixtureRequest) -> None:
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get(request.getfixturevalue(name).as_uri())
-    for chart in ("traces", "quality-time", "compared-speed"):
-        boxes = browser.execute_script(
-            f"return [...document.querySelectorAll('#{chart} svg text[text-anchor=middle]:not(.corner)')]"
-            ".map(t => t.getBoundingClientRect()).map(b => [b.left, b.right])"
-        )
-        assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
-    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with sized(browser, width, 900):
+        browser.get(request.getfixturevalue(name).as_uri())
+        for chart in ("traces", "quality-time", "compared-speed"):
+            boxes = browser.execute_script(
+                f"return [...document.querySelectorAll('#{chart} svg text[text-anchor=middle]:not(.corner)')]"
+                ".map(t => t.getBoundingClientRect()).map(b => [b.left, b.right])"
+            )
+            assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
 
 
 @pytest.mark.parametrize("width", [1280, 390])
@@ -287,35 +295,33 @@ def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, re
 def test_what_explains_a_chart_stands_whole_above_it(
     name: str, width: int, browser: Any, request: pytest.FixtureRequest
 ) -> None:
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get(request.getfixturevalue(name).as_uri())
-    told = browser.execute_script(
-        "return [...document.querySelectorAll('svg text.title')].map(t => t.textContent).join(' ')"
-    )
-    expected = [
-        "(s), band: two sigma",
-        "sideways (g), left +",
-        "sideslip (deg), + slides to its left, band: two sigma",
-        "line: metres left of the mean line, band: two sigma, grey: within noise",
-    ]
-    if name == "simulated_page":
-        expected += [
-            "sure to (m, one sigma): position (solid), line on the track (dashed)",
-            "each fix: metres left over (orange: given little weight)",
+    with sized(browser, width, 900):
+        browser.get(request.getfixturevalue(name).as_uri())
+        told = browser.execute_script(
+            "return [...document.querySelectorAll('svg text.title')].map(t => t.textContent).join(' ')"
+        )
+        expected = [
+            "(s), band: two sigma",
+            "sideways (g), left +",
+            "sideslip (deg), + slides to its left, band: two sigma",
+            "line: metres left of the mean line, band: two sigma, grey: within noise",
         ]
-    assert [text for text in expected if text not in told] == []
-    assert browser.execute_script(PAINTED_OUTSIDE) == []
-    covered = browser.execute_script(  # no title stands in a panel, nor in another title
-        "const boxes = [...document.querySelectorAll('svg.chart')].flatMap(svg => {"
-        "  const titles = [...svg.querySelectorAll('text.title')].map(t => t.getBoundingClientRect());"
-        "  const grids = [...svg.querySelectorAll('path.grid, path.zero')].map(g => g.getBoundingClientRect());"
-        "  return titles.flatMap((t, i) => [...titles.slice(i + 1), ...grids].filter("
-        "    b => t.bottom - 2 > b.top && b.bottom > t.top + 2 && b.right > t.left && t.right > b.left));"
-        "}); return boxes.length"
-    )
-    assert covered == 0
-    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        if name == "simulated_page":
+            expected += [
+                "sure to (m, one sigma): position (solid), line on the track (dashed)",
+                "each fix: metres left over (orange: given little weight)",
+            ]
+        assert [text for text in expected if text not in told] == []
+        assert browser.execute_script(PAINTED_OUTSIDE) == []
+        covered = browser.execute_script(  # no title stands in a panel, nor in another title
+            "const boxes = [...document.querySelectorAll('svg.chart')].flatMap(svg => {"
+            "  const titles = [...svg.querySelectorAll('text.title')].map(t => t.getBoundingClientRect());"
+            "  const grids = [...svg.querySelectorAll('path.grid, path.zero')].map(g => g.getBoundingClientRect());"
+            "  return titles.flatMap((t, i) => [...titles.slice(i + 1), ...grids].filter("
+            "    b => t.bottom - 2 > b.top && b.bottom > t.top + 2 && b.right > t.left && t.right > b.left));"
+            "}); return boxes.length"
+        )
+        assert covered == 0
 
 
 def test_theme_and_unit_are_switched(opened: Any) -> None:
@@ -339,40 +345,34 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
 
 
 def test_the_table_of_laps_fits_a_small_laptop(opened: Any) -> None:
-    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    table = "document.querySelector('#laps ~ .scroll')"
-    assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth")
-    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with sized(opened, 1280, 800):
+        table = "document.querySelector('#laps ~ .scroll')"
+        assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth")
 
 
 def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
-    size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    opened.refresh()
-    assert opened.execute_script("return document.documentElement.scrollWidth <= innerWidth")
-    assert opened.execute_script(
-        "return [...document.querySelectorAll('caption')].every(c => c.getBoundingClientRect().right <= innerWidth)"
-    )
-    assert opened.execute_script(
-        "const boxes = [...document.querySelectorAll('#traces text.corner')].map(t => t.getBoundingClientRect());"
-        "return boxes.length > 3 && boxes.every((b, i) => i === 0 || boxes[i - 1].right <= b.left)"
-    )
-    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with sized(opened, 390, 800):
+        opened.refresh()
+        assert opened.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        assert opened.execute_script(
+            "return [...document.querySelectorAll('caption')].every(c => c.getBoundingClientRect().right <= innerWidth)"
+        )
+        assert opened.execute_script(
+            "const boxes = [...document.querySelectorAll('#traces text.corner')].map(t => t.getBoundingClientRect());"
+            "return boxes.length > 3 && boxes.every((b, i) => i === 0 || boxes[i - 1].right <= b.left)"
+        )
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])
     assert document.startswith(b"%PDF") and len(document) > 30_000
 
 
 def test_the_tables_of_a_comparison_fit_a_small_laptop(opened_comparison: Any) -> None:
-    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    opened_comparison.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    cut = opened_comparison.execute_script(
-        "return [...document.querySelectorAll('.scroll')].filter(s => s.scrollWidth > s.clientWidth)"
-        ".map(s => s.textContent + s.scrollWidth + ' ' + s.clientWidth)"
-    )
-    assert cut == []
-    opened_comparison.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    with sized(opened_comparison, 1280, 800):
+        cut = opened_comparison.execute_script(
+            "return [...document.querySelectorAll('.scroll')].filter(s => s.scrollWidth > s.clientWidth)"
+            ".map(s => s.textContent + s.scrollWidth + ' ' + s.clientWidth)"
+        )
+        assert cut == []
 
 
 def test_a_comparison_is_picked_looked_at_and_printed_like_a_report(opened_comparison: Any) -> None:

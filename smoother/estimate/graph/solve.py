@@ -172,7 +172,7 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
     if session.mag is None or session.config.magnetometer.use is False:
         return data, priors, ()
     earth, problems = session_field(session)
-    mag = _where_sampled(session.mag, start.binned)
+    mag = _readings_beside_samples(session.mag, start.binned)
     heading = heading_from_field(mag, state, earth.declination, earth.inclination)
     if heading is None:
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
@@ -183,7 +183,7 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
     return replace(data, heading=heading), replace(priors, constants_sigma=sigma), problems
 
 
-def _where_sampled(mag: MagSamples, binned: BinnedImu) -> MagSamples:
+def _readings_beside_samples(mag: MagSamples, binned: BinnedImu) -> MagSamples:
     """The readings of the intervals that have inertial samples.
 
     In a hole nobody knows how the kart leans to some degrees, by which a steep field turns its heading two or three
