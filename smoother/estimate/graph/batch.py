@@ -29,6 +29,7 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.sampled import are_unsampled
+from smoother.estimate.graph.slip import slip_of, slip_rows, slip_sigma
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -66,6 +67,7 @@ class Noise:
 
     offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (3,) is the spread
     of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
+    slip_sigma rad describes the slip of the wheels, infinite where none is asked for, and is no less than slip_least.
     offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
     population's.
     """
@@ -77,6 +79,8 @@ class Noise:
     offset_tau: float
     sensor_error: Array
     offset_tau_spread: float = math.inf
+    slip_sigma: float = math.inf
+    slip_least: float = 0.0
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""
@@ -89,7 +93,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (25,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (29,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
@@ -197,8 +201,8 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
-        before (25,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (25, 25) is the covariance of constants that are to stay where they are.
+        before (29,) is the previous step of the constants: where they swing back the state goes only half the way.
+        held (29, 29) is the covariance of constants that are to stay where they are.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
         solution = solve_chain(system, held=held)
@@ -215,6 +219,14 @@ class Batch:
         return dense_path(
             self.bins(state), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
         )
+
+    def with_slip(self, solved: Solved, noise: Noise, better: Noise) -> Noise:
+        """Return the noise `better` with the slip that shows in what was solved with `noise`, without any."""
+        state = solved.state
+        path = self.path(state)
+        slip = slip_of(state, path, expected_of(self._data, path, state, noise))
+        sigma, least = slip_sigma(slip, solved.solution, state.interval)
+        return replace(better, slip_sigma=sigma, slip_least=least)
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise
@@ -284,6 +296,8 @@ def session_rows(
         at, height = _far_from_heights(d.heights, state.t)
         if len(at):
             out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
+    if math.isfinite(noise.slip_sigma):
+        out += [_robust(r) for r in slip_rows(slip_of(state, path, felt), state.interval, noise.slip_sigma)]
     if len(d.still):
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
     if d.heading is not None:
@@ -344,7 +358,7 @@ def swing_share(step: Array, before: Array) -> float:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (25,) of all constants."""
+    """Prior sigma (29,) of all constants."""
     sigma = priors.constants_sigma.copy()
     for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         sigma[part] = spread

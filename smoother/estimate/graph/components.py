@@ -17,6 +17,7 @@ from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu, Shape, interval_noise
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
+from smoother.estimate.graph.slip import FIRST, remembered
 from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
 
 # bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
@@ -46,6 +47,7 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 # this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
 MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
+SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
 TOGETHER = 256  # rows whose covariances are worked on together
 
 
@@ -130,6 +132,7 @@ def update_noise(
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
         offset_sigma=noise.offset_sigma * _offset_ratio(solved),
+        slip_sigma=max(noise.slip_least, noise.slip_sigma * _slip_ratio(solved, noise.slip_sigma)),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
@@ -309,6 +312,20 @@ def _offset_ratio(solved: Solved) -> Array:
     if np.mean(has_height) < MOST_HEIGHTS:  # level ground has none, and says nothing of the receiver's
         ratio[2] = 1.0
     return ratio
+
+
+def _slip_ratio(solved: Solved, sigma: float) -> float:
+    """Ratio for the sigma of the slip, by its start and its steps, of which a part is not the process's."""
+    if "slip" not in solved.rows:
+        return 1.0
+    squares, expected = SLIP_COUNT * (FIRST / sigma) ** 2, SLIP_COUNT
+    step = 1.0 - remembered(solved.state.interval) ** 2
+    for name, variance in (("slip_start", sigma**2), ("slip", step * sigma**2)):
+        rows = solved.rows[name]
+        component, share = RowComponent.of(rows, solved.solution), variance / rows.sigma**2
+        squares += float(np.sum(share * component.squares))
+        expected += float(np.sum(share * component.expected))
+    return float(np.clip(math.sqrt(squares / expected) ** HASTE, 1.0 / 2.5, 2.5))
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:

@@ -34,7 +34,7 @@ def identified_values(
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
-    covariance (25, 25) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
+    covariance (29, 29) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)

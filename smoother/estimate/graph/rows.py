@@ -47,7 +47,7 @@ _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 10). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 14). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -129,7 +129,7 @@ def position_rows(
     swing_n = np.cross(_about_up(path, felt, at), arm_n)
     weights = hermite_position(b)
     residual = _on_curve(state, b, weights) + arm_n + _between(stamp, state.offset_n) - measured_n
-    left, right, constants = _empty(len(t), 3)
+    left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
     _put_turn(left, right, state, b, -so3.skew(arm_n))
     left[:, :, OFFSET] = (1.0 - stamp_share)[:, None, None] * np.eye(3)
@@ -142,12 +142,12 @@ def position_rows(
 def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
     """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
 
-    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 10) by the row constants.
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 14) by the row constants.
     """
     b = bracket(state, t)
     R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
     R_ns = R_left @ so3.exp(b.share[:, None] * so3.log(R_left.transpose(0, 2, 1) @ R_right))
-    left, right, constants = _empty(len(t), 3)
+    left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, hermite_position(b))
     _put_turn(left, right, state, b, -so3.skew(R_ns @ state.constants.lever_arm_s))
     constants[:, :, LEVER_ARM] = R_ns
@@ -170,7 +170,7 @@ def velocity_rows(
     swing_n, jerk_n = np.cross(rate_n, arm_n), _level_jerk(path, felt, at)
     weights = hermite_velocity(b)
     seen_n = _on_curve(state, b, weights) + swing_n + session.velocity_response * jerk_n + session.doppler_bias_n
-    left, right, constants = _empty(len(t), 3)
+    left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
     turning = so3.skew(rate_n)
@@ -190,7 +190,7 @@ def heading_rows(state: ChainState, heading: Heading) -> Rows:
     interval, offset = heading.interval, state.constants.heading_offset if heading.has_offset else 0.0
     field_n = np.einsum("nij,nj->ni", state.R_ns[interval], heading.field_s)
     residual = np.arctan2(field_n[:, 1], field_n[:, 0]) - heading.field_yaw - offset
-    left, right, constants = _empty(len(interval), 1)
+    left, right, constants = empty_jacobians(len(interval), 1)
     left[:, 0, ROTATION] = state.R_ns[interval][:, 2, :]  # the third row of R_ns takes a turn in s to its part about up
     constants[:, :, HEADING_OFFSET] = -1.0 if heading.has_offset else 0.0
     residual = wrap_angle(residual)[:, None]
@@ -202,7 +202,7 @@ def standstill_rows(state: ChainState, interval: np.ndarray, sigma_speed: float,
     """Zero velocity at the left keyframe and no turn to the right one, in the intervals (N,) that stand still."""
     R_left, R_right = state.R_ns[interval], state.R_ns[interval + 1]
     turn = R_left.transpose(0, 2, 1) @ R_right
-    left, right, constants = _empty(len(interval), 6)
+    left, right, constants = empty_jacobians(len(interval), 6)
     left[:, 0:3, VELOCITY] = np.eye(3)
     left[:, 3:6, ROTATION] = -turn.transpose(0, 2, 1)
     right[:, 3:6, ROTATION] = np.eye(3)
@@ -217,7 +217,7 @@ def ground_rows(state: ChainState, sigma: float, at: IntArray, height: Array) ->
     The samples alone would let it run away, by kilometres within minutes, and take the digits of all else with it. The
     offset upwards stands for the hills here, and how high they are is found as the receiver's would be. sigma m.
     """
-    left, right, constants = _empty(len(at), 1)
+    left, right, constants = empty_jacobians(len(at), 1)
     left[:, 0, OFFSET.start + 2] = 1.0
     left[:, 0, TRANSLATION] = state.R_ns[at, 2, :]  # a step is in the axes of the pose
     residual = (state.position_n[at, 2] + state.offset_n[at, 2] - height)[:, None]
@@ -231,13 +231,13 @@ def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows
     """
     phi = np.exp(-state.interval / tau)
     n = len(state.t) - 1
-    left, right, constants = _empty(1, 3)
+    left, right, constants = empty_jacobians(1, 3)
     left[:, :, OFFSET], right[:, :, OFFSET] = -phi * np.eye(3), np.eye(3)
     residual = state.offset_n[1:] - phi * state.offset_n[:-1]
     step = np.broadcast_to(sigma * np.sqrt(1.0 - phi**2), residual.shape)
     left, right, constants = (np.broadcast_to(block, (n, *block.shape[1:])) for block in (left, right, constants))
     steps = Rows("gps_offset", np.arange(n), residual, step, left, right, constants, np.ones(n))
-    left, right, constants = _empty(1, 3)
+    left, right, constants = empty_jacobians(1, 3)
     left[:, :, OFFSET] = np.eye(3)
     start = Rows(
         "gps_offset_start", np.zeros(1, int), state.offset_n[:1], sigma[None], left, right, constants, np.ones(1)
@@ -247,13 +247,13 @@ def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows
 
 def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
     """Prior on one part of the first keyframe. residual, sigma (r,)."""
-    left, right, constants = _empty(1, residual.size)
+    left, right, constants = empty_jacobians(1, residual.size)
     left[0, :, part] = np.eye(residual.size)
     return Rows(name, np.zeros(1, int), residual[None], sigma[None], left, right, constants, np.ones(1))
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (25,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (29,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -330,7 +330,7 @@ def _stack(stack: Array, layers: Sequence[_Layer], first: int, last: int) -> Non
 
 
 def _whiten(rows: Rows, use: IntArray, out: Array) -> Array:
-    """Jacobians by left, right and constants, and residual, (N, r, 46), of the rows `use` (N,), each over its sigma."""
+    """Jacobians by left, right and constants, and residual, (N, r, 51), of the rows `use` (N,), each over its sigma."""
     ordered = len(use) > 0 and use[-1] - use[0] + 1 == len(use) and bool(np.all(np.diff(use) == 1))
     chosen = slice(int(use[0]), int(use[-1]) + 1) if ordered else use  # a slice needs no copy
     share = np.sqrt(rows.weight[chosen, None] / rows.sigma[chosen] ** 2)
@@ -352,7 +352,7 @@ def _add(
     right: IntArray | slice,
     products: tuple[Array, Array],
 ) -> None:
-    """Add whitened rows (N, r, 46), each between one of the keyframes `left` and the next one, `right`."""
+    """Add whitened rows (N, r, 51), each between one of the keyframes `left` and the next one, `right`."""
     n, others = KEYFRAME_SIZE, whitened[:, :, _RIGHT.start :]
     product = np.matmul(whitened[:, :, _LEFT].transpose(0, 2, 1), whitened, out=products[0][: len(whitened)])
     system.diagonal[left] += product[:, :, _LEFT]
@@ -379,7 +379,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (25,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (29,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])
@@ -399,7 +399,8 @@ def _rows(name: str, b: Bracket, residual: Array, sigma: Array, left: Array, rig
     )
 
 
-def _empty(n: int, r: int) -> tuple[Array, Array, Array]:
+def empty_jacobians(n: int, r: int) -> tuple[Array, Array, Array]:
+    """Zeros for the Jacobians of n rows of r components by left and right keyframe and by the row constants."""
     return np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, ROW_CONSTANTS_SIZE))
 
 

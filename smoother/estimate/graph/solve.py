@@ -1,5 +1,6 @@
 """Solving in turns: the noise and the constants of a session from a part of it, then the whole until it stays."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -134,6 +135,11 @@ def finish(
         if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
         better = _reestimated(solved, noise, start, scatter)
+        if math.isfinite(noise.slip_sigma):
+            # slip is smoother than its process: what that expects of steps, the samples would not be left
+            better = replace(better, inertial=noise.inertial)
+        elif turn == 0 and start.wheels:
+            better = batch.with_slip(solved, noise, better)
         change, noise = noise.change(better), better
     assert solved is not None
     return solved, noise

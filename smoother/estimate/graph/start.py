@@ -17,7 +17,8 @@ from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halve
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
-from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, VELOCITY_RESPONSE, ChainState, Constants
+from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
+from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
@@ -45,12 +46,13 @@ class GraphOptions:
     sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of
     vibration, m/s^2, to begin with. Walks: temperature drift of the same part while it warms up. Lever arm and latency
     priors: what fits on a kart, and what receivers do. in_step: a force that is late behind the rate is taken to its
-    time. rounds: of solving and identifying.
+    time. wheels: the kart is asked to point nearly along its path. rounds: of solving and identifying.
     """
 
     rate: float = 50.0
     solver: str = "batch"
     in_step: bool = True
+    wheels: bool = True
     keyframe_interval: float = 0.2
     bin_interval: float = 0.02
     accel_bias_sigma: float = 0.5
@@ -85,7 +87,8 @@ class GraphOptions:
 class Start:
     """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
-    spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`.
+    spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`. wheels: whether slip
+    is asked for where it shows.
     """
 
     path: GnssPath
@@ -100,6 +103,7 @@ class Start:
     receiver: float  # how the reported accuracy compares with the population's, at most 1
     stated: ImuNoise  # densities from the settings; they are not estimated
     spans: Array
+    wheels: bool
 
 
 def make_start(
@@ -134,6 +138,7 @@ def make_start(
         _receiver(session, options),
         session.config.imu,
         spans,
+        options.wheels and priors.drives,
     )
 
 
@@ -252,6 +257,7 @@ def _priors(session: Session, alignment: Alignment, path: GnssPath, options: Gra
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
+    sigma[SLIP] = SLIP_PRIOR
     sigma[DOPPLER_BIAS], sigma[VELOCITY_RESPONSE] = options.doppler_bias_sigma, options.velocity_response_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:

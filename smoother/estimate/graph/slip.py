@@ -1,0 +1,169 @@
+"""Wheels roll along and hardly sideways: where the path points in the kart, as a Gauss-Markov process.
+
+It ties the turn about up, which inertial sensor and fixes tell only where the kart speeds up or slows down, to the
+direction of the path, and in an outage the path to the turns. What slip has in common is among the session's constants:
+how the axes of the alignment are turned in the kart, what goes with lateral acceleration and with its rate, and what
+goes with curvature, since only the rear axle does not move sideways. The rest is the process; how much a corner differs
+from another grows with how hard it is taken.
+
+No slip is asked for before a solution without it was seen to agree (:func:`slip_sigma`): a box on the steering wheel
+turns with the hands, a loose one anyhow.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.imu import DensePath, at_times
+from smoother.estimate.graph.rows import UP_N, Rows, empty_jacobians
+from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState
+from smoother.frames import wrap_angle
+from smoother.units import DEG
+
+MOVING = 4.0  # m/s from which on the path has a direction to speak of
+SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
+MEMORY = 2.0  # s; a corner's worth
+# m/s^2 of lateral acceleration, m/s^3 of its rate, at which the process has its sigma, and the share of it without any
+HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
+# Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
+# karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
+FIRST = 0.6 * DEG
+MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+ENOUGH = 100  # keyframes at speed from which on a solution without slip tells how much there is
+UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a keyframe a quarter of its say in that
+# Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007, -0.001 to -0.003 and 1.2 m.
+PRIOR = np.array([0.5, 0.01, 2e-3, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Slip beyond what the constants say, at K keyframes, over `level`, how much of it the process has there.
+
+    value (K,) rad; moves (K,), whether at speed; own (K,) rad, its scatter from keyframe to keyframe; Jacobians
+    by_keyframe (K, 18) and by_constants (K, 4).
+    """
+
+    value: Array
+    moves: BoolArray
+    own: Array
+    by_keyframe: Array
+    by_constants: Array
+
+    @property
+    def first_of_two(self) -> np.ndarray:
+        """Keyframes at speed before another one."""
+        return np.flatnonzero(self.moves[:-1] & self.moves[1:])
+
+
+def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion) -> Slip:
+    """Return the slip at the keyframes of `state`. felt: the motion expected along `path`, which noise does not turn.
+
+    Only the turn about up is asked for: how steeply noise makes the path climb in the kart must not tilt it.
+    """
+    velocity_n, ahead_n = state.velocity_n, state.R_ns @ state.constants.level_axes_s[0]
+    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+    at_least = np.maximum(speed, MOVING)
+    left_n = np.cross(UP_N, velocity_n) / at_least[:, None]
+    jerk_n = np.gradient(felt.acceleration_n, path.t[1] - path.t[0], axis=0)
+    lateral, later = (
+        np.sum(left_n * at_times(path, values, state.t), axis=1) for values in (felt.acceleration_n, jerk_n)
+    )
+    level = np.sqrt(STRAIGHT**2 + (lateral / HARD) ** 2 + (later / QUICK) ** 2)
+    design = np.column_stack([np.ones(len(speed)), lateral, later, lateral / at_least**2])
+    by_keyframe = np.zeros((len(speed), KEYFRAME_SIZE))
+    by_keyframe[:, ROTATION] = -state.R_ns[:, 2, :]  # takes a turn in s to its part about up
+    by_keyframe[:, VELOCITY] = left_n / at_least[:, None]
+    course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
+    return Slip(
+        wrap_angle(course - design @ state.constants.slip) / level,
+        speed > MOVING,
+        SIDEWAYS / at_least / level,
+        by_keyframe / level[:, None],
+        -design / level[:, None],
+    )
+
+
+def remembered(interval: float) -> float:
+    """Share of the process that is left after `interval`, s."""
+    return math.exp(-interval / MEMORY)
+
+
+def slip_rows(slip: Slip, interval: float, sigma: float) -> tuple[Rows, Rows]:
+    """Rows of the process: its start wherever the kart gets going, and its steps. sigma rad at HARD; interval s.
+
+    With these no keyframe needs an unknown for it. Source: Gelb 1974, 3.8.
+    """
+    phi, both = remembered(interval), slip.first_of_two
+    begins = both[np.diff(both, prepend=-2) > 1]
+    left, right, constants = empty_jacobians(len(begins), 1)
+    left[:, 0], constants[:, 0, SLIP] = slip.by_keyframe[begins], slip.by_constants[begins]
+    start = _rows("slip_start", begins, slip.value[begins], sigma**2 + slip.own[begins] ** 2, left, right, constants)
+    left, right, constants = empty_jacobians(len(both), 1)
+    left[:, 0], right[:, 0] = -phi * slip.by_keyframe[both], slip.by_keyframe[both + 1]
+    constants[:, 0, SLIP] = slip.by_constants[both + 1] - phi * slip.by_constants[both]
+    variance = sigma**2 * (1.0 - phi**2) + slip.own[both + 1] ** 2 + phi**2 * slip.own[both] ** 2
+    step = slip.value[both + 1] - phi * slip.value[both]
+    return start, _rows("slip", both, step, variance, left, right, constants)
+
+
+def _rows(
+    name: str, interval: np.ndarray, value: Array, variance: Array, left: Array, right: Array, constants: Array
+) -> Rows:
+    sigma = np.sqrt(variance)[:, None]
+    return Rows(name, interval, value[:, None], sigma, left, right, constants, np.ones(len(interval)))
+
+
+def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[float, float]:
+    """Sigma of the process to begin with, rad, and the least that it has; infinite where it is none of wheels.
+
+    By `solution`, in which no slip was asked for: what of the scatter of the slip, and of its steps, its errors do not
+    explain. Keyframes count by how well their attitude is known. interval s. The least is what the scatter shows beyond
+    doubt: slip is smoother than a Gauss-Markov process, whose sigma would be taken for less by small steps.
+    """
+    k = slip.first_of_two
+    if len(k) < ENOUGH:
+        return math.inf, math.inf
+    constants = _fitted(slip, k)
+    now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
+    P, before, after = solution.covariance, slip.by_keyframe[k], slip.by_keyframe[k + 1]
+    of_now, of_then = _product(before, P[k], before), _product(after, P[k + 1], after)
+    phi = remembered(interval)
+    of_step = of_then + phi**2 * of_now - 2.0 * phi * _product(before, solution.cross[k], after)
+    by_steps, _ = _unexplained(then - phi * now, of_step, UNSURE_STEP)
+    by_all, spread = _unexplained(now, of_now, UNSURE)
+    found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
+    if found > MOST:
+        return math.inf, math.inf
+    surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
+    return max(found, FIRST), math.sqrt(max(surely, 0.0))
+
+
+def _product(left: Array, covariance: Array, right: Array) -> Array:
+    return np.asarray(np.einsum("ki,kij,kj->k", left, covariance, right))
+
+
+def _unexplained(values: Array, variance: Array, unsure: float) -> tuple[float, float]:
+    """Mean square of values (N,) beyond their variance (N,), and its sigma were they independent.
+
+    Those of variance unsure^2 have a quarter of the weight.
+    """
+    weight = 1.0 / (variance + unsure**2) ** 2
+    weight = weight / np.sum(weight)
+    beyond = float(np.sum(weight * (values**2 - variance)))
+    return beyond, math.sqrt(2.0 * float(np.sum((weight * (variance + max(beyond, 0.0))) ** 2)))
+
+
+def _fitted(slip: Slip, k: np.ndarray) -> Array:
+    """Change of the constants (4,) that fits the slip at the keyframes k best, with Cauchy weights and their priors."""
+    design, value = -slip.by_constants[k], slip.value[k]
+    weight, prior = np.ones(len(k)), np.diag((DEG / PRIOR) ** 2)
+    for _ in range(5):
+        weighted = design * weight[:, None]
+        constants = np.linalg.solve(weighted.T @ design + prior, weighted.T @ value)
+        rest = np.abs(value - design @ constants)
+        weight = 1.0 / (1.0 + (rest / (3.0 * np.median(rest) + 1e-9)) ** 2)
+    return np.asarray(constants)
