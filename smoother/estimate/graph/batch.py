@@ -198,14 +198,15 @@ class Batch:
         noise: Noise,
         before: Array | None = None,
         held: Array | None = None,
+        free: slice | None = None,
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
         before (29,) is the previous step of the constants: where they swing back the state goes only half the way.
-        held (29, 29) is the covariance of constants that are to stay where they are.
+        held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
         """
         system, inertial, rows = self._linearize(graph, state, noise)
-        solution = solve_chain(system, held=held)
+        solution = solve_chain(system, held=held, free=free)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
             state.retract(share * solution.x, share * solution.constants),
@@ -220,13 +221,13 @@ class Batch:
             self.bins(state), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
         )
 
-    def with_slip(self, solved: Solved, noise: Noise, better: Noise) -> Noise:
-        """Return the noise `better` with the slip that shows in what was solved with `noise`, without any."""
+    def with_slip(self, solved: Solved, noise: Noise) -> Noise:
+        """Return the noise with the slip that shows in what was solved without any."""
         state = solved.state
         path = self.path(state)
         slip = slip_of(state, path, expected_of(self._data, path, state, noise))
         sigma, least = slip_sigma(slip, solved.solution, state.interval)
-        return replace(better, slip_sigma=sigma, slip_least=least)
+        return replace(noise, slip_sigma=sigma, slip_least=least)
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise

@@ -113,10 +113,12 @@ class ChainFactor:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # numbers that are not finite are reported in the end
-def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None) -> ChainSolution:
+def solve_chain(
+    system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None, free: slice | None = None
+) -> ChainSolution:
     """Solve `system`, and unless told otherwise invert it at and beside the diagonal.
 
-    held (m, m): covariance of constants that are known from elsewhere; they do not move.
+    held (m, m): covariance of constants that are known from elsewhere; they do not move, but for those that are free.
     Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
     _check(system)
@@ -131,6 +133,10 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
     if held is not None:
         constants_covariance = held
+        if free is not None:
+            own, pull = system.corner - inner[:, :m], system.rhs_constants - inner[:, m]
+            constants[free], constants_covariance = _but_for(free, held, own, pull)
+            solution = solution - influence @ constants
     elif m:
         factor = _cholesky((system.corner - inner[:, :m])[None])[0]
         constants_covariance = _inverse_from_cholesky(factor[None])[0]
@@ -155,6 +161,21 @@ def solve_chain(system: ChainSystem, *, with_covariance: bool = True, held: Arra
         log_determinant,
         ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
     )
+
+
+def _but_for(free: slice, held: Array, own: Array, pull: Array) -> tuple[Array, Array]:
+    """Return the step of the constants `free`, and the covariance (m, m) of all: of the others it is that of `held`.
+
+    own (m, m) x = pull (m,) is what the keyframes leave of the system for the constants.
+    """
+    known = _inverse_from_cholesky(_cholesky(own[None, free, free]))[0]
+    follow = -known @ own[free]
+    follow[:, free] = 0.0
+    covariance = held.copy()
+    covariance[free, :] = follow @ held
+    covariance[:, free] = covariance[free, :].T
+    covariance[free, free] = known + follow @ held @ follow.T
+    return known @ pull[free], covariance
 
 
 def _check(system: ChainSystem) -> None:

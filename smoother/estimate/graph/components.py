@@ -132,7 +132,6 @@ def update_noise(
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
         offset_sigma=noise.offset_sigma * _offset_ratio(solved),
-        slip_sigma=max(noise.slip_least, noise.slip_sigma * _slip_ratio(solved, noise.slip_sigma)),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
@@ -314,10 +313,9 @@ def _offset_ratio(solved: Solved) -> Array:
     return ratio
 
 
-def _slip_ratio(solved: Solved, sigma: float) -> float:
-    """Ratio for the sigma of the slip, by its start and its steps, of which a part is not the process's."""
-    if "slip" not in solved.rows:
-        return 1.0
+def slip_update(solved: Solved, noise: Noise) -> float:
+    """Sigma of the slip, rad, one step on, by its start and its steps, of which a part is not the process's."""
+    sigma = noise.slip_sigma
     squares, expected = SLIP_COUNT * (FIRST / sigma) ** 2, SLIP_COUNT
     step = 1.0 - remembered(solved.state.interval) ** 2
     for name, variance in (("slip_start", sigma**2), ("slip", step * sigma**2)):
@@ -325,7 +323,8 @@ def _slip_ratio(solved: Solved, sigma: float) -> float:
         component, share = RowComponent.of(rows, solved.solution), variance / rows.sigma**2
         squares += float(np.sum(share * component.squares))
         expected += float(np.sum(share * component.expected))
-    return float(np.clip(math.sqrt(squares / expected) ** HASTE, 1.0 / 2.5, 2.5))
+    ratio = float(np.clip(math.sqrt(squares / expected) ** HASTE, 1.0 / 2.5, 2.5))
+    return max(noise.slip_least, sigma * ratio)
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:

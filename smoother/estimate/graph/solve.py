@@ -18,13 +18,13 @@ from smoother.estimate.graph.batch import (
     moved,
 )
 from smoother.estimate.graph.coarse import near_solution
-from smoother.estimate.graph.components import Scatter, update_noise
+from smoother.estimate.graph.components import Scatter, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
-from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import MagSamples, Problem, Session
 
@@ -33,6 +33,7 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
+SLIP_ROUNDS = 4
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
 Say = Callable[[float], None]
@@ -71,7 +72,8 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
     noise = found
     if options.solver == "isam2":
         constants = solved.state.constants
-        solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants)
+        held = solved.solution.constants_covariance if math.isfinite(noise.slip_sigma) else None
+        solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants, held)
     return Solution(solved, noise, priors, problems)
 
 
@@ -135,13 +137,26 @@ def finish(
         if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
         better = _reestimated(solved, noise, start, scatter)
-        if math.isfinite(noise.slip_sigma):
-            # slip is smoother than its process: what that expects of steps, the samples would not be left
-            better = replace(better, inertial=noise.inertial)
-        elif turn == 0 and start.wheels:
-            better = batch.with_slip(solved, noise, better)
         change, noise = noise.change(better), better
     assert solved is not None
+    return on_wheels(batch, graph, solved, noise) if start.wheels else (solved, noise)
+
+
+def on_wheels(batch: Batch, graph: InertialGraph, solved: Solved, noise: Noise) -> tuple[Solved, Noise]:
+    """Solve again with wheels that roll along, where what was solved without agrees; the noise of slip is found.
+
+    All other noise stays, and all constants but those of slip. Slip is smoother than its process: what that expects of
+    quick steps would be missed in the samples' noise, and be looked for in latencies and lever arm.
+    """
+    noise, held = batch.with_slip(solved, noise), solved.solution.constants_covariance
+    if not math.isfinite(noise.slip_sigma):
+        return solved, noise
+    for turn in range(SLIP_ROUNDS):
+        if turn:
+            noise = replace(noise, slip_sigma=slip_update(solved, noise))
+        solved = batch.step(graph, solved.state, noise, held=held, free=SLIP)
+        if turn and moved(solved.solution) < WELL_KNOWN:
+            break
     return solved, noise
 
 

@@ -87,8 +87,8 @@ class GraphOptions:
 class Start:
     """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
-    spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`. wheels: whether slip
-    is asked for where it shows.
+    spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`. wheels: whether
+    slip is asked for where it shows.
     """
 
     path: GnssPath
