@@ -18,6 +18,7 @@ from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
+    are_told,
     corrected,
     dense_path,
 )
@@ -152,6 +153,7 @@ class Batch:
         self._data = data
         self._binned = binned
         self._priors = priors
+        self._told = are_told(binned.missing)
 
     def graph(self, state: ChainState, noise: Noise) -> InertialGraph:
         """Preintegrate the inertial samples about the mean biases and the sensor errors of `state`."""
@@ -225,7 +227,7 @@ class Batch:
         """Return the noise with the slip that shows in what was solved without any."""
         state = solved.state
         path = self.path(state)
-        slip = slip_of(state, path, expected_of(self._data, path, state, noise))
+        slip = slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
         sigma, least = slip_sigma(slip, solved.solution, state.interval)
         return replace(noise, slip_sigma=sigma, slip_least=least)
 
@@ -239,6 +241,9 @@ class Batch:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
             set_apart(inertial, apart, state, noise.inertial, APART)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
+        if math.isfinite(noise.slip_sigma):
+            slip = slip_of(state, path, felt, self._told)
+            rows |= {r.name: _robust(r) for r in slip_rows(slip, state.interval, noise.slip_sigma)}
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         rw.add_rows(system, list(rows.values()))
@@ -297,8 +302,6 @@ def session_rows(
         at, height = _far_from_heights(d.heights, state.t)
         if len(at):
             out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
-    if math.isfinite(noise.slip_sigma):
-        out += [_robust(r) for r in slip_rows(slip_of(state, path, felt), state.interval, noise.slip_sigma)]
     if len(d.still):
         out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
     if d.heading is not None:

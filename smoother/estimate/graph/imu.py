@@ -488,6 +488,15 @@ def at_times(path: DensePath, values: Array, t: Array) -> Array:
     return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)
 
 
+def are_told(missing: Array) -> BoolArray:
+    """Mask (K,) of the keyframes whose attitude samples tell, on one side at least; of others it is made up.
+
+    missing (K-1,): share of each interval without samples.
+    """
+    sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
+    return np.asarray(sampled[1:] | sampled[:-1])
+
+
 def attitude_at(path: DensePath, t: Array) -> Array:
     """Attitude R_ns (N, 3, 3) at t (N,), held beyond the ends of the path."""
     i, tau, dt = _bin_of(path, t)

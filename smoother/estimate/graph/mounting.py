@@ -13,7 +13,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
-from smoother.estimate.graph.imu import MOSTLY_MISSING
+from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState
 from smoother.fit.running import gaussian_mean
 from smoother.frames import wrap_angle
@@ -43,15 +43,6 @@ def are_driven(state: ChainState) -> BoolArray:
     return np.asarray(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > 1.5 * MIN_SPEED)
 
 
-def are_beside_samples(missing: Array) -> BoolArray:
-    """Mask (K,) of the keyframes whose attitude samples tell, on one side at least; of others it is made up.
-
-    missing (K-1,): share of each interval without samples.
-    """
-    sampled = np.concatenate([[False], missing < MOSTLY_MISSING, [False]])
-    return np.asarray(sampled[1:] | sampled[:-1])
-
-
 def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = None) -> FittedMounting:
     """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
 
@@ -59,7 +50,7 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
     """
     use = are_driven(state)
     if missing is not None:
-        use &= are_beside_samples(missing)
+        use &= are_told(missing)
     if np.count_nonzero(use) < MIN_KEYFRAMES:
         return FittedMounting(rough_R_bs, np.full(3, ROUGH), False)
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]

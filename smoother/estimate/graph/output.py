@@ -19,6 +19,7 @@ from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
+    are_told,
     corrected,
     dense_path,
     interval_noise,
@@ -28,7 +29,6 @@ from smoother.estimate.graph.joint import ChainJoint
 from smoother.estimate.graph.mounting import (
     MIN_KEYFRAMES,
     FittedMounting,
-    are_beside_samples,
     are_driven,
     swing_on_the_wheel,
 )
@@ -354,7 +354,7 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, m
 
 def _made_up(binned: BinnedImu) -> BoolArray | None:
     """Mask (K,) of the keyframes that the mounting is not fitted to since no samples tell them, None without any."""
-    sampled = are_beside_samples(binned.missing)
+    sampled = are_told(binned.missing)
     return None if np.all(sampled) else ~sampled
 
 

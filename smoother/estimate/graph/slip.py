@@ -21,6 +21,7 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, at_times
 from smoother.estimate.graph.rows import UP_N, Rows, empty_jacobians
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState
+from smoother.fit.step import largest_step
 from smoother.frames import wrap_angle
 from smoother.units import DEG
 
@@ -33,6 +34,9 @@ HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+# rad, by which the mean slip may differ before and after some moment, each at least STANDS s of driving, where that
+# stands out of the scatter of means over BLOCK s by SIGNIFICANT sigmas: a box that has turned on its mount
+MOVED, STANDS, BLOCK, SIGNIFICANT = 2.5 * DEG, 60.0, 20.0, 8.0
 ENOUGH = 100  # keyframes at speed from which on a solution without slip tells how much there is
 UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a keyframe a quarter of its say in that
 # Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007, -0.001 to -0.003 and 1.2 m.
@@ -41,10 +45,10 @@ PRIOR = np.array([0.5, 0.01, 2e-3, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Slip beyond what the constants say, at K keyframes, over `level`, how much of it the process has there.
+    """Slip beyond what the constants say, at K keyframes, over level (K,), how much of it the process has there.
 
-    value (K,) rad; moves (K,), whether at speed; own (K,) rad, its scatter from keyframe to keyframe; Jacobians
-    by_keyframe (K, 18) and by_constants (K, 4).
+    value (K,) rad; own (K,) rad, its scatter from keyframe to keyframe; Jacobians by_keyframe (K, 18) and by_constants
+    (K, 4). moves (K,), whether at speed, and with samples.
     """
 
     value: Array
@@ -52,6 +56,7 @@ class Slip:
     own: Array
     by_keyframe: Array
     by_constants: Array
+    level: Array
 
     @property
     def first_of_two(self) -> np.ndarray:
@@ -59,9 +64,10 @@ class Slip:
         return np.flatnonzero(self.moves[:-1] & self.moves[1:])
 
 
-def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion) -> Slip:
+def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: BoolArray) -> Slip:
     """Return the slip at the keyframes of `state`. felt: the motion expected along `path`, which noise does not turn.
 
+    told (K,): keyframes whose attitude samples tell; others' comes from the path, and would be asked for twice.
     Only the turn about up is asked for: how steeply noise makes the path climb in the kart must not tilt it.
     """
     velocity_n, ahead_n = state.velocity_n, state.R_ns @ state.constants.level_axes_s[0]
@@ -80,10 +86,11 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion) -> Slip:
     course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
     return Slip(
         wrap_angle(course - design @ state.constants.slip) / level,
-        speed > MOVING,
+        (speed > MOVING) & told,
         SIDEWAYS / at_least / level,
         by_keyframe / level[:, None],
         -design / level[:, None],
+        level,
     )
 
 
@@ -131,12 +138,13 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
     P, before, after = solution.covariance, slip.by_keyframe[k], slip.by_keyframe[k + 1]
     of_now, of_then = _product(before, P[k], before), _product(after, P[k + 1], after)
+    moved = largest_step(now * slip.level[k], round(STANDS / interval), round(BLOCK / interval), SIGNIFICANT)
     phi = remembered(interval)
     of_step = of_then + phi**2 * of_now - 2.0 * phi * _product(before, solution.cross[k], after)
     by_steps, _ = _unexplained(then - phi * now, of_step, UNSURE_STEP)
     by_all, spread = _unexplained(now, of_now, UNSURE)
     found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
-    if found > MOST:
+    if found > MOST or moved > MOVED:
         return math.inf, math.inf
     surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
     return max(found, FIRST), math.sqrt(max(surely, 0.0))

@@ -34,6 +34,7 @@ TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 4
+MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
 Say = Callable[[float], None]
@@ -151,13 +152,20 @@ def on_wheels(batch: Batch, graph: InertialGraph, solved: Solved, noise: Noise) 
     noise, held = batch.with_slip(solved, noise), solved.solution.constants_covariance
     if not math.isfinite(noise.slip_sigma):
         return solved, noise
+    rolling = solved
     for turn in range(SLIP_ROUNDS):
         if turn:
-            noise = replace(noise, slip_sigma=slip_update(solved, noise))
-        solved = batch.step(graph, solved.state, noise, held=held, free=SLIP)
-        if turn and moved(solved.solution) < WELL_KNOWN:
+            noise = replace(noise, slip_sigma=slip_update(rolling, noise))
+        rolling = batch.step(graph, rolling.state, noise, held=held, free=SLIP)
+        if turn and moved(rolling.solution) < WELL_KNOWN:
             break
-    return solved, noise
+    return (rolling, noise) if fits_wheels(rolling) else (solved, replace(noise, slip_sigma=math.inf))
+
+
+def fits_wheels(solved: Solved) -> bool:
+    """Whether few of the rows of slip had to be weighed down: in part of a session the box may be loose."""
+    weight = solved.rows["slip"].weight
+    return len(weight) == 0 or float(np.mean(weight)) > MOSTLY_ROLLING
 
 
 def are_settled(steps: Sequence[tuple[float, float]], change: float = 0.0) -> bool:

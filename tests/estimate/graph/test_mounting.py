@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.mounting import are_beside_samples, fit_mounting, swing_on_the_wheel
+from smoother.estimate.graph.imu import are_told
+from smoother.estimate.graph.mounting import fit_mounting, swing_on_the_wheel
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
@@ -151,5 +152,5 @@ def test_attitudes_in_a_hole_of_the_samples_have_no_say() -> None:
 
 def test_samples_on_one_side_tell_a_keyframe() -> None:
     missing = np.array([0.0, 0.8, 0.1, 0.9, 1.0, 0.5])
-    np.testing.assert_array_equal(are_beside_samples(missing), [1, 1, 1, 1, 0, 0, 0])
-    assert np.all(are_beside_samples(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
+    np.testing.assert_array_equal(are_told(missing), [1, 1, 1, 1, 0, 0, 0])
+    assert np.all(are_told(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
