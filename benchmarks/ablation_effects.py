@@ -210,6 +210,7 @@ EFFECTS = (
     Effect("velocity latency of its own", patches=_one_latency()),
     Effect("latencies at all", session=_timing),
     Effect("accelerometer delay", options={"in_step": False}),
+    Effect("wheels that roll along", options={"wheels": False}),
     Effect("lever arm", session=_no_arm),
     Effect("mounting refined", patches=((smoother, "fit_mounting", _rough_mounting),)),
     Effect("GPS offset", options=_NO_OFFSET, patches=((components, "_offset_ratio", _no_ratio),)),

@@ -75,8 +75,8 @@ def solve_as_stream(
 
     The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
     which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are: as the
-    step finds, or held (29, 29) where they are known from elsewhere. Wheels are asked for after the stream: while the turns
-    of the newest keyframes are open, rows would be weighed by the errors of these.
+    step finds, or held (29, 29) where they are known from elsewhere. Wheels are asked for after the stream, in which
+    the turns of the newest keyframes are open: their rows would be weighed by errors.
     """
     rolling = math.isfinite(noise.slip_sigma)
     state = solve_incrementally(data, binned, priors, replace(noise, slip_sigma=math.inf), start, constants)

@@ -189,3 +189,34 @@ def test_functions_of_any_two_neighbours_covary_as_in_the_dense_inverse(K: int, 
     assert factor is not None
     want = J @ np.linalg.inv(dense(system)[0]) @ J.T
     assert_close(factor.covariance(first, left, right, constants), want, 1e-8)
+
+
+@pytest.mark.parametrize(("K", "n", "m"), [(5, 3, 4), (9, 4, 6)])
+def test_some_constants_may_stay_free_where_others_are_held(K: int, n: int, m: int) -> None:
+    """As if the held ones were known with their covariance, and did not learn from this system."""
+    system, free = random_system(K, n, m, seed=5), slice(1, 3)
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(m, m))
+    held = root @ root.T
+    H, g = dense(system)
+    at = np.arange(K * n, K * n + m)
+    stays = np.delete(at, free)
+    moves = np.setdiff1d(np.arange(len(H)), stays)
+    inverse = np.linalg.inv(H[np.ix_(moves, moves)])
+    follow = -inverse @ H[np.ix_(moves, stays)]
+    expected = np.zeros_like(H)
+    known = held[np.ix_(stays - K * n, stays - K * n)]
+    expected[np.ix_(moves, moves)] = inverse + follow @ known @ follow.T
+    expected[np.ix_(moves, stays)] = follow @ known
+    expected[np.ix_(stays, moves)] = expected[np.ix_(moves, stays)].T
+    expected[np.ix_(stays, stays)] = known
+    x = np.zeros(len(H))
+    x[moves] = inverse @ g[moves]
+    found = solve_chain(system, held=held, free=free)
+    assert_close(found.x.ravel(), x[: K * n], 1e-9)
+    assert_close(found.constants, x[K * n :], 1e-9)
+    assert_close(found.constants_covariance, expected[K * n :, K * n :], 1e-9)
+    for k in range(K):
+        own = slice(k * n, (k + 1) * n)
+        assert_close(found.covariance[k], expected[own, own], 1e-9)
+        assert_close(found.constants_cross[k], expected[own, K * n :], 1e-9)

@@ -1,0 +1,194 @@
+"""Wheels that roll along: rows against formulas, the decision whether to ask for them, and what they are worth."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.evaluate import errors_between
+from smoother.estimate.graph import slip as slip_module
+from smoother.estimate.graph import solve
+from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.imu import DensePath
+from smoother.estimate.graph.slip import MEMORY, Slip, remembered, slip_of, slip_rows
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState, Constants
+from smoother.estimate.resample import resample
+from smoother.prepare import prepare
+from smoother.samples import Session
+from smoother.sim.scenario import Interval
+from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import Trajectory
+from smoother.units import DEG
+
+K, T = 6, 0.2
+SLIDES = np.array([0.02, -0.005, -5e-4, 0.7])  # rad, per m/s^2, per m/s^3, m
+
+
+def driven(slip: Array, heading: float = 3.0) -> tuple[ChainState, DensePath, ExpectedMotion]:
+    """A level kart that speeds up in a bend, the path `slip` (K,) rad beside the nose; the box lies any way."""
+    t = T * np.arange(K)
+    course = heading + 0.4 * t + 0.1 * t**2
+    speed = 12.0 + t
+    velocity_n = np.column_stack([speed * np.cos(course), speed * np.sin(course), 0.0 * t])
+    R_bs = so3.exp(np.array([[0.4, -1.0, 2.0]]))[0]
+    yaw = course - slip
+    R_ns = so3.exp(np.column_stack([0.0 * t, 0.0 * t, yaw])) @ R_bs
+    acceleration_n = np.gradient(velocity_n, t, axis=0)
+    constants = Constants(0.1, 0.15, np.zeros(3), level_axes_s=R_bs)
+    zeros = np.zeros((K, 3))
+    state = ChainState(t, R_ns, zeros, velocity_n, zeros, zeros, zeros, constants)
+    path = DensePath(t, R_ns, zeros, velocity_n, acceleration_n[:-1], zeros[:-1])
+    return state, path, ExpectedMotion(velocity_n, acceleration_n, 0.0 * t)
+
+
+def told() -> np.ndarray:
+    return np.ones(K, dtype=np.bool_)
+
+
+def test_the_slip_is_the_angle_from_nose_to_path_less_what_the_constants_say() -> None:
+    angle = 0.01 * np.arange(K) - 0.03
+    state, path, felt = driven(angle)
+    found = slip_of(state, path, felt, told())
+    np.testing.assert_allclose(found.value * found.level, angle, atol=1e-12)
+    sliding = replace(state, constants=replace(state.constants, slip=SLIDES))
+    v = state.velocity_n
+    speed = np.hypot(v[:, 0], v[:, 1])
+    lateral = (v[:, 0] * felt.acceleration_n[:, 1] - v[:, 1] * felt.acceleration_n[:, 0]) / speed
+    jerk_n = np.gradient(felt.acceleration_n, T, axis=0)
+    later = (v[:, 0] * jerk_n[:, 1] - v[:, 1] * jerk_n[:, 0]) / speed
+    expected = angle - np.column_stack([np.ones(K), lateral, later, lateral / speed**2]) @ SLIDES
+    found = slip_of(sliding, path, felt, told())
+    np.testing.assert_allclose(found.value * found.level, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("heading", [0.0, np.pi - 0.1, -2.0])
+def test_jacobians_are_those_of_a_turn_about_up_and_of_velocity(heading: float) -> None:
+    state, path, felt = driven(np.full(K, 0.05), heading)
+    found, step = slip_of(state, path, felt, told()), 1e-6
+    for column in range(KEYFRAME_SIZE):
+        delta = np.zeros((K, KEYFRAME_SIZE))
+        delta[:, column] = step
+        moved = slip_of(state.retract(delta, np.zeros_like(state.constants.as_vector())), path, felt, told())
+        # of turns in s that do not turn the nose about up nothing is asked: the kart is level here
+        by_step = (moved.value * moved.level - found.value * found.level) / step  # how level goes with it is left out
+        np.testing.assert_allclose(by_step, found.level * found.by_keyframe[:, column], atol=1e-5)
+    assert np.any(found.by_keyframe[:, ROTATION])
+    assert np.any(found.by_keyframe[:, VELOCITY])
+    for i in range(4):
+        constants = state.constants.as_vector()
+        constants[SLIP.start + i] += step
+        other = replace(state, constants=Constants.from_vector(constants, state.constants.level_axes_s))
+        moved = slip_of(other, path, felt, told())
+        np.testing.assert_allclose((moved.value - found.value) / step, found.by_constants[:, i], atol=1e-6)
+
+
+def some_slip(moves: np.ndarray, own: float = 0.0) -> Slip:
+    n = len(moves)
+    rng = np.random.default_rng(0)
+    value, by_keyframe, by_constants = (
+        rng.normal(size=n),
+        rng.normal(size=(n, KEYFRAME_SIZE)),
+        rng.normal(size=(n, 4)),
+    )
+    return Slip(value, moves, np.full(n, own), by_keyframe, by_constants, np.ones(n))
+
+
+def test_the_rows_are_a_gauss_markov_process() -> None:
+    """Squares over variances, and the product of the variances, are those of the joint density of all values."""
+    slip, sigma = some_slip(np.ones(9, dtype=np.bool_)), 0.3
+    start, steps = slip_rows(slip, T, sigma)
+    apart = T * np.abs(np.subtract.outer(np.arange(9), np.arange(9)))
+    covariance = sigma**2 * np.exp(-apart / MEMORY)
+    squares = sum(float(np.sum((r.residual / r.sigma) ** 2)) for r in (start, steps))
+    assert squares == pytest.approx(slip.value @ np.linalg.solve(covariance, slip.value))
+    logarithms = sum(float(np.sum(2.0 * np.log(r.sigma))) for r in (start, steps))
+    assert logarithms == pytest.approx(np.linalg.slogdet(covariance)[1])
+    phi = remembered(T)
+    np.testing.assert_allclose(steps.left[:, 0], -phi * slip.by_keyframe[:-1])
+    np.testing.assert_allclose(steps.right[:, 0], slip.by_keyframe[1:])
+    np.testing.assert_allclose(steps.constants[:, 0, SLIP], slip.by_constants[1:] - phi * slip.by_constants[:-1])
+
+
+def test_the_process_starts_anew_after_a_stop() -> None:
+    moves = np.array([0, 1, 1, 1, 0, 0, 1, 1, 0, 1], dtype=np.bool_)  # the last one has nothing after it
+    start, steps = slip_rows(some_slip(moves), T, 0.1)
+    assert start.interval.tolist() == [1, 6]
+    assert steps.interval.tolist() == [1, 2, 6]
+    none, also_none = slip_rows(some_slip(np.zeros(4, dtype=np.bool_)), T, 0.1)
+    assert len(none.interval) == len(also_none.interval) == 0
+
+
+def kart(preset: str, **changes: Any) -> tuple[Simulation, Session]:
+    simulation = simulate_preset(preset, 3, track="tinbarn", duration=200.0, **changes)
+    return simulation, prepare(simulation.raw)
+
+
+def errors(simulation: Simulation, session: Session, found: Trajectory) -> tuple[Array, Array]:
+    """Yaw (N,) rad and level velocity (N, 2) m/s at speed, the latter in the outages."""
+    t = np.arange(40.0, 190.0, 0.1)
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
+    error = errors_between(resample(found, t), truth)
+    out = ((t > 80.0) & (t < 110.0)) | ((t > 140.0) & (t < 170.0))
+    return error.euler[:, 2], error.velocity_n[out, :2]
+
+
+@pytest.fixture(scope="module")
+def both() -> tuple[Simulation, Session, Trajectory, Trajectory]:
+    """A session with two outages, smoothed with and without wheels."""
+    outages = (Interval(80.0, 30.0), Interval(140.0, 30.0))
+    simulation, session = kart("kart_harsh", gnss_outages=outages)
+    with_wheels, without = (GraphSmoother(GraphOptions(wheels=wheels)).estimate(session) for wheels in (True, False))
+    return simulation, session, with_wheels, without
+
+
+def test_wheels_tell_the_heading_and_the_velocity_in_outages(
+    both: tuple[Simulation, Session, Trajectory, Trajectory],
+) -> None:
+    simulation, session, with_wheels, without = both
+    (yaw, velocity), (yaw_without, velocity_without) = (
+        errors(simulation, session, found) for found in (with_wheels, without)
+    )
+    assert np.std(yaw) < 0.7 * np.std(yaw_without)
+    assert np.std(velocity) < 0.8 * np.std(velocity_without)
+
+
+def test_wheels_draw_no_latency_and_no_arm(both: tuple[Simulation, Session, Trajectory, Trajectory]) -> None:
+    _, _, with_wheels, without = both
+    for key in ("gps_position_latency", "gps_velocity_latency"):
+        one, other = with_wheels.report.identified[key], without.report.identified[key]
+        assert (one.value, one.sigma) == (other.value, other.sigma)
+
+
+@pytest.mark.parametrize("damage", ["wheel", "turned"])
+def test_a_box_that_turns_otherwise_than_the_kart_is_left_alone(damage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the steering wheel, or turned by 8 deg on its mount: exactly what comes without asking for wheels."""
+    decided = []
+    judge = solve.on_wheels
+
+    def watched(*given: Any) -> Any:
+        found = judge(*given)
+        decided.append(found[1].slip_sigma)
+        return found
+
+    monkeypatch.setattr(solve, "on_wheels", watched)
+    simulation, session = kart("kart", **({"motion_steering": 10.0 * DEG} if damage == "wheel" else {}))
+    if damage == "turned":
+        imu = session.imu
+        assert imu is not None
+        turn = so3.exp(np.array([[0.0, 0.0, 8.0 * DEG]]))[0]
+        R_bs = simulation.scenario.R_bs
+        in_s = R_bs.T @ turn @ R_bs
+        after = imu.t[:, None] > 100.0
+        force, rate = (np.where(after, v @ in_s.T, v) for v in (imu.specific_force_s, imu.angular_rate_s))
+        session = replace(session, imu=replace(imu, specific_force_s=force, angular_rate_s=rate))
+    GraphSmoother().estimate(session)
+    assert len(decided) > 0
+    assert not np.any(np.isfinite(decided))
+
+
+def test_what_is_steered_is_told_from_wheels_by_much() -> None:
+    assert slip_module.FIRST < 0.3 * slip_module.MOST
