@@ -33,7 +33,7 @@ HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
 # Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
-MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+MOST, SURELY_MOST = 4.0 * DEG, 1.2 * DEG  # of what is fixed to a chassis on wheels: found, and beyond doubt
 # rad, by which the mean slip may differ before and after some moment, each at least STANDS s of driving, where that
 # stands out of the scatter of means over BLOCK s by SIGNIFICANT sigmas: a box that has turned on its mount
 MOVED, STANDS, BLOCK, SIGNIFICANT = 2.5 * DEG, 60.0, 20.0, 8.0
@@ -144,10 +144,10 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     by_steps, _ = _unexplained(then - phi * now, of_step, UNSURE_STEP)
     by_all, spread = _unexplained(now, of_now, UNSURE)
     found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
-    if found > MOST or moved > MOVED:
+    surely = math.sqrt(max(by_all - spread * math.sqrt(2.0 * MEMORY / interval), 0.0))
+    if found > MOST or surely > SURELY_MOST or moved > MOVED:
         return math.inf, math.inf
-    surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
-    return max(found, FIRST), math.sqrt(max(surely, 0.0))
+    return max(found, FIRST), surely
 
 
 def _product(left: Array, covariance: Array, right: Array) -> Array:
