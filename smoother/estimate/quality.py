@@ -12,7 +12,6 @@ from smoother.arrays import Array, median
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
-from smoother.fit.step import largest_step
 from smoother.samples import Session
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
@@ -179,9 +178,7 @@ def _attitude_measures(estimate: Trajectory, limits: QualityLimits) -> dict[str,
     angles = np.stack([estimate.euler[driving, 0], floor, beta], axis=1)
     sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.unsure, axis=1)  # not in a gap of the IMU
     step = float(np.median(np.diff(t)))
-    fewest, block = round(limits.lean_seconds / step), max(1, round(limits.block_seconds / step))
-    # rows count, not time, so that a stop between is no part of either side
-    steps = [largest_step(angles[sure, i], fewest, block, limits.lean_significance) for i in range(3)]
+    steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
         "overturned_rad": float(np.max(np.abs(np.median(angles[:, :2], axis=0)))),
@@ -195,6 +192,25 @@ def _thinned(estimate: Trajectory) -> Trajectory:
     if len(estimate) < 2:
         return estimate
     return estimate.every(max(1, round(ROW / median(np.diff(estimate.t)))))
+
+
+def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
+    """Largest significant difference of the means of values (N,) rad, `step` s apart, before and after any row.
+
+    Rows count, not time, so that a stop between is no part of either side. Zero where nothing is significant.
+    """
+    fewest, block = round(limits.lean_seconds / step), max(1, round(limits.block_seconds / step))
+    if values.size < 2 * fewest:
+        return 0.0
+    before = np.cumsum(values)[fewest - 1 : values.size - fewest]
+    count = np.arange(fewest, values.size - fewest + 1)
+    change = (values.sum() - before) / (values.size - count) - before / count
+    at = int(np.argmax(np.abs(change)))
+    n, largest = int(count[at]), float(np.abs(change[at]))
+    rest = values - np.where(np.arange(values.size) < n, before[at] / n, before[at] / n + change[at])
+    means = rest[: values.size // block * block].reshape(-1, block).mean(axis=1)
+    sigma = np.std(means, ddof=2) * np.sqrt(block / n + block / (values.size - n))
+    return largest if largest > limits.lean_significance * sigma else 0.0
 
 
 def _rattling(values: Array, step: float, limits: QualityLimits) -> float:

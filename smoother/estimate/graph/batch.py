@@ -30,7 +30,7 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.sampled import are_unsampled
-from smoother.estimate.graph.slip import slip_of, slip_rows, slip_sigma
+from smoother.estimate.graph.slip import Slip, is_of_wheels, slip_of, slip_rows, slip_sigma
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -225,11 +225,17 @@ class Batch:
 
     def with_slip(self, solved: Solved, noise: Noise) -> Noise:
         """Return the noise with the slip that shows in what was solved without any."""
+        sigma, least = slip_sigma(self._slip(solved, noise), solved.solution, solved.state.interval)
+        return replace(noise, slip_sigma=sigma, slip_least=least)
+
+    def is_of_wheels(self, solved: Solved, noise: Noise) -> bool:
+        """Whether what was solved without wheels slips as the constants say."""
+        return is_of_wheels(self._slip(solved, noise), solved.solution, solved.state.interval)
+
+    def _slip(self, solved: Solved, noise: Noise) -> Slip:
         state = solved.state
         path = self.path(state)
-        slip = slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
-        sigma, least = slip_sigma(slip, solved.solution, state.interval)
-        return replace(noise, slip_sigma=sigma, slip_least=least)
+        return slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise

@@ -7,10 +7,10 @@ stay as they are: what still moves there is what is linear in them, the slow wan
 
 Not estimated here: the constants of the session and the noise. They couple to every keyframe, and a tree in which
 everything hangs on one node is rebuilt with every chunk. They come from an identification (or from the settings) and
-stay frozen; so a live stream needs values identified on a session before it.
+stay frozen; so a live stream needs values identified on a session before it. Nor are wheels asked for: while the turns
+of the newest keyframes are open, rows of slip would be weighed by the errors of these.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -32,7 +32,6 @@ _POSE, _BIAS = slice(0, VELOCITY.start), slice(ACCEL_BIAS.start, GYRO_BIAS.stop)
 _VARIABLES = ((X, _POSE), (V, VELOCITY), (B, _BIAS), (O, OFFSET))
 LINEAR = ("gps_offset",)  # rows that never need another linearisation
 LINEAR_FIRST = ("gps_offset_start", "bias_prior", "pose_prior")  # likewise, on the first keyframe
-STILL, STEPS_ON_WHEELS = 1e-4, 4  # rad that the last of at most so many steps moves attitudes by
 ENOUGH_FIXES = 3  # at the start, to determine position and velocity
 MOVED = 0.01  # rad of attitude, beyond which the measurements of a keyframe are linearised again
 
@@ -75,15 +74,10 @@ def solve_as_stream(
 
     The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
     which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are: as the
-    step finds, or held (29, 29) where they are known from elsewhere. Wheels are asked for after the stream, in which
-    the turns of the newest keyframes are open: their rows would be weighed by errors.
+    step finds, or held (29, 29) where they are known from elsewhere.
     """
-    rolling = math.isfinite(noise.slip_sigma)
-    state = solve_incrementally(data, binned, priors, replace(noise, slip_sigma=math.inf), start, constants)
-    graph = batch.graph(state, noise)
-    if rolling:
-        state = batch.approach(graph, state, noise, STILL, STEPS_ON_WHEELS)
-    return batch.step(graph, state, noise, held=held)
+    state = solve_incrementally(data, binned, priors, noise, start, constants)
+    return batch.step(batch.graph(state, noise), state, noise, held=held)
 
 
 def solve_incrementally(

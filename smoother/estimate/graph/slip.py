@@ -21,7 +21,6 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, at_times
 from smoother.estimate.graph.rows import UP_N, Rows, empty_jacobians
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState
-from smoother.fit.step import largest_step
 from smoother.frames import wrap_angle
 from smoother.units import DEG
 
@@ -33,10 +32,10 @@ HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
 # Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
-MOST, SURELY_MOST = 4.0 * DEG, 1.2 * DEG  # of what is fixed to a chassis on wheels: found, and beyond doubt
-# rad, by which the mean slip may differ before and after some moment, each at least STANDS s of driving, where that
-# stands out of the scatter of means over BLOCK s by SIGNIFICANT sigmas: a box that has turned on its mount
-MOVED, STANDS, BLOCK, SIGNIFICANT = 2.5 * DEG, 60.0, 20.0, 8.0
+MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+# s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
+# unsure by. Simulated karts and drivers 0 to 0.3 deg, boxes that move on their mount or swing to and fro 0.8 to 4.
+BLOCK, APART = 10.0, 0.7 * DEG
 ENOUGH = 100  # keyframes at speed from which on a solution without slip tells how much there is
 UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a keyframe a quarter of its say in that
 # Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007, -0.001 to -0.003 and 1.2 m.
@@ -138,16 +137,34 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
     P, before, after = solution.covariance, slip.by_keyframe[k], slip.by_keyframe[k + 1]
     of_now, of_then = _product(before, P[k], before), _product(after, P[k + 1], after)
-    moved = largest_step(now * slip.level[k], round(STANDS / interval), round(BLOCK / interval), SIGNIFICANT)
     phi = remembered(interval)
     of_step = of_then + phi**2 * of_now - 2.0 * phi * _product(before, solution.cross[k], after)
     by_steps, _ = _unexplained(then - phi * now, of_step, UNSURE_STEP)
     by_all, spread = _unexplained(now, of_now, UNSURE)
     found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
-    surely = math.sqrt(max(by_all - spread * math.sqrt(2.0 * MEMORY / interval), 0.0))
-    if found > MOST or surely > SURELY_MOST or moved > MOVED:
+    if found > MOST or _apart(now, of_now, slip.level[k], interval) > APART:
         return math.inf, math.inf
-    return max(found, FIRST), surely
+    surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
+    return max(found, FIRST), math.sqrt(max(surely, 0.0))
+
+
+def is_of_wheels(slip: Slip, solution: ChainSolution, interval: float) -> bool:
+    """Whether a part of a session slips as its constants say, by `solution`, in which no slip was asked for."""
+    k = slip.first_of_two
+    if len(k) < ENOUGH:
+        return False
+    variance = _product(slip.by_keyframe[k], solution.covariance[k], slip.by_keyframe[k])
+    return _apart(slip.value[k], variance, slip.level[k], interval, usual=0.0) < APART
+
+
+def _apart(value: Array, variance: Array, level: Array, interval: float, usual: float | None = None) -> float:
+    """How far, rad rms, medians of slip over BLOCK s are from the usual one, beyond their variance (N,)."""
+    n = round(BLOCK / interval)
+    whole = max(len(value) // n, 1) * n
+    medians = np.median((value * level)[:whole].reshape(-1, min(n, len(value))), axis=1)
+    unsure = (variance * level**2)[:whole].reshape(-1, min(n, len(value))).mean(axis=1)
+    middle = float(np.median(medians)) if usual is None else usual
+    return math.sqrt(max(float(np.mean((medians - middle) ** 2 - unsure)), 0.0))
 
 
 def _product(left: Array, covariance: Array, right: Array) -> Array:

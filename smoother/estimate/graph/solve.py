@@ -34,6 +34,7 @@ TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 4
+STILL, STEPS_ON_WHEELS = 1e-4, 4  # rad that the last of at most so many steps moves attitudes by
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
@@ -72,9 +73,14 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
             batch = Batch(data, start.binned, priors)
     noise = found
     if options.solver == "isam2":
-        constants = solved.state.constants
-        held = solved.solution.constants_covariance if math.isfinite(noise.slip_sigma) else None
-        solved = solve_as_stream(batch, data, start.binned, priors, noise, start.state, constants, held)
+        constants, held = solved.state.constants, solved.solution.constants_covariance
+        of_wheels = math.isfinite(noise.slip_sigma)
+        no_slip = replace(noise, slip_sigma=math.inf)
+        solved = solve_as_stream(
+            batch, data, start.binned, priors, no_slip, start.state, constants, held if of_wheels else None
+        )
+        if of_wheels:
+            solved = rolling(batch, solved.state, noise, held)
     return Solution(solved, noise, priors, problems)
 
 
@@ -152,14 +158,20 @@ def on_wheels(batch: Batch, graph: InertialGraph, solved: Solved, noise: Noise) 
     noise, held = batch.with_slip(solved, noise), solved.solution.constants_covariance
     if not math.isfinite(noise.slip_sigma):
         return solved, noise
-    rolling = solved
+    found = solved
     for turn in range(SLIP_ROUNDS):
         if turn:
-            noise = replace(noise, slip_sigma=slip_update(rolling, noise))
-        rolling = batch.step(graph, rolling.state, noise, held=held, free=SLIP)
-        if turn and moved(rolling.solution) < WELL_KNOWN:
+            noise = replace(noise, slip_sigma=slip_update(found, noise))
+        found = batch.step(graph, found.state, noise, held=held, free=SLIP)
+        if turn and moved(found.solution) < WELL_KNOWN:
             break
-    return (rolling, noise) if fits_wheels(rolling) else (solved, replace(noise, slip_sigma=math.inf))
+    return (found, noise) if fits_wheels(found) else (solved, replace(noise, slip_sigma=math.inf))
+
+
+def rolling(batch: Batch, state: ChainState, noise: Noise, held: Array) -> Solved:
+    """Solve again with wheels that roll along, from a solution without, all constants held."""
+    graph = batch.graph(state, noise)
+    return batch.step(graph, batch.approach(graph, state, noise, STILL, STEPS_ON_WHEELS), noise, held=held)
 
 
 def fits_wheels(solved: Solved) -> bool:

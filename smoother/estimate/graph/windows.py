@@ -27,7 +27,7 @@ from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_fac
 from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
-from smoother.estimate.graph.solve import Say, fits_wheels, solve_whole, with_heading
+from smoother.estimate.graph.solve import Say, fits_wheels, rolling, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
 from smoother.samples import Problem, Session
@@ -120,19 +120,20 @@ def _solve_piece(
     state = near_solution(part, noise, options.approaches)
     data = _with_level_heading(session, part, state)
     batch = Batch(data, part.binned, start.priors)
-    solved = _solve_window(batch, data, part, state, noise, held, options)
-    if math.isfinite(noise.slip_sigma) and not fits_wheels(solved):
-        noise = replace(noise, slip_sigma=math.inf)
-        solved = _solve_window(batch, data, part, state, noise, held, options)
+    solved = _without_wheels(batch, data, part, state, noise, held, options)
+    if math.isfinite(noise.slip_sigma) and batch.is_of_wheels(solved, noise):
+        on_wheels = rolling(batch, solved.state, noise, held)
+        solved = on_wheels if fits_wheels(on_wheels) else solved
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved)
     known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 
 
-def _solve_window(
+def _without_wheels(
     batch: Batch, data: Data, part: Start, state: ChainState, noise: Noise, held: Array, options: GraphOptions
 ) -> Solved:
+    noise = replace(noise, slip_sigma=math.inf)
     if options.solver == "isam2":
         constants = part.state.constants
         return solve_as_stream(batch, data, part.binned, part.priors, noise, part.state, constants, held)
