@@ -65,7 +65,7 @@ def identified_values(
         "configured" if stated else "identified",
     )
     stated = config.mounting.R_bs is not None
-    common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T)
+    common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T) * [1.0, 1.0, 0.0 if mounting.by_wheels else 1.0]
     # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
     askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
     source = "configured" if stated else "identified" if mounting.is_observable else "default"

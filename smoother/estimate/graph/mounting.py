@@ -14,7 +14,7 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.imu import are_told
-from smoother.estimate.graph.state import ChainState
+from smoother.estimate.graph.state import ChainState, Constants
 from smoother.fit.running import gaussian_mean
 from smoother.frames import wrap_angle
 from smoother.trajectory import Keyframes
@@ -30,12 +30,16 @@ STEERED = 0.6  # least correlation of that with slip
 
 @dataclass(frozen=True, eq=False)
 class FittedMounting:
-    """R_bs (3, 3), sigma (3,) rad about axes of b, whether it is known, and whether from the attitudes themselves."""
+    """R_bs (3, 3), sigma (3,) rad about axes of b, whether it is known, and whether from the attitudes themselves.
+
+    by_wheels: the nose is where the slip of the wheels has it, one of the graph's constants.
+    """
 
     R_bs: Array
     sigma: Array
     is_observable: bool
     is_fitted: bool = False
+    by_wheels: bool = False
 
 
 def are_driven(state: ChainState) -> BoolArray:
@@ -73,6 +77,15 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
         sigma = np.array([fit[1] for fit in fits])
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def along_wheels(mounting: FittedMounting, constants: Constants, variance: float) -> FittedMounting:
+    """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the level axes."""
+    offset = constants.slip[0]
+    ahead_b = mounting.R_bs @ (np.array([np.cos(offset), np.sin(offset), 0.0]) @ constants.level_axes_s)
+    turn = so3.exp(np.array([[0.0, 0.0, -np.arctan2(ahead_b[1], ahead_b[0])]]))[0]
+    sigma = np.array([*mounting.sigma[:2], np.sqrt(variance)])
+    return replace(mounting, R_bs=turn @ mounting.R_bs, sigma=sigma, by_wheels=True)
 
 
 def without_heading(mounting: FittedMounting) -> FittedMounting:

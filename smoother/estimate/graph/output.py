@@ -33,6 +33,7 @@ from smoother.estimate.graph.mounting import (
     swing_on_the_wheel,
 )
 from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     CONSTANTS_SIZE,
@@ -41,6 +42,7 @@ from smoother.estimate.graph.state import (
     LEVER_ARM,
     OFFSET,
     ROTATION,
+    SLIP,
     TRANSLATION,
     VELOCITY,
     ChainState,
@@ -316,11 +318,15 @@ def uncertainty_of(solved: Solved) -> Uncertainty:
     J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R, np.eye(3)
     J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
     C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
-    S, with_arm = solved.solution.constants_covariance[LEVER_ARM, LEVER_ARM], solved.solution.constants_cross
+    columns, S = np.arange(LEVER_ARM.start, LEVER_ARM.stop), solved.solution.constants_covariance
+    if tells_nose(S[SLIP.start, SLIP.start]):  # where slip has the nose, its error is one of the kart's attitude
+        columns, C = np.append(columns, SLIP.start), np.concatenate([C, np.zeros((K, 9, 1))], axis=2)
+        C[:, 2, 3] = 1.0
+    S, with_constants = S[np.ix_(columns, columns)], solved.solution.constants_cross
     antenna = np.empty((K, 9, 9))
     for part in pieces(K, PIECE):
         J_t, C_t = J[part].transpose(0, 2, 1), C[part].transpose(0, 2, 1)
-        cross = J[part] @ with_arm[part, _MOTION, LEVER_ARM] @ C_t
+        cross = J[part] @ with_constants[part, _MOTION][:, :, columns] @ C_t
         antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
         antenna[part] += cross + cross.transpose(0, 2, 1)
     sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
@@ -349,7 +355,8 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, m
     attitude = attitude[_usually_known(attitude)]
     common = mounting.R_bs @ found.common_attitude @ mounting.R_bs.T
     mean = np.einsum("kii->i", attitude) / len(attitude)
-    return np.asarray(np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0)))
+    left = np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0))
+    return np.array([*left[:2], 1.0]) if mounting.by_wheels else np.asarray(left)
 
 
 def _made_up(binned: BinnedImu) -> BoolArray | None:
@@ -364,13 +371,14 @@ def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unse
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, R_nb, _made_up(source.binned))
+    of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
     for part in even_pieces(len(R), TOGETHER):
         covariance[part] = known.antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
         left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
-        covariance[part, 0:3, 0:3] += (R_nb[part] * mounting.sigma**2) @ R_nb[part].transpose(0, 2, 1)
+        covariance[part, 0:3, 0:3] += (R_nb[part] * of_mounting**2) @ R_nb[part].transpose(0, 2, 1)
         felt, arm_n = source.around(state.t[part]).felt, R[part] @ arm_s
         velocity_n[part] += np.cross(felt.rate_at(state.t[part]), arm_n)
         covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n)

@@ -93,6 +93,11 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
     )
 
 
+def tells_nose(variance: float) -> bool:
+    """Whether the slip that is always there, known to `variance` rad^2, says where the nose points."""
+    return bool(variance < (0.5 * PRIOR[0]) ** 2)
+
+
 def remembered(interval: float) -> float:
     """Share of the process that is left after `interval`, s."""
     return math.exp(-interval / MEMORY)

@@ -21,9 +21,10 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.mounting import FittedMounting, fit_mounting, without_heading
+from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
 from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.sampled import sampled_spans
+from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
     GraphOptions,
@@ -34,7 +35,7 @@ from smoother.estimate.graph.start import (
     make_start,
     on_path_without,
 )
-from smoother.estimate.graph.state import ChainState
+from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.in_step import in_step
@@ -118,7 +119,7 @@ class GraphSmoother:
                 start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
-            mounting = _mounting(session, found.state, start.alignment, start.fine.missing)
+            mounting = _mounting(session, found, start.alignment, start.fine.missing)
             trajectory = build_trajectory(
                 session,
                 found,
@@ -234,10 +235,13 @@ def _solve(
     return estimated(whole.solved), whole
 
 
-def _mounting(session: Session, state: ChainState, alignment: Alignment, missing: Array) -> FittedMounting:
-    stated = session.config.mounting.R_bs
+def _mounting(session: Session, found: Estimated, alignment: Alignment, missing: Array) -> FittedMounting:
+    stated, state = session.config.mounting.R_bs, found.state
     if stated is not None:
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
         mounting = fit_mounting(state, alignment.R_bs, missing)
+        of_slip = float(found.constants_covariance[SLIP.start, SLIP.start])
+        if mounting.is_fitted and tells_nose(of_slip):
+            mounting = along_wheels(mounting, state.constants, of_slip)
     return without_heading(mounting) if alignment.is_level_only else mounting
