@@ -33,7 +33,7 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
-SLIP_ROUNDS = 4
+SLIP_ROUNDS = 2
 STILL, STEPS_ON_WHEELS = 1e-4, 4  # rad that the last of at most so many steps moves attitudes by
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
@@ -146,26 +146,35 @@ def finish(
         better = _reestimated(solved, noise, start, scatter)
         change, noise = noise.change(better), better
     assert solved is not None
-    return on_wheels(batch, graph, solved, noise) if start.wheels else (solved, noise)
-
-
-def on_wheels(batch: Batch, graph: InertialGraph, solved: Solved, noise: Noise) -> tuple[Solved, Noise]:
-    """Solve again with wheels that roll along, where what was solved without agrees; the noise of slip is found.
-
-    All other noise stays, and all constants but those of slip. Slip is smoother than its process: what that expects of
-    quick steps would be missed in the samples' noise, and be looked for in latencies and lever arm.
-    """
-    noise, held = batch.with_slip(solved, noise), solved.solution.constants_covariance
+    noise = batch.with_slip(solved, noise) if start.wheels else noise
     if not math.isfinite(noise.slip_sigma):
         return solved, noise
-    found = solved
-    for turn in range(SLIP_ROUNDS):
-        if turn:
-            noise = replace(noise, slip_sigma=slip_update(found, noise))
-        found = batch.step(graph, found.state, noise, held=held, free=SLIP)
-        if turn and moved(found.solution) < WELL_KNOWN:
+    state, held = solved.state, solved.solution.constants_covariance
+    del solved
+    return on_wheels(batch, graph, state, held, noise)
+
+
+def on_wheels(
+    batch: Batch, graph: InertialGraph, without: ChainState, held: Array, noise: Noise
+) -> tuple[Solved, Noise]:
+    """Solve again, from a solution without, with wheels that roll along; the scatter of slip is found on the way.
+
+    All other noise stays, and all constants but those of slip, of which held (29, 29) is the covariance. Slip is
+    smoother than its process: what that expects of quick steps would be missed in the samples' noise, and be looked
+    for in latencies and lever arm. Where the rows do not fit, what comes back is without them again.
+    """
+    found = batch.step(graph, without, noise, held=held, free=SLIP)
+    for _ in range(SLIP_ROUNDS):
+        noise, state = replace(noise, slip_sigma=slip_update(found, noise)), found.state
+        del found  # two do not fit
+        found = batch.step(graph, state, noise, held=held, free=SLIP)
+        if moved(found.solution) < WELL_KNOWN:
             break
-    return (found, noise) if fits_wheels(found) else (solved, replace(noise, slip_sigma=math.inf))
+    if fits_wheels(found):
+        return found, noise
+    del found
+    noise = replace(noise, slip_sigma=math.inf)
+    return batch.step(graph, without, noise), noise
 
 
 def rolling(batch: Batch, state: ChainState, noise: Noise, held: Array) -> Solved:
