@@ -68,7 +68,8 @@ class Noise:
 
     offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (3,) is the spread
     of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
-    slip_sigma rad describes the slip of the wheels, infinite where none is asked for, and is no less than slip_least.
+    slip_sigma rad describes the slip of the wheels, infinite where none is asked for, and is no less than slip_least;
+    slip_unsure rad^2 is what attitudes without wheels leave unsure of it.
     offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
     population's.
     """
@@ -82,6 +83,7 @@ class Noise:
     offset_tau_spread: float = math.inf
     slip_sigma: float = math.inf
     slip_least: float = 0.0
+    slip_unsure: float = 0.0
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""
@@ -225,15 +227,15 @@ class Batch:
 
     def with_slip(self, solved: Solved, noise: Noise) -> Noise:
         """Return the noise with the slip that shows in what was solved without any."""
-        sigma, least = slip_sigma(self._slip(solved, noise), solved.solution, solved.state.interval)
-        return replace(noise, slip_sigma=sigma, slip_least=least)
+        slip = self._slip(solved.state, noise)
+        sigma, least, unsure = slip_sigma(slip, solved.solution, solved.state.interval)
+        return replace(noise, slip_sigma=sigma, slip_least=least, slip_unsure=unsure)
 
-    def is_of_wheels(self, solved: Solved, noise: Noise) -> bool:
+    def is_of_wheels(self, state: ChainState, noise: Noise) -> bool:
         """Whether what was solved without wheels slips as the constants say."""
-        return is_of_wheels(self._slip(solved, noise), solved.solution, solved.state.interval)
+        return is_of_wheels(self._slip(state, noise), noise.slip_unsure, state.interval)
 
-    def _slip(self, solved: Solved, noise: Noise) -> Slip:
-        state = solved.state
+    def _slip(self, state: ChainState, noise: Noise) -> Slip:
         path = self.path(state)
         return slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
 

@@ -128,8 +128,10 @@ def _rows(
     return Rows(name, interval, value[:, None], sigma, left, right, constants, np.ones(len(interval)))
 
 
-def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[float, float]:
+def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[float, float, float]:
     """Sigma of the process to begin with, rad, and the least that it has; infinite where it is none of wheels.
+
+    The third is the variance, rad^2, that the solution leaves in the angle between nose and path.
 
     By `solution`, in which no slip was asked for: what of the scatter of the slip, and of its steps, its errors do not
     explain. Keyframes count by how well their attitude is known. interval s. The least is what the scatter shows beyond
@@ -137,7 +139,7 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     """
     k = slip.first_of_two
     if len(k) < ENOUGH:
-        return math.inf, math.inf
+        return math.inf, math.inf, 0.0
     constants = _fitted(slip, k)
     now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
     P, before, after = solution.covariance, slip.by_keyframe[k], slip.by_keyframe[k + 1]
@@ -147,29 +149,25 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     by_steps, _ = _unexplained(then - phi * now, of_step, UNSURE_STEP)
     by_all, spread = _unexplained(now, of_now, UNSURE)
     found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
-    if found > MOST or _apart(now, of_now, slip.level[k], interval) > APART:
-        return math.inf, math.inf
+    unsure = float(np.mean(of_now * slip.level[k] ** 2))
+    if found > MOST or _apart(now * slip.level[k], unsure, interval) > APART:
+        return math.inf, math.inf, unsure
     surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
-    return max(found, FIRST), math.sqrt(max(surely, 0.0))
+    return max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure
 
 
-def is_of_wheels(slip: Slip, solution: ChainSolution, interval: float) -> bool:
-    """Whether a part of a session slips as its constants say, by `solution`, in which no slip was asked for."""
+def is_of_wheels(slip: Slip, unsure: float, interval: float) -> bool:
+    """Whether a part of a session, solved without slip, slips as its constants say; unsure as of :func:`slip_sigma`."""
     k = slip.first_of_two
-    if len(k) < ENOUGH:
-        return False
-    variance = _product(slip.by_keyframe[k], solution.covariance[k], slip.by_keyframe[k])
-    return _apart(slip.value[k], variance, slip.level[k], interval, usual=0.0) < APART
+    return len(k) >= ENOUGH and _apart(slip.value[k] * slip.level[k], unsure, interval, usual=0.0) < APART
 
 
-def _apart(value: Array, variance: Array, level: Array, interval: float, usual: float | None = None) -> float:
-    """How far, rad rms, medians of slip over BLOCK s are from the usual one, beyond their variance (N,)."""
-    n = round(BLOCK / interval)
-    whole = max(len(value) // n, 1) * n
-    medians = np.median((value * level)[:whole].reshape(-1, min(n, len(value))), axis=1)
-    unsure = (variance * level**2)[:whole].reshape(-1, min(n, len(value))).mean(axis=1)
+def _apart(angle: Array, unsure: float, interval: float, usual: float | None = None) -> float:
+    """How far, rad rms, medians of slip (N,) rad over BLOCK s are from the usual one, beyond the variance `unsure`."""
+    n = min(round(BLOCK / interval), len(angle))
+    medians = np.median(angle[: len(angle) // n * n].reshape(-1, n), axis=1)
     middle = float(np.median(medians)) if usual is None else usual
-    return math.sqrt(max(float(np.mean((medians - middle) ** 2 - unsure)), 0.0))
+    return math.sqrt(max(float(np.mean((medians - middle) ** 2)) - unsure, 0.0))
 
 
 def _product(left: Array, covariance: Array, right: Array) -> Array:

@@ -34,7 +34,9 @@ TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 2
-STILL, STEPS_ON_WHEELS = 1e-4, 4  # rad that the last of at most so many steps moves attitudes by
+ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
+STILL = 1e-4  # rad, likewise of a stream, whose weights are to be those of the batch
+ROLLING = 2e-3, 2  # rad that the last of at most so many steps moves attitudes by, before the one that counts
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
@@ -80,7 +82,9 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
             batch, data, start.binned, priors, no_slip, start.state, constants, held if of_wheels else None
         )
         if of_wheels:
-            solved = rolling(batch, solved.state, noise, held)
+            graph = batch.graph(solved.state, noise)
+            state = batch.approach(graph, solved.state, noise, STILL, 2 * ROLLING[1])
+            solved = batch.step(graph, state, noise, held=held)
     return Solution(solved, noise, priors, problems)
 
 
@@ -168,19 +172,13 @@ def on_wheels(
         noise, state = replace(noise, slip_sigma=slip_update(found, noise)), found.state
         del found  # two do not fit
         found = batch.step(graph, state, noise, held=held, free=SLIP)
-        if moved(found.solution) < WELL_KNOWN:
+        if moved(found.solution) < ROLLED:
             break
     if fits_wheels(found):
         return found, noise
     del found
     noise = replace(noise, slip_sigma=math.inf)
     return batch.step(graph, without, noise), noise
-
-
-def rolling(batch: Batch, state: ChainState, noise: Noise, held: Array) -> Solved:
-    """Solve again with wheels that roll along, from a solution without, all constants held."""
-    graph = batch.graph(state, noise)
-    return batch.step(graph, batch.approach(graph, state, noise, STILL, STEPS_ON_WHEELS), noise, held=held)
 
 
 def fits_wheels(solved: Solved) -> bool:

@@ -27,7 +27,7 @@ from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_fac
 from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
-from smoother.estimate.graph.solve import Say, fits_wheels, rolling, solve_whole, with_heading
+from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
 from smoother.samples import Problem, Session
@@ -120,26 +120,30 @@ def _solve_piece(
     state = near_solution(part, noise, options.approaches)
     data = _with_level_heading(session, part, state)
     batch = Batch(data, part.binned, start.priors)
-    solved = _without_wheels(batch, data, part, state, noise, held, options)
-    if math.isfinite(noise.slip_sigma) and batch.is_of_wheels(solved, noise):
-        on_wheels = rolling(batch, solved.state, noise, held)
-        solved = on_wheels if fits_wheels(on_wheels) else solved
+    solved = _solve_window(batch, data, part, state, noise, held, options)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved)
     known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 
 
-def _without_wheels(
+def _solve_window(
     batch: Batch, data: Data, part: Start, state: ChainState, noise: Noise, held: Array, options: GraphOptions
 ) -> Solved:
-    noise = replace(noise, slip_sigma=math.inf)
+    """Solve a window, with wheels where what comes without them agrees: the box may have moved since the main one."""
+    no_slip, graph = replace(noise, slip_sigma=math.inf), batch.graph(state, noise)
     if options.solver == "isam2":
         constants = part.state.constants
-        return solve_as_stream(batch, data, part.binned, part.priors, noise, part.state, constants, held)
-    graph = batch.graph(state, noise)
-    state = batch.approach(graph, state, noise, NEAR, 2 * options.approaches)
-    return batch.step(graph, state, noise, held=held)
+        solved = solve_as_stream(batch, data, part.binned, part.priors, no_slip, part.state, constants, held)
+        state = solved.state
+        del solved
+    else:
+        state = batch.approach(graph, state, no_slip, NEAR, 2 * options.approaches)
+    if math.isfinite(noise.slip_sigma) and batch.is_of_wheels(state, noise):
+        on_wheels = batch.step(graph, batch.approach(graph, state, noise, *ROLLING), noise, held=held)
+        if fits_wheels(on_wheels):
+            return on_wheels
+    return batch.step(graph, state, no_slip, held=held)
 
 
 def _with_level_heading(session: Session, part: Start, state: ChainState) -> Data:

@@ -32,7 +32,13 @@ def solutions() -> Iterator[tuple[Trajectory, Trajectory]]:
     """Of both solvers; the batch goes on until it stays, where single moments would otherwise still move by a sigma."""
     given = session()
     with pytest.MonkeyPatch.context() as patch:
-        for name, limit in (("WELL_KNOWN", 0.01), ("CONSTANTS_WELL_KNOWN", 0.01), ("STEADY", 1e-3), ("SLIP_ROUNDS", 8)):
+        for name, limit in (
+            ("WELL_KNOWN", 0.01),
+            ("CONSTANTS_WELL_KNOWN", 0.01),
+            ("STEADY", 1e-3),
+            ("SLIP_ROUNDS", 8),
+            ("ROLLED", 0.01),
+        ):
             patch.setattr(solve, name, limit)
         yield tuple(GraphSmoother(GraphOptions(solver=solver)).estimate(given) for solver in ("batch", "isam2"))  # type: ignore[return-value]
 
