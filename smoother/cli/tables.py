@@ -29,7 +29,7 @@ _NAMES = {
     "accel_rectification_by_rate": "push by rocking",
 }
 # drivers need not ask; most boxes show none of the others
-_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_per_acceleration", "ahead_of_rear_axle", "slip_sigma")
+_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")
 _ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
 
 

@@ -410,8 +410,6 @@ _NAMES = {
     "gps_velocity_response": "the same, second order",
     "lever_arm_b": "antenna from the box: forward, left, up",
     "R_bs": "box in the kart: roll, pitch, yaw",
-    "slip_per_acceleration": "wheels slip by cornering",
-    "ahead_of_rear_axle": "box ahead of the rear axle",
     "slip_sigma": "slip, from one hard corner to another",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",

@@ -9,8 +9,7 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
-from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, SLIP, VELOCITY_RESPONSE, Constants
+from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
 from smoother.trajectory import Identified
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
@@ -83,7 +82,8 @@ def identified_values(
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
     if math.isfinite(noise.slip_sigma):
-        out |= _of_wheels(constants, sigma[SLIP], noise.slip_sigma)
+        # not what slip has in common: its process takes a part of that over, and yaw is the same
+        out["slip_sigma"] = _value(noise.slip_sigma, None, "rad", True, False)
     inertial = noise.inertial
     out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
@@ -96,15 +96,6 @@ def identified_values(
     sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
     out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
     return out
-
-
-def _of_wheels(constants: Constants, sigma: Array, scatter: float) -> dict[str, Identified]:
-    """What slip has in common, and the scatter, rad, of what else it does in a corner taken at HARD. sigma (4,)."""
-    known = sigma < OBSERVABLE * SLIP_PRIOR
-    return {
-        name: _value(float(constants.slip[i]), float(sigma[i]), unit, bool(known[i]), False)
-        for name, i, unit in (("slip_per_acceleration", 1, "rad/(m/s^2)"), ("ahead_of_rear_axle", 3, "m"))
-    } | {"slip_sigma": _value(scatter, None, "rad", True, False)}
 
 
 def _value(
