@@ -35,7 +35,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
-from smoother.estimate.graph.batch import Batch, Noise, constants_moved, moved
+from smoother.estimate.graph.batch import Batch, Noise, constants_moved, moved, variances
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory, estimated
@@ -171,12 +171,12 @@ def told_batch(session: Session, start: LagStart) -> Trajectory:
         solved = batch.step(batch.graph(state, noise), state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        if turn > 0 and max(moved(solved.solution), constants_moved(solved.solution)) < SETTLED:
+        step = solved.solution
+        if turn > 0 and max(moved(step, variances(step)), constants_moved(step)) < SETTLED:
             break
     mounting, population = fit_mounting(state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
-    return build_trajectory(
-        session, estimated(solved), noise, mounting, begun.fine, begun.priors, options.rate, population
-    )
+    found = estimated(solved, nose_by_slip=False)
+    return build_trajectory(session, found, noise, mounting, begun.fine, begun.priors, options.rate, population)
 
 
 def apart_from(batch: Trajectory, s: LagState, samples_end: float) -> Array:

@@ -30,7 +30,7 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.sampled import are_unsampled
-from smoother.estimate.graph.slip import Slip, is_of_wheels, slip_of, slip_rows, slip_sigma
+from smoother.estimate.graph.slip import Slip, SlipNoise, is_of_wheels, not_doubted_by, slip_noise, slip_of, slip_rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -68,8 +68,7 @@ class Noise:
 
     offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (3,) is the spread
     of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
-    slip_sigma rad describes the slip of the wheels, infinite where none is asked for, and is no less than slip_least;
-    slip_unsure rad^2 is what attitudes without wheels leave unsure of it.
+    slip is that of the wheels, None where they are not asked.
     offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
     population's.
     """
@@ -81,9 +80,7 @@ class Noise:
     offset_tau: float
     sensor_error: Array
     offset_tau_spread: float = math.inf
-    slip_sigma: float = math.inf
-    slip_least: float = 0.0
-    slip_unsure: float = 0.0
+    slip: SlipNoise | None = None
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""
@@ -170,11 +167,9 @@ class Batch:
         """Gauss-Newton from `state`, at most `iterations` steps, each shortened where the constants swing back."""
         before = np.zeros(CONSTANTS_SIZE)
         for _ in range(iterations):
-            system, _, _ = self._linearize(graph, state, noise)
-            step = solve_chain(system, with_covariance=False)
-            share = swing_share(step.constants, before)
-            before = share * step.constants
-            state = state.retract(share * step.x, before)
+            constants = state.constants.as_vector()
+            state, step = self.move(graph, state, noise, before)
+            before = state.constants.as_vector() - constants
             if converged(step.x):
                 break
         return state
@@ -185,10 +180,10 @@ class Batch:
         """Gauss-Newton of the keyframes alone, the constants held, until no attitude moves by `near` rad.
 
         At most `iterations`. While attitudes are off by degrees, steps of the constants lead astray, and coming back
-        takes more steps.
+        takes more steps. With wheels, `state` was found without.
         """
-        for _ in range(iterations):
-            system, _, _ = self._linearize(graph, state, noise)
+        for i in range(iterations):
+            system, _, _ = self._linearize(graph, state, noise, was_without_wheels=i == 0)
             step = solve_chain(_of_keyframes(system), with_covariance=False)
             state = state.retract(step.x, np.zeros(CONSTANTS_SIZE))
             if float(np.max(np.abs(step.x[:, ROTATION]))) < near:
@@ -203,13 +198,16 @@ class Batch:
         before: Array | None = None,
         held: Array | None = None,
         free: slice | None = None,
+        *,
+        was_without_wheels: bool = False,
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
         before (29,) is the previous step of the constants: where they swing back the state goes only half the way.
         held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
+        was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
-        system, inertial, rows = self._linearize(graph, state, noise)
+        system, inertial, rows = self._linearize(graph, state, noise, was_without_wheels=was_without_wheels)
         solution = solve_chain(system, held=held, free=free)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
@@ -219,6 +217,15 @@ class Batch:
             {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
         )
 
+    def move(
+        self, graph: InertialGraph, state: ChainState, noise: Noise, before: Array
+    ) -> tuple[ChainState, ChainSolution]:
+        """Like :meth:`step`, without a covariance but that of the constants: the state, and the whole step."""
+        system, _, _ = self._linearize(graph, state, noise)
+        solution = solve_chain(system, with_covariance=False)
+        share = swing_share(solution.constants, before)
+        return state.retract(share * solution.x, share * solution.constants), solution
+
     def path(self, state: ChainState) -> DensePath:
         """Dense path through the keyframes of `state`."""
         return dense_path(
@@ -227,20 +234,18 @@ class Batch:
 
     def with_slip(self, solved: Solved, noise: Noise) -> Noise:
         """Return the noise with the slip that shows in what was solved without any."""
-        slip = self._slip(solved.state, noise)
-        sigma, least, unsure = slip_sigma(slip, solved.solution, solved.state.interval)
-        return replace(noise, slip_sigma=sigma, slip_least=least, slip_unsure=unsure)
+        return replace(noise, slip=slip_noise(self._slip(solved.state, noise), solved.solution, solved.state.interval))
 
     def is_of_wheels(self, state: ChainState, noise: Noise) -> bool:
         """Whether what was solved without wheels slips as the constants say."""
-        return is_of_wheels(self._slip(state, noise), noise.slip_unsure, state.interval)
+        return noise.slip is not None and is_of_wheels(self._slip(state, noise), noise.slip.unsure, state.interval)
 
     def _slip(self, state: ChainState, noise: Noise) -> Slip:
         path = self.path(state)
         return slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
 
     def _linearize(
-        self, graph: InertialGraph, state: ChainState, noise: Noise
+        self, graph: InertialGraph, state: ChainState, noise: Noise, *, was_without_wheels: bool = False
     ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
         path = self.path(state)
         felt = expected_of(self._data, path, state, noise)
@@ -249,9 +254,11 @@ class Batch:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
             set_apart(inertial, apart, state, noise.inertial, APART)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
-        if math.isfinite(noise.slip_sigma):
+        if noise.slip is not None:
             slip = slip_of(state, path, felt, self._told)
-            rows |= {r.name: _robust(r) for r in slip_rows(slip, state.interval, noise.slip_sigma)}
+            for r in slip_rows(slip, state.interval, noise.slip.sigma):
+                judged = not_doubted_by(slip, noise.slip.unsure, r) if was_without_wheels else r
+                rows[r.name] = replace(r, weight=_robust(judged).weight)
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         rw.add_rows(system, list(rows.values()))
@@ -338,10 +345,15 @@ def converged(step: Array) -> bool:
     return all(float(np.max(np.abs(step[:, part]))) < limit for part, limit in CONVERGED)
 
 
-def moved(solution: ChainSolution) -> float:
-    """Root mean square of a step of attitude and velocity, each over its sigma."""
-    sigma2 = np.einsum("kii->ki", solution.covariance)
-    return max(math.sqrt(float(np.mean(solution.x[:, part] ** 2 / sigma2[:, part]))) for part in (ROTATION, VELOCITY))
+def variances(solution: ChainSolution) -> Array:
+    """Variances (K, 18) of the keyframes."""
+    return np.asarray(np.einsum("kii->ki", solution.covariance))
+
+
+def moved(solution: ChainSolution, variance: Array) -> float:
+    """Root mean square of a step of attitude and velocity, each over its sigma; variance (K, 18)."""
+    squares = (np.mean(solution.x[:, part] ** 2 / variance[:, part]) for part in (ROTATION, VELOCITY))
+    return math.sqrt(float(max(squares)))
 
 
 def constants_moved(solution: ChainSolution) -> float:

@@ -1,9 +1,9 @@
 """First steps on few keyframes: the attitudes, which bend the problem, are brought near at a fraction of the cost.
 
 Positions and velocities enter nearly linearly and one step finds them; attitudes that are off by degrees take several
-steps, but what they are off by changes slowly. So the first steps are taken with one keyframe in EVERY, and what they
-moved is carried over to all keyframes. The constants stay: long intervals would draw them, and with attitudes off by
-degrees steps of the constants lead astray.
+steps, but what they are off by changes slowly. So the first steps are taken with few keyframes, one in EVERY or in
+FOR_CONSTANTS, and what they moved is carried over to all keyframes. The constants stay: long intervals would draw them,
+and with attitudes off by degrees steps of the constants lead astray.
 """
 
 from dataclasses import replace
@@ -18,16 +18,19 @@ from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import ChainState
 
 EVERY = 4  # keyframes; at 0.8 s a lap still has fifty of them
+# keyframes, where constants are to be found next: after longer intervals much of the samples' noise is in the motion
+# that their slopes are read off, and they overshoot by several sigmas (velocity_response most)
+FOR_CONSTANTS = 2
 FEWEST = 8  # coarse keyframes; a shorter session is not worth the detour
 NEAR = 0.05  # rad; its square is what a Gauss-Newton step leaves of it, a tenth of a degree
 
 
-def near_solution(start: Start, noise: Noise, iterations: int) -> ChainState:
+def near_solution(start: Start, noise: Noise, iterations: int, every: int = EVERY) -> ChainState:
     """Return the keyframes of `start` near the solution for its constants, without a magnetometer.
 
-    By at most `iterations` Gauss-Newton steps on one keyframe in EVERY, until no attitude moves by NEAR.
+    By at most `iterations` Gauss-Newton steps on one keyframe in `every`, until no attitude moves by NEAR.
     """
-    few = thinned(start, EVERY)
+    few = thinned(start, every)
     batch = Batch(few.data, few.binned, few.priors)
     state = batch.approach(batch.graph(few.state, noise), few.state, noise, NEAR, iterations)
     return state if few is start else along(carried(start.state, few.state, state), batch.path(state))

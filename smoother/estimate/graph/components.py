@@ -17,7 +17,7 @@ from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu, Shape, interval_noise
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
-from smoother.estimate.graph.slip import FIRST, remembered
+from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
 from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
 
 # bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
@@ -313,9 +313,9 @@ def _offset_ratio(solved: Solved) -> Array:
     return ratio
 
 
-def slip_update(solved: Solved, noise: Noise) -> float:
-    """Sigma of the slip, rad, one step on, by its start and its steps, of which a part is not the process's."""
-    sigma = noise.slip_sigma
+def slip_update(solved: Solved, noise: SlipNoise) -> SlipNoise:
+    """Return the slip's noise one step on, by its start and its steps, of which a part is not the process's."""
+    sigma = noise.sigma
     squares, expected = SLIP_COUNT * (FIRST / sigma) ** 2, SLIP_COUNT
     step = 1.0 - remembered(solved.state.interval) ** 2
     for name, variance in (("slip_start", sigma**2), ("slip", step * sigma**2)):
@@ -324,7 +324,7 @@ def slip_update(solved: Solved, noise: Noise) -> float:
         squares += float(np.sum(share * component.squares))
         expected += float(np.sum(share * component.expected))
     ratio = float(np.clip(math.sqrt(squares / expected) ** HASTE, 1.0 / 2.5, 2.5))
-    return max(noise.slip_least, sigma * ratio)
+    return replace(noise, sigma=max(noise.least, sigma * ratio))
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:

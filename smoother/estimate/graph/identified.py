@@ -81,9 +81,9 @@ def identified_values(
         seen = bool(np.min(own) < OBSERVABLE * beforehand)
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
-    if math.isfinite(noise.slip_sigma):
+    if noise.slip is not None:
         # not what slip has in common: its process takes a part of that over, and yaw is the same
-        out["slip_sigma"] = _value(noise.slip_sigma, None, "rad", True, False)
+        out["slip_sigma"] = _value(noise.slip.sigma, None, "rad", True, False)
     inertial = noise.inertial
     out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)

@@ -99,6 +99,7 @@ class InertialGraph:
         self._shaken = shaken(binned)
         self._accel_bias = accel_bias
         self._own_whitening = self._whitening(noise)
+        self._last_whitening = noise, self._own_whitening
 
     def serves(self, noise: InertialNoise) -> bool:
         """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
@@ -150,8 +151,13 @@ class InertialGraph:
         """Matrices (K-1, 15, 15) that whiten residuals with `noise`."""
         if noise == self.noise:
             return self._own_whitening
+        last, whitening = self._last_whitening
+        if noise == last:  # steps of the last turns, which find no noise
+            return whitening
         try:
-            return self._whitening(noise)
+            whitening = self._whitening(noise)
+            self._last_whitening = noise, whitening
+            return whitening
         except np.linalg.LinAlgError:  # scaling is an approximation, and some covariances have little to spare
             return self._own_whitening / min(noise.accel / self.noise.accel, noise.gyro / self.noise.gyro)
 

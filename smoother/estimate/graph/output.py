@@ -106,13 +106,13 @@ class Estimated:
     common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
-def estimated(solved: Solved) -> Estimated:
-    """Return what a graph that was solved in one piece says."""
+def estimated(solved: Solved, *, nose_by_slip: bool) -> Estimated:
+    """Return what a graph that was solved in one piece says; nose_by_slip as for :func:`uncertainty_of`."""
     state, factor = solved.state, solved.solution.factor
     return Estimated(
         state,
         solved.solution.constants_covariance,
-        uncertainty_of(solved),
+        uncertainty_of(solved, nose_by_slip=nose_by_slip),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
         common_attitude(solved),
@@ -305,8 +305,11 @@ def row_times(start: float, end: float, rate: float) -> Array:
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
 
 
-def uncertainty_of(solved: Solved) -> Uncertainty:
-    """Return sigmas and covariances of the antenna at the keyframes of a solved graph."""
+def uncertainty_of(solved: Solved, *, nose_by_slip: bool) -> Uncertainty:
+    """Return sigmas and covariances of the antenna at the keyframes of a solved graph.
+
+    nose_by_slip: the nose is where slip has it, if it has; otherwise the mounting was stated.
+    """
     state, P = solved.state, solved.solution.covariance
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     turn = _turning(state)
@@ -319,7 +322,7 @@ def uncertainty_of(solved: Solved) -> Uncertainty:
     J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
     C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
     columns, S = np.arange(LEVER_ARM.start, LEVER_ARM.stop), solved.solution.constants_covariance
-    if tells_nose(S[SLIP.start, SLIP.start]):  # where slip has the nose, its error is one of the kart's attitude
+    if nose_by_slip and tells_nose(S[SLIP.start, SLIP.start]):  # its error is one of the kart's attitude
         columns, C = np.append(columns, SLIP.start), np.concatenate([C, np.zeros((K, 9, 1))], axis=2)
         C[:, 2, 3] = 1.0
     S, with_constants = S[np.ix_(columns, columns)], solved.solution.constants_cross

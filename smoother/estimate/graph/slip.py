@@ -6,12 +6,12 @@ how the axes of the alignment are turned in the kart, what goes with lateral acc
 goes with curvature, since only the rear axle does not move sideways. The rest is the process; how much a corner differs
 from another grows with how hard it is taken.
 
-No slip is asked for before a solution without it was seen to agree (:func:`slip_sigma`): a box on the steering wheel
+No slip is asked for before a solution without it was seen to agree (:func:`slip_noise`): a box on the steering wheel
 turns with the hands, a loose one anyhow.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,8 +38,20 @@ MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
 BLOCK, APART = 10.0, 0.7 * DEG
 ENOUGH = 100  # keyframes at speed from which on a solution without slip tells how much there is
 UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a keyframe a quarter of its say in that
-# Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007, -0.001 to -0.003 and 1.2 m.
+# Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007 rad per m/s^2, -0.001 to
+# -0.003 rad per m/s^3, and the rear axle 1.2 m behind the box.
 PRIOR = np.array([0.5, 0.01, 2e-3, 1.0])
+
+
+@dataclass(frozen=True)
+class SlipNoise:
+    """What is assumed of the slip. sigma rad of its process at HARD, no less than `least`; unsure, rad^2, is what
+    attitudes of a solution without wheels leave unsure of it, in the mean.
+    """
+
+    sigma: float
+    least: float
+    unsure: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +140,18 @@ def _rows(
     return Rows(name, interval, value[:, None], sigma, left, right, constants, np.ones(len(interval)))
 
 
-def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[float, float, float]:
-    """Sigma of the process to begin with, rad, and the least that it has; infinite where it is none of wheels.
+def not_doubted_by(slip: Slip, unsure: float, rows: Rows) -> Rows:
+    """Return `rows` of the slip with sigmas to be judged by at a solution without wheels.
 
-    The third is the variance, rad^2, that the solution leaves in the angle between nose and path.
+    There the errors of its attitudes, of variance `unsure` rad^2, are in the residuals too. Judged by the process alone
+    half of them would stand out, and the step would be short, and the process seem to have much of what is theirs.
+    """
+    variance = rows.sigma**2 + (unsure / slip.level[rows.interval] ** 2)[:, None]
+    return replace(rows, sigma=np.sqrt(variance))
+
+
+def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNoise | None:
+    """Return what to assume of the slip to begin with; None where it is none of wheels.
 
     By `solution`, in which no slip was asked for: what of the scatter of the slip, and of its steps, its errors do not
     explain. Keyframes count by how well their attitude is known. interval s. The least is what the scatter shows beyond
@@ -139,7 +159,7 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     """
     k = slip.first_of_two
     if len(k) < ENOUGH:
-        return math.inf, math.inf, 0.0
+        return None
     constants = _fitted(slip, k)
     now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
     P, before, after = solution.covariance, slip.by_keyframe[k], slip.by_keyframe[k + 1]
@@ -151,13 +171,13 @@ def slip_sigma(slip: Slip, solution: ChainSolution, interval: float) -> tuple[fl
     found = math.sqrt(max(by_steps / (1.0 - phi**2), by_all, 0.0))
     unsure = float(np.mean(of_now * slip.level[k] ** 2))
     if found > MOST or _apart(now * slip.level[k], unsure, interval) > APART:
-        return math.inf, math.inf, unsure
+        return None
     surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
-    return max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure
+    return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure)
 
 
 def is_of_wheels(slip: Slip, unsure: float, interval: float) -> bool:
-    """Whether a part of a session, solved without slip, slips as its constants say; unsure as of :func:`slip_sigma`."""
+    """Whether a part of a session, solved without slip, slips as its constants say; unsure as of :class:`SlipNoise`."""
     k = slip.first_of_two
     return len(k) >= ENOUGH and _apart(slip.value[k] * slip.level[k], unsure, interval, usual=0.0) < APART
 

@@ -232,7 +232,7 @@ def _solve(
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
-    return estimated(whole.solved), whole
+    return estimated(whole.solved, nose_by_slip=session.config.mounting.R_bs is None), whole
 
 
 def _mounting(session: Session, found: Estimated, alignment: Alignment, missing: Array) -> FittedMounting:

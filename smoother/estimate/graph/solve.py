@@ -1,6 +1,5 @@
 """Solving in turns: the noise and the constants of a session from a part of it, then the whole until it stays."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,8 +15,9 @@ from smoother.estimate.graph.batch import (
     constants_moved,
     doppler_noise,
     moved,
+    variances,
 )
-from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import Scatter, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
@@ -33,7 +33,7 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
-SLIP_ROUNDS = 2
+SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within a tenth of it
 ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
 STILL = 1e-4  # rad, likewise of a stream, whose weights are to be those of the batch
 ROLLING = 2e-3, 2  # rad that the last of at most so many steps moves attitudes by, before the one that counts
@@ -58,7 +58,7 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
 
     A magnetometer that makes the fixes look worse than they were without it is left out.
     """
-    state = near_solution(start, noise, options.approaches)
+    state = near_solution(start, noise, options.approaches, FOR_CONSTANTS)
     data, priors, problems = with_heading(session, start, state)
     batch = Batch(data, start.binned, priors)
     graph = batch.graph(state, noise)
@@ -76,12 +76,12 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
     noise = found
     if options.solver == "isam2":
         constants, held = solved.state.constants, solved.solution.constants_covariance
-        of_wheels = math.isfinite(noise.slip_sigma)
-        no_slip = replace(noise, slip_sigma=math.inf)
+        on_wheels = noise.slip is not None
+        no_slip = replace(noise, slip=None)
         solved = solve_as_stream(
-            batch, data, start.binned, priors, no_slip, start.state, constants, held if of_wheels else None
+            batch, data, start.binned, priors, no_slip, start.state, constants, held if on_wheels else None
         )
-        if of_wheels:
+        if on_wheels:
             graph = batch.graph(solved.state, noise)
             state = batch.approach(graph, solved.state, noise, STILL, 2 * ROLLING[1])
             solved = batch.step(graph, state, noise, held=held)
@@ -143,19 +143,49 @@ def finish(
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        steps.append((moved(solved.solution), constants_moved(solved.solution)))
+        known = variances(solved.solution)
+        steps.append((moved(solved.solution, known), constants_moved(solved.solution)))
         say(1.0 - 0.3 * 0.5 ** (turn + 1))  # most are settled after two
         if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
         better = _reestimated(solved, noise, start, scatter)
         change, noise = noise.change(better), better
+        if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
+            solved = None
+            graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+            state, held = _settled(batch, graph, state, noise, before, steps, known, options.final_rounds)
+            return on_wheels(batch, graph, state, held, rolling)
     assert solved is not None
-    noise = batch.with_slip(solved, noise) if start.wheels else noise
-    if not math.isfinite(noise.slip_sigma):
+    rolling = batch.with_slip(solved, noise) if start.wheels else noise
+    if rolling.slip is None:
         return solved, noise
-    state, held = solved.state, solved.solution.constants_covariance
+    held = solved.solution.constants_covariance
     del solved
-    return on_wheels(batch, graph, state, held, noise)
+    return on_wheels(batch, graph, state, held, rolling)
+
+
+def _settled(
+    batch: Batch,
+    graph: InertialGraph,
+    state: ChainState,
+    noise: Noise,
+    before: Array,
+    steps: list[tuple[float, float]],
+    known: Array,
+    most: int,
+) -> tuple[ChainState, Array]:
+    """Go on from `steps` with the noise as it is, until settled or `most` were gone; the constants' covariance too.
+
+    Without that of the keyframes: known (K, 18), their variances of the last step, is as good, and half the cost.
+    """
+    steps = list(steps)
+    while True:
+        constants = state.constants.as_vector()
+        state, step = batch.move(graph, state, noise, before)
+        before = state.constants.as_vector() - constants
+        steps.append((moved(step, known), constants_moved(step)))
+        if are_settled(steps) or len(steps) >= most:
+            return state, step.constants_covariance
 
 
 def on_wheels(
@@ -167,17 +197,18 @@ def on_wheels(
     smoother than its process: what that expects of quick steps would be missed in the samples' noise, and be looked
     for in latencies and lever arm. Where the rows do not fit, what comes back is without them again.
     """
-    found = batch.step(graph, without, noise, held=held, free=SLIP)
+    assert noise.slip is not None
+    found = batch.step(graph, without, noise, held=held, free=SLIP, was_without_wheels=True)
     for _ in range(SLIP_ROUNDS):
-        noise, state = replace(noise, slip_sigma=slip_update(found, noise)), found.state
+        noise, state = replace(noise, slip=slip_update(found, noise.slip)), found.state
         del found  # two do not fit
         found = batch.step(graph, state, noise, held=held, free=SLIP)
-        if moved(found.solution) < ROLLED:
+        if moved(found.solution, variances(found.solution)) < ROLLED:
             break
     if fits_wheels(found):
         return found, noise
     del found
-    noise = replace(noise, slip_sigma=math.inf)
+    noise = replace(noise, slip=None)
     return batch.step(graph, without, noise), noise
 
 

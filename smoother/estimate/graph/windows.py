@@ -10,7 +10,6 @@ Fixes without samples must not tell the constants, nor how they scatter (:func:`
 made up, delays and lever arm would seem to be known, several of their sigmas from where they are.
 """
 
-import math
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -114,6 +113,7 @@ def _solve_piece(
     session: Session, start: Start, first: int, last: int, noise: Noise, held: Array, options: GraphOptions
 ) -> tuple[_Piece, Uncertainty]:
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
+    stated = session.config.mounting.R_bs
     overlap = round(OVERLAP / start.state.interval)
     begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
     part = stretch(start, begin, end)
@@ -122,7 +122,7 @@ def _solve_piece(
     batch = Batch(data, part.binned, start.priors)
     solved = _solve_window(batch, data, part, state, noise, held, options)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
-    core, known = slice(first - begin, last - begin), uncertainty_of(solved)
+    core, known = slice(first - begin, last - begin), uncertainty_of(solved, nose_by_slip=stated is None)
     known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 
@@ -131,7 +131,7 @@ def _solve_window(
     batch: Batch, data: Data, part: Start, state: ChainState, noise: Noise, held: Array, options: GraphOptions
 ) -> Solved:
     """Solve a window, with wheels where what comes without them agrees: the box may have moved since the main one."""
-    no_slip, graph = replace(noise, slip_sigma=math.inf), batch.graph(state, noise)
+    no_slip, graph = replace(noise, slip=None), batch.graph(state, noise)
     if options.solver == "isam2":
         constants = part.state.constants
         solved = solve_as_stream(batch, data, part.binned, part.priors, no_slip, part.state, constants, held)
@@ -139,7 +139,7 @@ def _solve_window(
         del solved
     else:
         state = batch.approach(graph, state, no_slip, NEAR, 2 * options.approaches)
-    if math.isfinite(noise.slip_sigma) and batch.is_of_wheels(state, noise):
+    if batch.is_of_wheels(state, noise):
         on_wheels = batch.step(graph, batch.approach(graph, state, noise, *ROLLING), noise, held=held)
         if fits_wheels(on_wheels):
             return on_wheels

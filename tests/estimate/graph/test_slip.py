@@ -10,10 +10,13 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.evaluate import errors_between
 from smoother.estimate.graph import slip as slip_module
+from smoother.estimate.graph import smoother as smoother_module
 from smoother.estimate.graph import solve
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
-from smoother.estimate.graph.slip import MEMORY, Slip, remembered, slip_of, slip_rows
+from smoother.estimate.graph.output import Estimated
+from smoother.estimate.graph.slip import MEMORY, Slip, not_doubted_by, remembered, slip_of, slip_rows
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState, Constants
 from smoother.estimate.resample import resample
@@ -122,6 +125,15 @@ def test_the_process_starts_anew_after_a_stop() -> None:
     assert len(none.interval) == len(also_none.interval) == 0
 
 
+def test_at_a_solution_without_wheels_rows_are_judged_by_its_errors_too() -> None:
+    slip = replace(some_slip(np.ones(9, dtype=np.bool_)), level=np.linspace(0.5, 1.5, 9))
+    start, steps = slip_rows(slip, T, 0.3)
+    for rows, at in ((start, [0]), (steps, range(8))):
+        judged = not_doubted_by(slip, 0.04, rows)
+        np.testing.assert_allclose(judged.sigma[:, 0] ** 2, rows.sigma[:, 0] ** 2 + 0.04 / slip.level[at] ** 2)
+        np.testing.assert_array_equal(judged.residual, rows.residual)
+
+
 def kart(preset: str, **changes: Any) -> tuple[Simulation, Session]:
     simulation = simulate_preset(preset, 3, track="tinbarn", duration=200.0, **changes)
     return simulation, prepare(simulation.raw)
@@ -161,6 +173,43 @@ def test_wheels_draw_no_latency_and_no_arm(both: tuple[Simulation, Session, Traj
     for key in ("gps_position_latency", "gps_velocity_latency"):
         one, other = with_wheels.report.identified[key], without.report.identified[key]
         assert (one.value, one.sigma) == (other.value, other.sigma)
+
+
+def test_the_first_step_with_wheels_finds_how_much_slip_there_is() -> None:
+    """Residuals there are mostly errors of attitudes: the step is to be whole, and these not to pass for slip."""
+    simulation, session = kart("kart_harsh")
+    found = GraphSmoother().estimate(session).report.identified["slip_sigma"].value
+    assert isinstance(found, float)
+    motion = simulation.scenario.motion
+    assert 0.6 < found / (motion.slip_sigma * motion.slip_per_acceleration * slip_module.HARD) < 1.6
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation, session = kart("kart")
+    if stated:
+        mounting = replace(session.config.mounting, R_bs=simulation.scenario.R_bs)
+        session = replace(session, config=replace(session.config, mounting=mounting))
+    solutions = []
+    whole = smoother_module.estimated
+
+    def watched(solved: Solved, *, nose_by_slip: bool) -> Estimated:
+        solutions.append(solved)
+        return whole(solved, nose_by_slip=nose_by_slip)
+
+    monkeypatch.setattr(smoother_module, "estimated", watched)
+    found = GraphSmoother().estimate(session)
+    assert found.report.keyframes is not None
+    state, solution = solutions[0].state, solutions[0].solution
+    of_slip = np.zeros((len(state.t), len(solution.constants)))
+    of_slip[:, SLIP.start] = 0.0 if stated else 1.0
+    turn = np.zeros((len(state.t), KEYFRAME_SIZE))
+    turn[:, ROTATION] = state.R_ns[:, 2, :]
+    variance = np.einsum("ki,kij,kj->k", turn, solution.covariance, turn)
+    variance += 2.0 * np.einsum("ki,kim,km->k", turn, solution.constants_cross, of_slip)
+    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip)
+    yaw = found.report.keyframes.covariance[:, 2, 2]
+    np.testing.assert_allclose(yaw[50:-50], variance[50:-50], rtol=0.02)
 
 
 @pytest.mark.parametrize("damage", ["none", "wheel", "turned"])
