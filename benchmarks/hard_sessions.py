@@ -36,7 +36,7 @@ from smoother.estimate.quality import assess
 from smoother.prepare import prepare
 from smoother.samples import RawSession
 from smoother.session.load import load_raw
-from smoother.sim.motion import Stop
+from smoother.sim.motion import Spin, Stop
 from smoother.sim.record import write_csv
 from smoother.sim.scenario import Interval, Jump
 from smoother.sim.simulation import Simulation, simulate_preset
@@ -171,6 +171,7 @@ HARD = (
     Hard("IMU at 1 kHz", "right", {"imu_rate": 1000.0}),
     Hard("IMU at 2 kHz", "right", {"imu_rate": 2000.0}),
     Hard("fixes without velocity", "right", {"gnss_velocity": False}),
+    Hard("four spins", "right", {"motion_spins": tuple(Spin(45.0 * k, 2.5) for k in range(1, 5))}),
     Hard("ten stops", "right", {"motion_stops": tuple(Stop(20.0 * k, 6.0) for k in range(1, 11))}),
 )
 PARKED_LONG = Hard(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from smoother.errors import UsageError
-from smoother.sim.motion import Motion, Stop
+from smoother.sim.motion import Motion, Spin, Stop
 from smoother.sim.presets import draw_scenario
 from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErrors, NmeaRounding, Scenario, with_changes
 
@@ -83,7 +83,7 @@ def _reader(kind: Any) -> Callable[[str], Any]:
 def _expected(kind: Any) -> str:
     if typing.get_origin(kind) is tuple:
         item = typing.get_args(kind)[0]
-        parts = {Interval: "start:length", Stop: "time:length", Jump: "start:length:north:west:up"}
+        parts = {Interval: "start:length", Stop: "time:length", Spin: "time:length", Jump: "start:length:north:west:up"}
         return f"a list {parts.get(item, 'number')},.."
     names = {
         float: "a number",
@@ -101,7 +101,7 @@ def _items(text: str, item: type) -> Iterator[Any]:
             yield numbers[0]
         elif item is Jump and len(numbers) == 5:
             yield Jump(numbers[0], numbers[1], np.array(numbers[2:]))
-        elif item in (Interval, Stop) and len(numbers) == 2:
+        elif item in (Interval, Stop, Spin) and len(numbers) == 2:
             yield item(*numbers)
         else:
             raise ValueError(part)

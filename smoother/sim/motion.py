@@ -33,6 +33,14 @@ class Stop:
 
 
 @dataclass(frozen=True)
+class Spin:
+    """A spin: from `time` s on the kart turns once about itself within `duration` s, and slides along its line."""
+
+    time: float
+    duration: float
+
+
+@dataclass(frozen=True)
 class Motion:
     """How the kart is driven. SI; accelerations in units of g where the name says so.
 
@@ -44,6 +52,7 @@ class Motion:
     driving: bool = True
     standstill: float | None = None
     stops: tuple[Stop, ...] = ()
+    spins: tuple[Spin, ...] = ()
     grip_g: float = 1.75  # lateral, in g
     braking_g: float = 0.95
     traction_g: float = 0.42
@@ -80,7 +89,8 @@ def drive(track: Track, motion: Motion, duration: float, rng: np.random.Generato
     line_rng, surface_rng, kerb_rng = rng.spawn(3)
     path = _choose_path(track, motion, time, line_rng)
     speed = _speed_over_time(path, motion, time)
-    control = _control_points(track, motion, path, speed, surface_rng, kerb_rng)
+    turned = _spun(motion.spins, time)
+    control = _control_points(track, motion, path, speed, turned, surface_rng, kerb_rng)
     return Truth(track.origin, control, float(time[0]), _STEP, clock or Clock())
 
 
@@ -181,9 +191,15 @@ def _pass(limit: Array, demand: Array, step: Array, push: float, power: float, d
 
 
 def _control_points(
-    track: Track, motion: Motion, path: _Path, speed: Array, surface: np.random.Generator, kerbs: np.random.Generator
+    track: Track,
+    motion: Motion,
+    path: _Path,
+    speed: Array,
+    turned: Array,
+    surface: np.random.Generator,
+    kerbs: np.random.Generator,
 ) -> Array:
-    """Control points of the truth, (N, CHANNELS), at the times of `speed` (N,)."""
+    """Control points of the truth, (N, CHANNELS), at the times of `speed` (N,); turned (N,) rad, by spins."""
     driven = np.concatenate([[0.0], np.cumsum(0.5 * _STEP * (speed[1:] + speed[:-1]))])
     distance = CubicSpline(path.length, path.distance)(driven)
     heading = _heading(track, path.offset, distance)
@@ -199,7 +215,13 @@ def _control_points(
     north_west = _plan_position(track, path.offset, distance)
     up = track.centre(distance)[:, 2] + bump
     engine = _engine(motion, speed, forward)
-    return np.column_stack([north_west, up, roll, pitch, heading + slip, *engine])
+    return np.column_stack([north_west, up, roll, pitch, heading + slip + turned, *engine])
+
+
+def _spun(spins: tuple[Spin, ...], time: Array) -> Array:
+    """Turn (N,) rad by all spins at `time` (N,) s; rate and acceleration of each begin and end with none."""
+    share = [np.clip((time - spin.time) / spin.duration, 0.0, 1.0) for spin in spins]
+    return np.asarray(2.0 * np.pi * sum((s**3 * (10.0 - 15.0 * s + 6.0 * s**2) for s in share), np.zeros_like(time)))
 
 
 def _heading(track: Track, offset: BSpline, distance: Array) -> Array:

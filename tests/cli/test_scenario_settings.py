@@ -5,7 +5,7 @@ import pytest
 
 from smoother.cli.scenario_settings import listed, parsed
 from smoother.errors import UsageError
-from smoother.sim.motion import Stop
+from smoother.sim.motion import Spin, Stop
 from smoother.sim.presets import draw_scenario
 from smoother.sim.scenario import Interval, with_changes
 
@@ -21,6 +21,7 @@ from smoother.sim.scenario import Interval, with_changes
         ("gnss.outages=60:5,120:10", (Interval(60.0, 5.0), Interval(120.0, 10.0))),
         ("gnss.outages=", ()),
         ("motion.stops=100:20", (Stop(100.0, 20.0),)),
+        ("motion.spins=100:2.5,200:3", (Spin(100.0, 2.5), Spin(200.0, 3.0))),
         ("start_unix=1.7e9", 1.7e9),
     ],
 )

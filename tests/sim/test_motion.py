@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.sim.motion import Motion, Stop, drive, wander
+from smoother.frames import euler_from_rotation
+from smoother.sim.motion import Motion, Spin, Stop, drive, wander
 from smoother.sim.track import TRACKS
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -121,6 +122,19 @@ def test_stops_are_made_when_and_as_long_as_asked():
     # smoothing takes half a second off either end, braking to the stop puts it a few seconds later
     np.testing.assert_allclose(end - begin, [20.0, 10.0], atol=1.3)
     np.testing.assert_allclose(begin, [100.0, 200.0], atol=8.0)
+
+
+def test_a_spin_turns_the_kart_once_and_leaves_it_on_its_line():
+    spins = (Spin(20.0, 2.5), Spin(40.0, 2.0))
+    spun, straight = (
+        drive(TRACKS["larkfield"], Motion(spins=given), 60.0, np.random.default_rng(3)) for given in (spins, ())
+    )
+    t = np.arange(10.0, 55.0, 0.02)
+    one, other = spun.at(t), straight.at(t)
+    np.testing.assert_allclose(one.position_n, other.position_n, atol=1e-9)
+    turn = np.unwrap(euler_from_rotation(one.R_nb)[2] - euler_from_rotation(other.R_nb)[2])
+    halves = np.interp([15.0, 21.25, 25.0, 41.0, 50.0], t, turn - turn[0]) / np.pi
+    np.testing.assert_allclose(halves, np.arange(5.0), atol=0.005)
 
 
 def test_kart_that_is_not_driven_stays():

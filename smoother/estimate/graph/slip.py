@@ -25,6 +25,10 @@ from smoother.frames import wrap_angle
 from smoother.units import DEG
 
 MOVING = 4.0  # m/s from which on the path has a direction to speak of
+# rad beside the usual slip from which on a kart slides, spins or rolls backwards, for longer than that by AROUND s on
+# either side: nothing is asked of its wheels then. Drivers on a slippery track hardly slide by 10 deg without a spin.
+SLIDING, AROUND = 20.0 * DEG, 1.0
+MOST_SLIDING = 0.2  # of the time at speed; what is beside the usual more often does not point where a kart does
 SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
 MEMORY = 2.0  # s; a corner's worth
 # m/s^2 of lateral acceleration, m/s^3 of its rate, at which the process has its sigma, and the share of it without any
@@ -59,7 +63,8 @@ class Slip:
     """Slip beyond what the constants say, at K keyframes, over level (K,), how much of it the process has there.
 
     value (K,) rad; own (K,) rad, its scatter from keyframe to keyframe; Jacobians by_keyframe (K, 18) and by_constants
-    (K, 4). moves (K,), whether at speed, and with samples.
+    (K, 4). moves (K,), whether at speed, with samples, and not in a slide, which takes the share
+    `sliding` of that.
     """
 
     value: Array
@@ -68,6 +73,7 @@ class Slip:
     by_keyframe: Array
     by_constants: Array
     level: Array
+    sliding: float = 0.0
 
     @property
     def first_of_two(self) -> np.ndarray:
@@ -95,14 +101,27 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
     by_keyframe[:, ROTATION] = -state.R_ns[:, 2, :]  # takes a turn in s to its part about up
     by_keyframe[:, VELOCITY] = left_n / at_least[:, None]
     course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
+    angle = wrap_angle(course - design @ state.constants.slip)
+    moves = (speed > MOVING) & told
+    rolls = moves & ~_slides(angle, moves, state.interval)
     return Slip(
-        wrap_angle(course - design @ state.constants.slip) / level,
-        (speed > MOVING) & told,
+        angle / level,
+        rolls,
         SIDEWAYS / at_least / level,
         by_keyframe / level[:, None],
         -design / level[:, None],
         level,
+        float(np.count_nonzero(moves & ~rolls)) / max(int(np.count_nonzero(moves)), 1),
     )
+
+
+def _slides(angle: Array, moves: BoolArray, interval: float) -> BoolArray:
+    """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move."""
+    if not moves.any():
+        return moves
+    sliding = moves & (np.abs(wrap_angle(angle - np.median(angle[moves]))) > SLIDING)
+    around = round(AROUND / interval)
+    return np.convolve(sliding, np.ones(2 * around + 1), "same")[: len(angle)] > 0.5
 
 
 def tells_nose(variance: float) -> bool:
@@ -158,7 +177,7 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
     doubt: slip is smoother than a Gauss-Markov process, whose sigma would be taken for less by small steps.
     """
     k = slip.first_of_two
-    if len(k) < ENOUGH:
+    if len(k) < ENOUGH or slip.sliding > MOST_SLIDING:
         return None
     constants = _fitted(slip, k)
     now, then = (slip.value[i] + slip.by_constants[i] @ constants for i in (k, k + 1))
@@ -179,7 +198,11 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
 def is_of_wheels(slip: Slip, unsure: float, interval: float) -> bool:
     """Whether a part of a session, solved without slip, slips as its constants say; unsure as of :class:`SlipNoise`."""
     k = slip.first_of_two
-    return len(k) >= ENOUGH and _apart(slip.value[k] * slip.level[k], unsure, interval, usual=0.0) < APART
+    return (
+        len(k) >= ENOUGH
+        and slip.sliding < MOST_SLIDING
+        and _apart(slip.value[k] * slip.level[k], unsure, interval, usual=0.0) < APART
+    )
 
 
 def _apart(angle: Array, unsure: float, interval: float, usual: float | None = None) -> float:

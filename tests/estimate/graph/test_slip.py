@@ -22,6 +22,7 @@ from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCIT
 from smoother.estimate.resample import resample
 from smoother.prepare import prepare
 from smoother.samples import Session
+from smoother.sim.motion import Spin
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import Trajectory
@@ -33,7 +34,7 @@ SLIDES = np.array([0.02, -0.005, -5e-4, 0.7])  # rad, per m/s^2, per m/s^3, m
 
 def driven(slip: Array, heading: float = 3.0) -> tuple[ChainState, DensePath, ExpectedMotion]:
     """A level kart that speeds up in a bend, the path `slip` (K,) rad beside the nose; the box lies any way."""
-    t = T * np.arange(K)
+    t = T * np.arange(len(slip))
     course = heading + 0.4 * t + 0.1 * t**2
     speed = 12.0 + t
     velocity_n = np.column_stack([speed * np.cos(course), speed * np.sin(course), 0.0 * t])
@@ -42,7 +43,7 @@ def driven(slip: Array, heading: float = 3.0) -> tuple[ChainState, DensePath, Ex
     R_ns = so3.exp(np.column_stack([0.0 * t, 0.0 * t, yaw])) @ R_bs
     acceleration_n = np.gradient(velocity_n, t, axis=0)
     constants = Constants(0.1, 0.15, np.zeros(3), level_axes_s=R_bs)
-    zeros = np.zeros((K, 3))
+    zeros = np.zeros((len(slip), 3))
     state = ChainState(t, R_ns, zeros, velocity_n, zeros, zeros, zeros, constants)
     path = DensePath(t, R_ns, zeros, velocity_n, acceleration_n[:-1], zeros[:-1])
     return state, path, ExpectedMotion(velocity_n, acceleration_n, 0.0 * t)
@@ -87,6 +88,20 @@ def test_jacobians_are_those_of_a_turn_about_up_and_of_velocity(heading: float) 
         other = replace(state, constants=Constants.from_vector(constants, state.constants.level_axes_s))
         moved = slip_of(other, path, felt, told())
         np.testing.assert_allclose((moved.value - found.value) / step, found.by_constants[:, i], atol=1e-6)
+
+
+def test_a_kart_that_slides_is_not_asked_how_its_wheels_roll() -> None:
+    """Nor for a second around the slide; what is usual, by a mounting that is askew, is no slide."""
+    angle = np.full(60, 0.4)
+    angle[30:33] += np.pi
+    state, path, felt = driven(angle)
+    found = slip_of(state, path, felt, np.ones(60, dtype=np.bool_))
+    np.testing.assert_array_equal(np.flatnonzero(~found.moves), np.arange(25, 38))
+    assert found.sliding == pytest.approx(13 / 60)
+    state, path, felt = driven(np.full(60, 0.4))
+    found = slip_of(state, path, felt, np.ones(60, dtype=np.bool_))
+    assert np.all(found.moves)
+    assert found.sliding == 0.0
 
 
 def some_slip(moves: np.ndarray, own: float = 0.0) -> Slip:
@@ -210,6 +225,17 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
     variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip)
     yaw = found.report.keyframes.covariance[:, 2, 2]
     np.testing.assert_allclose(yaw[50:-50], variance[50:-50], rtol=0.02)
+
+
+def test_a_spin_does_not_keep_wheels_from_telling_the_rest() -> None:
+    yaw = []
+    for spins in ((), (Spin(60.0, 2.5), Spin(120.0, 2.0))):
+        simulation, session = kart("kart", motion_spins=spins)
+        found = GraphSmoother().estimate(session)
+        assert "slip_sigma" in found.report.identified
+        error, _ = errors(simulation, session, found)
+        yaw.append(np.sqrt(np.mean(error**2)))
+    assert yaw[1] < 1.2 * yaw[0]
 
 
 @pytest.mark.parametrize("damage", ["none", "wheel", "turned"])
