@@ -26,6 +26,8 @@ from smoother.samples import ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
 from smoother.units import DEG, STANDARD_GRAVITY
 
+# fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
+FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
 STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
 ROUNDS = 6  # of reweighting
@@ -77,7 +79,7 @@ class Alignment:
     """R_bs (3, 3) rough mounting; gyro_bias_s (3,) rad/s; lag, s, of the fixes behind the IMU.
 
     share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
-    is_level_only: the heading of the box in the kart could not be found, because the kart hardly moved. accel_noise
+    is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
     """
@@ -97,8 +99,8 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     moving = path.speed > MIN_SPEED
     inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
     use = np.flatnonzero(moving & inside & ~_in_gap(imu.t, path.t))
-    if use.size < 30:
-        return _level_only(imu)
+    if use.size < FEWEST_AT_SPEED:
+        return _level_only(imu, use.size)
     averages, axes = _Averages(imu), _path_axes(path)
 
     def best(tried: Array, rows: IntArray) -> float:
@@ -274,10 +276,18 @@ def _squared_length(vectors: Array) -> Array:
     return np.asarray(np.einsum("...in,...in->...n", vectors, vectors))
 
 
-def _level_only(imu: ImuSamples) -> Alignment:
+def _level_only(imu: ImuSamples, at_speed: int) -> Alignment:
     up_s = np.median(imu.specific_force_s, axis=0)
     up_s = up_s / max(float(np.linalg.norm(up_s)), 1e-9)
-    return Alignment(rotation_to_up(up_s), np.median(imu.angular_rate_s, axis=0), 0.0, 0.0, True)
+    problems: tuple[Problem, ...] = ()
+    if at_speed >= SOME_AT_SPEED:
+        text = (
+            f"only {at_speed} fixes at more than {MIN_SPEED:.0f} m/s (at least {FEWEST_AT_SPEED}): where the box "
+            "points in the kart could not be found, yaw may be anything"
+        )
+        problems = (Problem("heading_unknown", text),)
+    gyro_bias_s = np.median(imu.angular_rate_s, axis=0)
+    return Alignment(rotation_to_up(up_s), gyro_bias_s, 0.0, 0.0, True, problems=problems)
 
 
 def rotation_to_up(up_s: Array) -> Array:

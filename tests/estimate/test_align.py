@@ -117,6 +117,7 @@ class TestAtRest:
         path = PathMotion(t[::40], 0.1 * rng.normal(size=(150, 3)))
         found = align(imu, path)
         assert found.is_level_only
+        assert not found.problems  # of a parked kart nobody asks where it points
         np.testing.assert_allclose(found.gyro_bias_s, 0.02, atol=1e-3)
         roll, pitch, _ = euler_from_rotation(found.R_bs @ R_bs.T)
         assert abs(roll) < 0.1 * DEG
@@ -126,10 +127,15 @@ class TestAtRest:
             R_ns @ R_bs.T @ [0.0, 0.0, 1.0], np.broadcast_to([0.0, 0.0, 1.0], (150, 3)), atol=2e-3
         )
 
-    def test_a_kart_that_moved_for_a_second_or_two_is_not_aligned_in_motion(self, truth: Truth) -> None:
-        path = fixes(truth, t=np.arange(1.0, 8.0, 0.2))
+    @pytest.mark.parametrize(("until", "codes"), [(8.0, []), (10.0, ["heading_unknown"])])
+    def test_a_kart_that_moved_for_a_second_or_two_is_not_aligned_in_motion(
+        self, truth: Truth, until: float, codes: list[str]
+    ) -> None:
+        path = fixes(truth, t=np.arange(1.0, until, 0.2))
         assert np.count_nonzero(path.speed > 3.0) < 30
-        assert align(box(truth, np.eye(3), np.zeros(3)), path).is_level_only
+        found = align(box(truth, np.eye(3), np.zeros(3)), path)
+        assert found.is_level_only
+        assert [p.code for p in found.problems] == codes
 
     def test_while_it_stands_the_yaw_follows_the_gyro(self) -> None:
         """Pushed round by hand between two runs: the course says nothing, the gyro everything."""

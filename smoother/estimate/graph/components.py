@@ -136,16 +136,17 @@ def update_noise(
     )
 
 
-def unseen_offset(noise: Noise, population: Array) -> Array:
+def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
     """Variance (3,) m^2 of the GPS offset beyond what the session shows, to be added to absolute positions.
 
     A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
     neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
     population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
-    that there is no offset at all; if they show one, it is as others are. A session that lasts for many times the time
-    over which its offset is forgotten is its own judge.
+    that there is no offset at all, where there are so many fixes that it would be seen; if they show one, it is as
+    others are. A session that lasts for many times the time over which its offset is forgotten is its own judge.
     """
-    shows_none = noise.position[0] > UNFILTERED and noise.offset_sigma[0] < SHOWN * population[0]
+    seen = noise.position[0] / math.sqrt(max(n_fixes, 1)) < SHOWN * population[0]
+    shows_none = seen and noise.position[0] > UNFILTERED and noise.offset_sigma[0] < SHOWN * population[0]
     if shows_none or math.isfinite(noise.offset_tau_spread):
         return np.zeros(3)
     return np.maximum(population**2 - noise.offset_sigma**2, 0.0)

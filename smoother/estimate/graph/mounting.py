@@ -89,11 +89,12 @@ def along_wheels(mounting: FittedMounting, constants: Constants, variance: float
 
 
 def without_heading(mounting: FittedMounting) -> FittedMounting:
-    """Return `mounting` of a kart that did not drive: its nose may point anywhere, also where the mounting is stated.
+    """Return `mounting` of a kart hardly seen driving: its nose may point anywhere, also where the mounting is stated.
 
     For where the sensor points is not known then either.
     """
-    return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]))
+    stated = mounting.is_observable and not mounting.is_fitted
+    return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]), is_observable=stated)
 
 
 def swing_on_the_wheel(keyframes: Keyframes) -> Array | None:

@@ -170,7 +170,7 @@ def build_trajectory(
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     """
-    unseen = unseen_offset(noise, population)
+    unseen = unseen_offset(noise, population, len(session.gnss))
     fixes = session.gnss
     level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
     source = _Source(found.state, binned, noise.inertial, level, up)

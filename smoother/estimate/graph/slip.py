@@ -31,7 +31,8 @@ SLIDING, AROUND = 20.0 * DEG, 1.0
 MOST_SLIDING = 0.2  # of the time at speed; what is beside the usual more often does not point where a kart does
 SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
 MEMORY = 2.0  # s; a corner's worth
-# m/s^2 of lateral acceleration, m/s^3 of its rate, at which the process has its sigma, and the share of it without any
+# m/s^2 of lateral acceleration, m/s^3 of its rate, at which the process has its sigma, and the share of it without any:
+# a hard corner of a kart, the turn into it within 0.2 s, and straights, where karts point along the track to 0.2 deg
 HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
 # Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
@@ -40,6 +41,8 @@ MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
 # s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
 # unsure by. Simulated karts and drivers 0 to 0.3 deg, boxes that move on their mount or swing to and fro 0.8 to 4.
 BLOCK, APART = 10.0, 0.7 * DEG
+BEYOND_DOUBT = 1.4  # sigmas of the scatter of slip by which its process may have less than shows
+FIT_SIGMA = 1.0 * DEG  # of a keyframe's slip about what the constants say, where these are fitted to a solution without
 ENOUGH = 100  # keyframes at speed from which on a solution without slip tells how much there is
 UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a keyframe a quarter of its say in that
 # Sigmas of the constants: rad, rad per m/s^2, rad per m/s^3, m. Cars had -0.004 to -0.007 rad per m/s^2, -0.001 to
@@ -191,7 +194,7 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
     unsure = float(np.mean(of_now * slip.level[k] ** 2))
     if found > MOST or _apart(now * slip.level[k], unsure, interval) > APART:
         return None
-    surely = by_all - spread * math.sqrt(2.0 * MEMORY / interval)
+    surely = by_all - BEYOND_DOUBT * spread * math.sqrt(MEMORY / interval)  # squares are alike for half as long
     return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure)
 
 
@@ -231,7 +234,7 @@ def _unexplained(values: Array, variance: Array, unsure: float) -> tuple[float, 
 def _fitted(slip: Slip, k: np.ndarray) -> Array:
     """Change of the constants (4,) that fits the slip at the keyframes k best, with Cauchy weights and their priors."""
     design, value = -slip.by_constants[k], slip.value[k]
-    weight, prior = np.ones(len(k)), np.diag((DEG / PRIOR) ** 2)
+    weight, prior = np.ones(len(k)), np.diag((FIT_SIGMA / PRIOR) ** 2)
     for _ in range(5):
         weighted = design * weight[:, None]
         constants = np.linalg.solve(weighted.T @ design + prior, weighted.T @ value)

@@ -441,13 +441,15 @@ class TestNoise:
 
     def test_a_filtered_receiver_wanders_by_what_receivers_wander_though_the_drive_shows_less(self) -> None:
         noise, population = replace(problem().noise, offset_sigma=np.array([0.5, 0.5, 4.0])), np.array([2.0, 2.0, 3.4])
-        np.testing.assert_allclose(unseen_offset(noise, population), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
+        np.testing.assert_allclose(unseen_offset(noise, population, 1000), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
         white = replace(noise, position=np.full(3, 2.5), offset_sigma=np.array([0.1, 0.1, 0.2]))
-        np.testing.assert_array_equal(unseen_offset(white, population), np.zeros(3))
+        np.testing.assert_array_equal(unseen_offset(white, population, 1000), np.zeros(3))
+        few = 20  # whose mean is no judge of an offset of two metres
+        np.testing.assert_allclose(unseen_offset(white, population, few), population**2 - white.offset_sigma**2)
         wanders = replace(noise, position=np.full(3, 2.5), offset_sigma=np.array([0.8, 0.8, 1.4]))
-        np.testing.assert_allclose(unseen_offset(wanders, population), population**2 - wanders.offset_sigma**2)
+        np.testing.assert_allclose(unseen_offset(wanders, population, 1000), population**2 - wanders.offset_sigma**2)
         long = replace(noise, offset_tau_spread=0.2)
-        np.testing.assert_array_equal(unseen_offset(long, population), np.zeros(3))
+        np.testing.assert_array_equal(unseen_offset(long, population, 1000), np.zeros(3))
 
 
 def test_ground_stands_in_for_heights_where_none_is_near() -> None:

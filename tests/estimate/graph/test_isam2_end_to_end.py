@@ -27,9 +27,11 @@ def session() -> Session:
     return prepare(replace(raw, imu=imu, gnss=replace(raw.gnss, t=true_fix_times(raw.gnss.t, raw.gnss.unix_s)[0])))
 
 
-@pytest.fixture(scope="module")
-def solutions() -> Iterator[tuple[Trajectory, Trajectory]]:
-    """Of both solvers; the batch goes on until it stays, where single moments would otherwise still move by a sigma."""
+@pytest.fixture(scope="module", params=[False, True])
+def solutions(request: pytest.FixtureRequest) -> Iterator[tuple[Trajectory, Trajectory]]:
+    """Of both solvers, without wheels and with them, where the batch takes the last steps of the stream too.
+
+    The batch goes on until it stays, where single moments would otherwise still move by a sigma."""
     given = session()
     with pytest.MonkeyPatch.context() as patch:
         for name, limit in (
@@ -40,7 +42,10 @@ def solutions() -> Iterator[tuple[Trajectory, Trajectory]]:
             ("ROLLED", 0.01),
         ):
             patch.setattr(solve, name, limit)
-        yield tuple(GraphSmoother(GraphOptions(solver=solver)).estimate(given) for solver in ("batch", "isam2"))  # type: ignore[return-value]
+        yield tuple(
+            GraphSmoother(GraphOptions(solver=solver, wheels=request.param)).estimate(given)
+            for solver in ("batch", "isam2")
+        )  # type: ignore[return-value]
 
 
 def test_the_stream_gives_the_trajectory_of_the_batch(solutions: tuple[Trajectory, Trajectory]) -> None:
