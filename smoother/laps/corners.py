@@ -206,11 +206,11 @@ def _corner(
 def _slowest(traces: Traces, trajectory: Trajectory, bend: Bend) -> Array:
     """Least speed (L,) m/s of the rows in a bend, NaN where there is none: who stands does so between two distances."""
     out = np.full(len(traces.t), np.nan)
-    between = _at(traces.t, traces.distance, np.array([bend.start, bend.end]))
+    between, speed = _at(traces.t, traces.distance, np.array([bend.start, bend.end])), trajectory.speed
     for lap in np.flatnonzero(np.isfinite(between).all(axis=1)):
         first, last = np.searchsorted(trajectory.t, between[lap])
         if last > first:
-            out[lap] = float(np.min(trajectory.speed[first:last]))
+            out[lap] = float(np.min(speed[first:last]))
     return out
 
 

@@ -134,7 +134,8 @@ def _share_of_speed(t: Array, c: FixColumns) -> float:
     last = later[first]
     run = t[last] - t[first]
     travelled = np.hypot(north[last] - north[first], east[last] - east[first]) / run
-    sent = np.array([np.mean(speed[i : j + 1]) for i, j in zip(first, last, strict=True)])
+    within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
+    sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
     told = (travelled > FASTER) & (run < 2.0 * BASELINE) & np.isfinite(sent)
     if np.count_nonzero(told) < FEWEST_STEPS:
         return float("nan")
