@@ -1,15 +1,17 @@
 """Force taken to the time of the rate: what is left of it, what is reported, and what it is worth on real karts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from smoother.estimate.graph import smoother as smoother_module
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.in_step import advanced, identified, in_step
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.prepare import prepare
-from smoother.samples import ImuSamples
+from smoother.samples import ImuSamples, Session
 from smoother.session.load import load_raw
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.units import DEG
@@ -112,3 +114,18 @@ def test_real_karts_with_the_box_on_the_wheel(recording: str, delay: float | Non
 def test_of_a_box_fixed_in_a_car_nothing_is_said(recording: str, data_directory: Path) -> None:
     _, found = in_step(prepare(load_raw(data_directory / recording)))
     assert not found.is_seen
+
+
+def test_a_delay_that_the_fixes_do_not_believe_is_not_taken_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As hairpins seem to show one, into and out of which a nose turns on its own."""
+    delay = -0.1
+    session = prepare(simulate_preset("kart", 1, duration=100.0, gnss_outages=()).raw)
+
+    def seen(given: Session) -> tuple[Session, ForceDelay]:
+        assert given.imu is not None
+        return replace(given, imu=advanced(given.imu, delay)), ForceDelay(delay, 0.002, True)
+
+    monkeypatch.setattr(smoother_module, "in_step", seen)
+    found = GraphSmoother().estimate(session).report.identified
+    without = GraphSmoother(GraphOptions(in_step=False)).estimate(session).report.identified
+    assert found == without

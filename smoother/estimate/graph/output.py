@@ -495,14 +495,27 @@ def _bridge(line: Array, noise: Noise, interval: float) -> Array:
 
 
 def _track_variance(state: ChainState, solution: ChainSolution) -> Array:
-    """Variance of position plus offset, the line in the frame of the fixes, m^2 per horizontal axis, (K, 2).
+    """Variance of the antenna's position plus offset, the line in the frame of the fixes, (K, 2) m^2 per level axis.
 
     Of each keyframe, and together with the next one: the offset is rough, and between two keyframes it is their mean.
+    The antenna is where the arm has it: arm and latency err together, by what the sensor itself is not off.
     """
-    by_state = np.zeros((len(state.t), 2, KEYFRAME_SIZE))
+    K, arm_n = len(state.t), state.R_ns @ state.constants.lever_arm_s
+    by_state, by_arm = np.zeros((K, 2, KEYFRAME_SIZE)), state.R_ns[:, :2]
+    by_state[:, :, ROTATION] = (-so3.skew(arm_n) @ state.R_ns)[:, :2]
     by_state[:, :, TRANSLATION], by_state[:, :, OFFSET] = state.R_ns[:, :2], np.eye(3)[:2]
-    own = 0.5 * np.sum((by_state @ solution.covariance) * by_state, axis=(1, 2))
-    with_next = 0.5 * np.sum((by_state[:-1] @ solution.cross) * by_state[1:], axis=(1, 2))
+    arm, with_arm = solution.constants_covariance[LEVER_ARM, LEVER_ARM], solution.constants_cross[:, :, LEVER_ARM]
+    by_both = by_state @ with_arm  # (K, 2, 3), covariance of what the keyframe does to the line with the arm
+
+    def together(one: slice, other: slice, covariance: Array) -> Array:
+        own = np.sum((by_state[one] @ covariance) * by_state[other], axis=(1, 2))
+        own += np.sum((by_arm[one] @ arm) * by_arm[other], axis=(1, 2))
+        own += np.sum(by_both[one] * by_arm[other] + by_both[other] * by_arm[one], axis=(1, 2))
+        return np.asarray(0.5 * own)
+
+    everything = slice(None)
+    own = together(everything, everything, solution.covariance)
+    with_next = together(slice(0, -1), slice(1, None), solution.cross)
     return np.stack([own, np.append(with_next, own[-1])], axis=1)
 
 

@@ -1,5 +1,7 @@
 """What is known between keyframes, against what their joint covariance and the noise of the samples say."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from smoother import so3
@@ -7,7 +9,7 @@ from smoother.arrays import Array
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise
-from smoother.estimate.graph.output import _bend, _between_samples, _bridge
+from smoother.estimate.graph.output import _bend, _between_samples, _bridge, _track_variance
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
 
 K, T = 4, 0.2
@@ -52,6 +54,30 @@ def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> 
     for i in range(K - 1):
         middle, first, second = (x @ x.T for x in (halfway[i], velocity[i], velocity[i + 1]))
         np.testing.assert_allclose(bend[i], middle - 0.5 * (first + second), rtol=1e-9, atol=1e-12)
+
+
+def test_the_line_is_that_of_the_antenna_whose_arm_errs_with_the_motion() -> None:
+    rng = np.random.default_rng(6)
+    state = chain(so3.exp(rng.normal(size=(K, 3))))
+    state = replace(state, constants=replace(state.constants, lever_arm_s=np.array([-0.5, 0.4, 0.3])))
+    size, m = K * KEYFRAME_SIZE, CONSTANTS_SIZE
+    root = rng.normal(size=(size + m, 2 * size)) * 1e-2
+    of_keyframes, of_constants = root[:size].reshape(K, KEYFRAME_SIZE, -1), root[size:]
+    own, cross = (
+        np.einsum("kir,kjr->kij", one, other)
+        for one, other in ((of_keyframes, of_keyframes), (of_keyframes[:-1], of_keyframes[1:]))
+    )
+    no = np.zeros((K, KEYFRAME_SIZE))
+    with_constants = np.einsum("kir,jr->kij", of_keyframes, of_constants)
+    solution = ChainSolution(no, np.zeros(m), own, cross, of_constants @ of_constants.T, with_constants, 0.0)
+    step, line = 1e-3, np.empty((K, 2, 2 * size))
+    for i, error in enumerate(step * root.T):
+        moved = state.retract(error[:size].reshape(K, KEYFRAME_SIZE), error[size:])
+        antenna = moved.position_n + moved.R_ns @ moved.constants.lever_arm_s + moved.offset_n
+        line[:, :, i] = (antenna - state.position_n - state.R_ns @ state.constants.lever_arm_s)[:, :2] / step
+    variance = _track_variance(state, solution)
+    np.testing.assert_allclose(variance[:, 0], 0.5 * np.sum(line**2, axis=(1, 2)), rtol=1e-3)
+    np.testing.assert_allclose(variance[:-1, 1], 0.5 * np.sum(line[:-1] * line[1:], axis=(1, 2)), rtol=2e-3, atol=1e-4)
 
 
 def test_the_line_is_unsure_by_the_walk_of_the_offset_but_for_what_a_fix_tells_of_it() -> None:
