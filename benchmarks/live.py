@@ -175,7 +175,7 @@ def told_batch(session: Session, start: LagStart) -> Trajectory:
         if turn > 0 and max(moved(step, variances(step)), constants_moved(step)) < SETTLED:
             break
     mounting, population = fit_mounting(state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
-    found = estimated(solved, nose_by_slip=False)
+    found = estimated(solved, None)
     return build_trajectory(session, found, noise, mounting, begun.fine, begun.priors, options.rate, population)
 
 

@@ -30,7 +30,15 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.sampled import are_unsampled
-from smoother.estimate.graph.slip import Slip, SlipNoise, is_of_wheels, not_doubted_by, slip_noise, slip_of, slip_rows
+from smoother.estimate.graph.slip import (
+    Slip,
+    SlipNoise,
+    is_of_wheels,
+    not_doubted_by,
+    slip_noise,
+    slip_of,
+    slip_rows,
+)
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     ACCEL_ERROR,
@@ -136,13 +144,14 @@ class Data:
 class Solved:
     """A linearised, solved graph at `state`: the state itself, its covariances and the rows they came from.
 
-    Residuals of rows are those after the step, those of inertial before it: only some are asked for.
+    Residuals of rows are those after the step, those of inertial and slip before it: only some are asked for.
     """
 
     state: ChainState
     solution: ChainSolution
     inertial: LinearInertial
     rows: dict[str, rw.Rows]
+    slip: Slip | None = None
 
 
 class Batch:
@@ -183,7 +192,7 @@ class Batch:
         takes more steps. With wheels, `state` was found without.
         """
         for i in range(iterations):
-            system, _, _ = self._linearize(graph, state, noise, was_without_wheels=i == 0)
+            system, *_ = self._linearize(graph, state, noise, was_without_wheels=i == 0)
             step = solve_chain(_of_keyframes(system), with_covariance=False)
             state = state.retract(step.x, np.zeros(CONSTANTS_SIZE))
             if float(np.max(np.abs(step.x[:, ROTATION]))) < near:
@@ -207,7 +216,7 @@ class Batch:
         held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
         was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
-        system, inertial, rows = self._linearize(graph, state, noise, was_without_wheels=was_without_wheels)
+        system, inertial, rows, slip = self._linearize(graph, state, noise, was_without_wheels=was_without_wheels)
         solution = solve_chain(system, held=held, free=free)
         share = 1.0 if before is None else swing_share(solution.constants, before)
         return Solved(
@@ -215,13 +224,14 @@ class Batch:
             solution,
             inertial,
             {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
+            slip,
         )
 
     def move(
         self, graph: InertialGraph, state: ChainState, noise: Noise, before: Array
     ) -> tuple[ChainState, ChainSolution]:
         """Like :meth:`step`, without a covariance but that of the constants: the state, and the whole step."""
-        system, _, _ = self._linearize(graph, state, noise)
+        system, *_ = self._linearize(graph, state, noise)
         solution = solve_chain(system, with_covariance=False)
         share = swing_share(solution.constants, before)
         return state.retract(share * solution.x, share * solution.constants), solution
@@ -246,7 +256,7 @@ class Batch:
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise, *, was_without_wheels: bool = False
-    ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows]]:
+    ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows], Slip | None]:
         path = self.path(state)
         felt = expected_of(self._data, path, state, noise)
         inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
@@ -254,6 +264,7 @@ class Batch:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
             set_apart(inertial, apart, state, noise.inertial, APART)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
+        slip = None
         if noise.slip is not None:
             slip = slip_of(state, path, felt, self._told)
             for r in slip_rows(slip, state.interval, noise.slip.sigma):
@@ -268,7 +279,7 @@ class Batch:
         if prior.holds_height:
             up_s = state.constants.level_axes_s[2]
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
-        return system, inertial, rows
+        return system, inertial, rows, slip
 
 
 def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:

@@ -106,13 +106,13 @@ class Estimated:
     common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
-def estimated(solved: Solved, *, nose_by_slip: bool) -> Estimated:
-    """Return what a graph that was solved in one piece says; nose_by_slip as for :func:`uncertainty_of`."""
+def estimated(solved: Solved, of_nose: float | None) -> Estimated:
+    """Return what a graph that was solved in one piece says; of_nose as for :func:`uncertainty_of`."""
     state, factor = solved.state, solved.solution.factor
     return Estimated(
         state,
         solved.solution.constants_covariance,
-        uncertainty_of(solved, nose_by_slip=nose_by_slip),
+        uncertainty_of(solved, of_nose),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
         common_attitude(solved),
@@ -305,10 +305,15 @@ def row_times(start: float, end: float, rate: float) -> Array:
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
 
 
-def uncertainty_of(solved: Solved, *, nose_by_slip: bool) -> Uncertainty:
+def of_nose(session: Session, noise: Noise) -> float | None:
+    """Variance, rad^2, of where slip has the nose, beyond the graph's own; None where it is stated, or not by slip."""
+    return None if noise.slip is None or session.config.mounting.R_bs is not None else noise.slip.of_nose
+
+
+def uncertainty_of(solved: Solved, of_nose: float | None) -> Uncertainty:
     """Return sigmas and covariances of the antenna at the keyframes of a solved graph.
 
-    nose_by_slip: the nose is where slip has it, if it has; otherwise the mounting was stated.
+    of_nose: variance, rad^2, of where slip has the nose beyond that in `solved`; None where the nose is not by slip.
     """
     state, P = solved.state, solved.solution.covariance
     R, arm_s = state.R_ns, state.constants.lever_arm_s
@@ -322,7 +327,8 @@ def uncertainty_of(solved: Solved, *, nose_by_slip: bool) -> Uncertainty:
     J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
     C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
     columns, S = np.arange(LEVER_ARM.start, LEVER_ARM.stop), solved.solution.constants_covariance
-    if nose_by_slip and tells_nose(S[SLIP.start, SLIP.start]):  # its error is one of the kart's attitude
+    beyond = of_nose if tells_nose(S[SLIP.start, SLIP.start]) else None
+    if beyond is not None:  # where slip has the nose, its error is one of the kart's attitude
         columns, C = np.append(columns, SLIP.start), np.concatenate([C, np.zeros((K, 9, 1))], axis=2)
         C[:, 2, 3] = 1.0
     S, with_constants = S[np.ix_(columns, columns)], solved.solution.constants_cross
@@ -332,6 +338,8 @@ def uncertainty_of(solved: Solved, *, nose_by_slip: bool) -> Uncertainty:
         cross = J[part] @ with_constants[part, _MOTION][:, :, columns] @ C_t
         antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
         antenna[part] += cross + cross.transpose(0, 2, 1)
+    if beyond is not None:
+        antenna[:, 2, 2] += beyond
     sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
     return Uncertainty(antenna, sigma, _track_variance(state, solved.solution), _bend(state, solved.solution))
 

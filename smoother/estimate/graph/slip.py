@@ -32,14 +32,17 @@ MOST_SLIDING = 0.2  # of the time at speed; what is beside the usual more often 
 SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
 MEMORY = 2.0  # s; a corner's worth
 # m/s^2 of lateral acceleration, m/s^3 of its rate, at which the process has its sigma, and the share of it without any:
-# a hard corner of a kart, the turn into it within 0.2 s, and straights, where karts point along the track to 0.2 deg
-HARD, QUICK, STRAIGHT = 10.0, 50.0, 0.3
+# a hard corner of a kart; the turn into it, where slip that comes 0.1 s sooner or later than said differs by as much;
+# and straights, where karts point along the track to 0.2 deg. (With more trust in the turn into corners, tyres that
+# answer late would be told by it, and the nose by them: 0.5 deg off on a track with bends to one side, instead of 0.3.)
+HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
 # Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
 # s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
 # unsure by. Simulated karts and drivers 0 to 0.3 deg, boxes that move on their mount or swing to and fro 0.8 to 4.
+DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
 BLOCK, APART = 10.0, 0.7 * DEG
 BEYOND_DOUBT = 1.4  # sigmas of the scatter of slip by which its process may have less than shows
 FIT_SIGMA = 1.0 * DEG  # of a keyframe's slip about what the constants say, where these are fitted to a solution without
@@ -50,15 +53,35 @@ UNSURE_STEP, UNSURE = 0.6 * DEG, 1.0 * DEG  # errors of attitudes that leave a k
 PRIOR = np.array([0.5, 0.01, 2e-3, 1.0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SlipNoise:
     """What is assumed of the slip. sigma rad of its process at HARD, no less than `least`; unsure, rad^2, is what
     attitudes of a solution without wheels leave unsure of it, in the mean.
+
+    moments (4, 4): means of the products of slopes by its constants, over `different` times that are not alike. apart,
+    rad: how far the nose, as the mean of all slip has it, is from where the process of the slip has it.
     """
 
     sigma: float
     least: float
     unsure: float
+    moments: Array
+    different: float
+    apart: float = 0.0
+
+    @property
+    def of_nose(self) -> float:
+        """Variance, rad^2, of where the nose is, by what the constants miss of the slip in the same way in every lap.
+
+        The process forgets in seconds, and a hundred laps would tell the nose ten times as well as one. But tyres are
+        not linear, and a driver takes a corner in his way: what is missed comes back lap after lap. A track that turns
+        to one side tells the nose by drawing a line on from its corners to none; how far off that is, is in here.
+
+        The process believes how slip changes, a mean how much of it there is. Where the constants say all, both have
+        the nose in one place (simulated karts: to 0.03 deg); where tyres answer late or not in proportion, not.
+        """
+        information = self.different * self.moments / self.sigma**2 + np.diag(PRIOR**-2.0)
+        return float(np.linalg.inv(information)[0, 0]) + self.apart**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +218,15 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
     if found > MOST or _apart(now * slip.level[k], unsure, interval) > APART:
         return None
     surely = by_all - BEYOND_DOUBT * spread * math.sqrt(MEMORY / interval)  # squares are alike for half as long
-    return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure)
+    moments = slip.by_constants[k].T @ slip.by_constants[k] / len(k)
+    different = min(DIFFERENT, len(k) * interval / (2.0 * MEMORY))
+    return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure, moments, different)
+
+
+def with_nose(slip: Slip, noise: SlipNoise) -> SlipNoise:
+    """Return the noise with what is left of the nose's place in the slip of a solution with wheels."""
+    k = slip.first_of_two
+    return replace(noise, apart=float(_fitted(slip, k)[0])) if len(k) else noise
 
 
 def is_of_wheels(slip: Slip, unsure: float, interval: float) -> bool:

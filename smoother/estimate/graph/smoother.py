@@ -15,14 +15,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
-from smoother.estimate.align import Alignment, align
+from smoother.arrays import BoolArray
+from smoother.estimate.align import align
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
-from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
+from smoother.estimate.graph.output import Estimated, build_trajectory, estimated, of_nose
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
@@ -120,7 +120,7 @@ class GraphSmoother:
                 start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
         with watch("output"):
-            mounting = _mounting(session, found, start.alignment, start.fine.missing)
+            mounting = _mounting(session, found, solution.noise, start)
             trajectory = build_trajectory(
                 session,
                 found,
@@ -251,16 +251,16 @@ def _solve(
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
-    return estimated(whole.solved, nose_by_slip=session.config.mounting.R_bs is None), whole
+    return estimated(whole.solved, of_nose(session, whole.noise)), whole
 
 
-def _mounting(session: Session, found: Estimated, alignment: Alignment, missing: Array) -> FittedMounting:
+def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
     stated, state = session.config.mounting.R_bs, found.state
     if stated is not None:
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
-        mounting = fit_mounting(state, alignment.R_bs, missing)
-        of_slip = float(found.constants_covariance[SLIP.start, SLIP.start])
-        if mounting.is_fitted and tells_nose(of_slip):
-            mounting = along_wheels(mounting, state.constants, of_slip)
-    return without_heading(mounting) if alignment.is_level_only else mounting
+        mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing)
+        of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), of_nose(session, noise)
+        if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
+            mounting = along_wheels(mounting, state.constants, of_slip + beyond)
+    return without_heading(mounting) if start.alignment.is_level_only else mounting

@@ -23,6 +23,7 @@ from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.slip import with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
 from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
@@ -206,7 +207,8 @@ def on_wheels(
         if moved(found.solution, variances(found.solution)) < ROLLED:
             break
     if fits_wheels(found):
-        return found, noise
+        assert found.slip is not None
+        return found, replace(noise, slip=with_nose(found.slip, noise.slip))
     del found
     noise = replace(noise, slip=None)
     return batch.step(graph, without, noise), noise

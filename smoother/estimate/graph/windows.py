@@ -23,7 +23,7 @@ from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
-from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, uncertainty_of
+from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, of_nose, uncertainty_of
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
@@ -113,7 +113,6 @@ def _solve_piece(
     session: Session, start: Start, first: int, last: int, noise: Noise, held: Array, options: GraphOptions
 ) -> tuple[_Piece, Uncertainty]:
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
-    stated = session.config.mounting.R_bs
     overlap = round(OVERLAP / start.state.interval)
     begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
     part = stretch(start, begin, end)
@@ -122,7 +121,7 @@ def _solve_piece(
     batch = Batch(data, part.binned, start.priors)
     solved = _solve_window(batch, data, part, state, noise, held, options)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
-    core, known = slice(first - begin, last - begin), uncertainty_of(solved, nose_by_slip=stated is None)
+    core, known = slice(first - begin, last - begin), uncertainty_of(solved, of_nose(session, noise))
     known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 

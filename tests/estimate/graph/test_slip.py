@@ -16,7 +16,16 @@ from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.output import Estimated
-from smoother.estimate.graph.slip import MEMORY, Slip, not_doubted_by, remembered, slip_of, slip_rows
+from smoother.estimate.graph.slip import (
+    MEMORY,
+    Slip,
+    SlipNoise,
+    not_doubted_by,
+    remembered,
+    slip_of,
+    slip_rows,
+    with_nose,
+)
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState, Constants
 from smoother.estimate.resample import resample
@@ -149,6 +158,30 @@ def test_at_a_solution_without_wheels_rows_are_judged_by_its_errors_too() -> Non
         np.testing.assert_array_equal(judged.residual, rows.residual)
 
 
+def noise_on(lateral: Array) -> SlipNoise:
+    """What is assumed on a track whose corners, of lateral acceleration (N,), nobody turns into."""
+    level = np.sqrt(slip_module.STRAIGHT**2 + (lateral / slip_module.HARD) ** 2)
+    slopes = np.column_stack([np.ones(len(lateral)), lateral, 0.0 * lateral, lateral / 200.0]) / level[:, None]
+    return SlipNoise(0.01, 0.0, 0.0, slopes.T @ slopes / len(lateral), slip_module.DIFFERENT)
+
+
+def test_corners_to_one_side_tell_the_nose_by_drawing_on_to_none() -> None:
+    both, left, hard = (noise_on(np.linspace(*ends, 100)) for ends in ((-15.0, 15.0), (0.0, 15.0), (10.0, 15.0)))
+    assert both.of_nose < left.of_nose < 0.1 * hard.of_nose
+    # where corners go both ways alike, a mean of as many values as there are corners
+    information = slip_module.DIFFERENT * both.moments[0, 0] / both.sigma**2 + slip_module.PRIOR[0] ** -2
+    assert both.of_nose == pytest.approx(1.0 / information)
+    assert replace(both, apart=0.02).of_nose == pytest.approx(both.of_nose + 0.02**2)
+
+
+def test_what_the_mean_of_the_slip_says_of_the_nose_otherwise_is_found() -> None:
+    n = 2000
+    slip, rng = some_slip(np.ones(n, dtype=np.bool_)), np.random.default_rng(1)
+    constants = np.array([0.03, 0.002, -1e-4, 0.1])
+    slip = replace(slip, value=-slip.by_constants @ constants + 1e-3 * rng.normal(size=n))
+    assert with_nose(slip, noise_on(np.linspace(-10.0, 10.0, 50))).apart == pytest.approx(0.03, abs=1e-3)
+
+
 def kart(preset: str, **changes: Any) -> tuple[Simulation, Session]:
     simulation = simulate_preset(preset, 3, track="tinbarn", duration=200.0, **changes)
     return simulation, prepare(simulation.raw)
@@ -208,21 +241,23 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
     solutions = []
     whole = smoother_module.estimated
 
-    def watched(solved: Solved, *, nose_by_slip: bool) -> Estimated:
-        solutions.append(solved)
-        return whole(solved, nose_by_slip=nose_by_slip)
+    def watched(solved: Solved, of_nose: float | None) -> Estimated:
+        assert (of_nose is None) == stated
+        solutions.append((solved, of_nose or 0.0))
+        return whole(solved, of_nose)
 
     monkeypatch.setattr(smoother_module, "estimated", watched)
     found = GraphSmoother().estimate(session)
     assert found.report.keyframes is not None
-    state, solution = solutions[0].state, solutions[0].solution
+    (solved, of_nose), *_ = solutions
+    state, solution = solved.state, solved.solution
     of_slip = np.zeros((len(state.t), len(solution.constants)))
     of_slip[:, SLIP.start] = 0.0 if stated else 1.0
     turn = np.zeros((len(state.t), KEYFRAME_SIZE))
     turn[:, ROTATION] = state.R_ns[:, 2, :]
     variance = np.einsum("ki,kij,kj->k", turn, solution.covariance, turn)
     variance += 2.0 * np.einsum("ki,kim,km->k", turn, solution.constants_cross, of_slip)
-    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip)
+    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip) + of_nose
     yaw = found.report.keyframes.covariance[:, 2, 2]
     np.testing.assert_allclose(yaw[50:-50], variance[50:-50], rtol=0.02)
 
