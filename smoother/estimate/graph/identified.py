@@ -31,11 +31,14 @@ def identified_values(
     mounting: FittedMounting,
     config: SessionConfig,
     unseen: Array,
+    sampled_every: float,
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
     covariance (29, 29) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
+    sampled_every s: a sample is taken for the mean since the one before. Of a logger that stamps what is at that moment
+    all latencies are longer by half of that, and no file says which it does.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
     sigma, values = np.sqrt(np.diag(S)), constants.as_vector()
@@ -46,7 +49,8 @@ def identified_values(
     ):
         i = latency.index
         observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
-        out[latency.key] = _value(values[i], sigma[i], "s", observable, latency.configured is not None)
+        own = math.hypot(sigma[i], 0.5 * sampled_every / math.sqrt(3.0)) if priors.drives else sigma[i]
+        out[latency.key] = _value(values[i], own, "s", observable, latency.configured is not None)
     response = VELOCITY_RESPONSE.start
     observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
     out["gps_velocity_response"] = _value(values[response], sigma[response], "s^2", observable, False)

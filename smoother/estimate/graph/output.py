@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.batch import Noise, Priors, Solved
@@ -189,6 +189,7 @@ def build_trajectory(
             mounting,
             session.config,
             unseen,
+            float(median(np.diff(session.imu.t))) if session.imu is not None else 0.0,
         ),
         residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
         fixes=_fix_residuals(found.rows["gps_position"]),

@@ -208,6 +208,7 @@ def on_wheels(
             break
     if fits_wheels(found):
         assert found.slip is not None
+        assert noise.slip is not None
         return found, replace(noise, slip=with_nose(found.slip, noise.slip))
     del found
     noise = replace(noise, slip=None)

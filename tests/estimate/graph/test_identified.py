@@ -1,0 +1,44 @@
+"""What is reported of a session's constants."""
+
+import math
+
+import numpy as np
+import pytest
+
+from smoother.config import SessionConfig
+from smoother.estimate.graph.batch import Noise, Priors
+from smoother.estimate.graph.identified import identified_values
+from smoother.estimate.graph.imu import InertialNoise
+from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
+from smoother.trajectory import Identified
+
+
+def told(sampled_every: float, sigma: float = 2e-3, **priors: bool) -> dict[str, Identified]:
+    """Of latencies known to `sigma`, s, with priors of 0.25 s."""
+    noise = Noise(InertialNoise(0.1, 0.01, 0.003, 1e-4), *(np.full(3, 0.5) for _ in range(3)), 60.0, np.full(3, 0.01))
+    beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
+    return identified_values(
+        Constants(0.12, 0.2, np.zeros(3)),
+        sigma**2 * np.eye(CONSTANTS_SIZE),
+        np.zeros((3, 3)),
+        noise,
+        beforehand,
+        FittedMounting(np.eye(3), np.full(3, 0.01), True, True),
+        SessionConfig(),
+        np.zeros(3),
+        sampled_every,
+    )
+
+
+@pytest.mark.parametrize("key", ["gps_position_latency", "gps_velocity_latency"])
+def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key: str) -> None:
+    """Half a period lies between both: as sigma, that of any time within it."""
+    assert told(0.0)[key].sigma == pytest.approx(2e-3)
+    assert told(0.02)[key].sigma == pytest.approx(math.hypot(2e-3, 0.01 / math.sqrt(3.0)))
+    assert told(0.02)[key].value == told(0.0)[key].value
+    assert told(0.02)["lever_arm_b"].sigma == told(0.0)["lever_arm_b"].sigma
+
+
+def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
+    assert told(0.02, drives=False)["gps_position_latency"].sigma == pytest.approx(0.25)
