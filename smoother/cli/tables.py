@@ -11,6 +11,8 @@ from smoother.units import DEG, KMH
 from smoother.words import counted, duration, measured, repeated
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from smoother.cli.pipeline import Result
     from smoother.samples import AppliedValue, Problem
     from smoother.trajectory import Identified
@@ -33,8 +35,11 @@ _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")
 _ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
 
 
-def show_result(result: Result) -> None:
-    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at."""
+def show_result(result: Result, path: Path | None = None) -> None:
+    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at.
+
+    path: what the session was named by, above its rows where several are shown.
+    """
     from smoother.report.summary import is_told
 
     document: Any = result.document
@@ -53,7 +58,11 @@ def show_result(result: Result) -> None:
     pairs += [("problem" if i == 0 else "", repeated(p.text, p.count)) for i, p in enumerate(problems)]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
-    say_pairs(about.get("title") or about["name"], pairs)
+    title = about.get("title")
+    if path is None:
+        say_pairs(title or about["name"], pairs)
+    else:
+        say_pairs(f"{path}: {title}" if title else str(path), pairs)
     if "lap_analysis" in document:
         show_laps(document["laps"], document["lap_analysis"], result.unix_at_zero)
     say(str(result.main_file))
