@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
@@ -27,7 +27,7 @@ PAGE = "comparison.html"
 FAR = 5000.0  # m between two sessions: not the same track
 
 
-@click.command(short_help="Laps of several sessions on one reference line.")
+@click.command(short_help="Laps of several sessions on one reference line.", epilog=ABOUT_EXIT)
 @sessions_argument
 @line_option
 @click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     json_option,
@@ -47,7 +48,7 @@ _ROWS = (  # what people read, key, digits
 )
 
 
-@click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.")
+@click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.", epilog=ABOUT_EXIT)
 @sessions_argument
 @recording_option
 @solver_option

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     json_option,
@@ -41,7 +42,7 @@ units_option = click.option(
 )
 
 
-@click.command(short_help="Laps and sectors, with an error bar on each.")
+@click.command(short_help="Laps and sectors, with an error bar on each.", epilog=ABOUT_EXIT)
 @sessions_argument
 @recording_option
 @line_option

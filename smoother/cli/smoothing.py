@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
@@ -38,8 +39,7 @@ EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
     "`smooth ./check other`.",
-    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted, 130 "
-    "stopped.",
+    ABOUT_EXIT,
 )
 
 
