@@ -9,14 +9,13 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
-from smoother.frames import euler_from_rotation
 from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, merged, top_speed
+from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, top_speed
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -431,27 +430,23 @@ def identified_table(told: Told) -> Element:
 
 
 def _identified(name: str, found: Identified) -> Element:
-    unit, factor = found.unit, 1.0
-    value, sigma = np.asarray(found.value, dtype=np.float64), found.sigma
-    if name == "R_bs" and value.shape == (3, 3):
-        value, unit, factor = _angles(value), "deg", 1.0 / DEG
-    elif unit.startswith("rad"):
+    unit, factor, told = found.unit, 1.0, known_axes(name, found)
+    if unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
-    values = np.atleast_1d(value).ravel() * factor
-    errors = np.empty(0) if sigma is None else np.atleast_1d(np.asarray(sigma, dtype=np.float64)).ravel() * factor
-    shown = measured(values.tolist(), errors.tolist(), _digits(values))
-    source = "weakly identified" if found.source == "identified" and not found.observable else found.source
-    return row(
-        _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")),
-        shown[0],
-        shown[1] or DASH,
-        unit,
-        source,
-    )
+    if name == "R_bs":
+        unit, (values, errors) = "deg", mounting_angles(found)
+    else:
+        values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))
+    shown = measured(values, errors, _digits(np.array(values)))
+    called = _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS"))
+    if told != slice(None):
+        called = called.replace(", up", " (up is not known)")
+    return row(called, shown[0], shown[1] or DASH, unit, found.source)
 
 
-def _angles(R_bs: Array) -> Array:
-    return np.array([float(angle) for angle in euler_from_rotation(R_bs)])
+def _flat(numbers: object, factor: float) -> list[float]:
+    """One number or many, scaled; empty for None."""
+    return [] if numbers is None else (np.ravel(np.asarray(numbers, dtype=np.float64)) * factor).tolist()
 
 
 def _digits(values: Array) -> int:

@@ -230,6 +230,22 @@ def test_identified_values_stand_with_their_sigma(session: Session, trajectory: 
     assert "box in the kart: roll, pitch, yaw" in text
 
 
+@pytest.mark.parametrize(
+    ("source", "row"),
+    [
+        ("identified", "forward, left (up is not known)</td><td>0.47, 0.352</td><td>0.12, 0.026</td>"),
+        ("default", "forward, left (up is not known)</td><td>0.47, 0.352</td><td>0.12, 0.026</td>"),
+        ("configured", "forward, left, up</td><td>0.470, 0.352, 0.200</td><td>–</td>"),
+    ],
+)
+def test_of_an_arm_that_was_not_stated_the_height_is_not_known(report: Report, source: str, row: str) -> None:
+    sigma = None if source == "configured" else [0.12, 0.026, 0.5]
+    found = {"lever_arm_b": Identified([0.47, 0.352, 0.2], sigma, "m", source != "default", source)}
+    estimate = replace(report.smoothed.report, identified=found)
+    text = page(replace(report, smoothed=replace(report.smoothed, report=estimate)))
+    assert f"<td>antenna from the box: {row}<td>m</td><td>{source}</td>" in text
+
+
 def test_json_in_a_script_can_not_end_it() -> None:
     text = json_in_script({"a": "</script><!--\u2028&"})
     assert not set("<>&\u2028") & set(text)
