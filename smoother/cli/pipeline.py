@@ -348,7 +348,7 @@ def heading(estimates: Estimates) -> str:
     smoothed = estimates.smoothed
     length, kilometres = duration(float(smoothed.t[-1] - smoothed.t[0])), distance_driven(smoothed) / 1000.0
     name = estimates.session.config.title or estimates.session.name
-    return f"{plain(name)}: {length}, {kilometres:.2f} km, top speed {top_speed(smoothed) / KMH:.1f} km/h"
+    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top_speed(smoothed) / KMH:.1f} km/h"
 
 
 def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:

@@ -266,6 +266,7 @@ def test_of_several_sessions_the_path_stands_above_each(
     monkeypatch.chdir(tmp_path)
     for kart in ("a", "b"):
         shutil.copytree(monday, tmp_path / kart / "run1")
+    (tmp_path / "a" / "run1" / "session.toml").unlink()
     (tmp_path / "b" / "run1" / "session.toml").write_text('[session]\ntitle = "Final"\n')
     assert run(["a/run1", "b/run1", *TABLES_ONLY]) == 0
     assert {"a/run1", "b/run1: Final"} <= set(capsys.readouterr().out.splitlines())
