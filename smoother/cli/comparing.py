@@ -251,7 +251,9 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
 def _lost(lost: float, sigma: float, is_real: bool) -> str:
     if lost != lost:
         return "-"
-    mark = "*" if is_real or (sigma == sigma and abs(lost) > 2.0 * sigma > 0.0) else " "
+    from smoother.laps.sigma import least_real
+
+    mark = "*" if is_real or (sigma == sigma and abs(lost) > least_real(sigma) > 0.0) else " "
     return f"{round(float(lost), 2) + 0.0:+.2f}{mark}"
 
 

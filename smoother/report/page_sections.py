@@ -11,6 +11,7 @@ from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
+from smoother.laps.sigma import least_real
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
@@ -349,7 +350,9 @@ def _trust_sentences(told: Told) -> Iterator[str]:
             yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
         yield f"Speed is sure to ± {number(float(np.nanmedian(sigmas.speed)) / KMH, 2)} km/h."
     if said is not None and np.isfinite(said.best_sigma):
-        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s; smaller differences of laps mean nothing."
+        alike = _alike(told.laps)
+        enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
+        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s{enough}."
     measures = told.quality.measures
     if "far_fix_share" in measures:
         yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
@@ -358,6 +361,15 @@ def _trust_sentences(told: Told) -> Iterator[str]:
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
         yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {doubted} given little weight."
+
+
+def _alike(laps: LapAnalysis | None) -> float:
+    """Difference (s) of a lap from the best up to which both may be equally fast; 0 where none other counts."""
+    if laps is None or laps.statistics is None or laps.statistics.best_lap is None:
+        return 0.0
+    best = laps.laps[laps.statistics.best_lap]
+    others = [lap.sigma for lap in laps.laps if lap.is_valid and lap is not best and np.isfinite(lap.sigma)]
+    return max(0.01, float(least_real(np.hypot(best.sigma, np.median(others))))) if others else 0.0
 
 
 _MEASURES: Mapping[str, tuple[str, str, int]] = {
@@ -399,7 +411,10 @@ def residual_table(told: Told) -> Element:
         )
         for name, r in told.smoothed.report.residuals.items()
     ]
-    caption = "Residuals (in sigma: 1 is honest, far above means the noise was taken too small)"
+    caption = (
+        "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
+        "noise was taken too small"
+    )
     return table(["", "count", "rms", "in sigma", "rejected"], rows, caption)
 
 

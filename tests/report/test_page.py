@@ -224,6 +224,26 @@ def test_what_failed_its_gate_is_not_to_be_trusted(report: Report) -> None:
     assert "No, not as it stands: the trajectory leaves the fixes for 99 s." in text
 
 
+def test_laps_may_be_equally_fast_up_to_two_sigma_of_their_difference(report: Report) -> None:
+    laps = report.laps
+    assert laps is not None and laps.statistics is not None
+    valid = [lap for lap in laps.laps if lap.is_valid]
+    best = min(valid, key=lambda lap: lap.time)
+    sure = [replace(lap, sigma=0.03 if lap is best else 0.04) for lap in laps.laps]
+    said = replace(laps.statistics, best_sigma=0.03)
+    text = page(replace(report, laps=replace(laps, laps=tuple(sure), statistics=said)))
+    assert "sure to ± 0.030 s; two laps that differ by less than 0.10 s may be equally fast." in text
+    alone = [lap if lap.number == best.number else replace(lap, reasons=("pit",)) for lap in sure]
+    text = page(replace(report, laps=replace(laps, laps=tuple(alone), statistics=said)))
+    assert "<li>The best lap is sure to ± 0.030 s.</li>" in text
+
+
+def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) -> None:
+    text = page(report)
+    assert "around 1 or below is as it should be" in text
+    assert "1 is honest" not in text
+
+
 def test_identified_values_stand_with_their_sigma(session: Session, trajectory: Trajectory) -> None:
     text = page(Report(session, trajectory, None, None, GOOD))
     assert "<td>GPS position delay</td><td>0.120</td><td>0.010</td><td>s</td><td>identified</td>" in text
