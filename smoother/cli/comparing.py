@@ -241,9 +241,14 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
         if best is None or len(one.analysis.corners) != len(corners):
             rows.append(["-"] * (len(corners) + 1) + [one.name])
             continue
-        cells = [_lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best]) for c in one.analysis.corners]
-        traces = one.analysis.traces
-        whole = "-" if traces is None else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
+        traces, is_itself = one.analysis.traces, best == one.reference
+        cells = [
+            "- " if is_itself else _lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best])
+            for c in one.analysis.corners
+        ]
+        whole = (
+            "- " if traces is None or is_itself else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
+        )
         rows.append([*cells, whole, one.name])
     return header, rows
 

@@ -153,7 +153,8 @@ def lap_section(told: Told) -> list[Element]:
         cells: list[Child] = [str(lap.number)]
         if unix is not None:
             cells.append(local_time(unix + lap.start))
-        gap = lap.time - said.best if said is not None and lap.is_valid else np.nan
+        is_best = said is not None and said.best_lap == i  # of itself there is no gap
+        gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
         cells += [time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
         cells += [speed_cell(lap.top_speed), lap_clock(lap.raw_time)]
@@ -161,8 +162,7 @@ def lap_section(told: Told) -> list[Element]:
             theirs = official.get(i)
             cells += [DASH, DASH] if theirs is None else [lap_clock(theirs.time), number(theirs.difference, 3, True)]
         cells.append(" ".join(lap.reasons))
-        best = said is not None and said.best_lap == i
-        rows.append(row(*cells, class_="best" if best else "" if lap.is_valid else "out"))
+        rows.append(row(*cells, class_="best" if is_best else "" if lap.is_valid else "out"))
     source = laps.start_line.source if laps.start_line is not None else ""
     line = {
         "found": "The start/finish line was found where timing is surest. ",
@@ -223,7 +223,8 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
         if not lap.is_timed:
             continue
         name = str(lap.number) + ("" if lap.is_valid else f" ({', '.join(lap.reasons)})")
-        cells: list[Child] = [name, *(lost_cell(corner, i) for corner in laps.corners)]
+        is_itself = i == laps.reference_lap
+        cells: list[Child] = [name, *(DASH if is_itself else lost_cell(corner, i) for corner in laps.corners)]
         rows.append(row(*cells, class_="" if lap.is_valid else "out"))
     return rows
 
@@ -268,7 +269,12 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
     sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
     title = f"Corners on lap {laps.laps[shown].number}"
-    slide = " Slide: how far the nose points into the corner, beyond the path." if slides else ""
+    slide = (
+        " Slide: how far the nose points into the corner, beyond the path: in the trace of sideslip that is + in a "
+        "right corner, − in a left one."
+        if slides
+        else ""
+    )
     note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}{slide}"
     return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
 

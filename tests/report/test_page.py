@@ -244,6 +244,18 @@ def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) 
     assert "1 is honest" not in text
 
 
+def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
+    laps = report.laps
+    assert laps is not None and laps.statistics is not None and laps.statistics.best_lap is not None
+    text = page(report)
+    best = re.search(r'<tr class="best">.*?</tr>', text)
+    assert best is not None and "+0.000" not in best[0] and "<td>–</td>" in best[0]
+    assert laps.reference_lap is not None
+    lost = "<td>–</td>" * len(laps.corners)
+    assert f"<tr><td>{laps.laps[laps.reference_lap].number}</td>{lost}</tr>" in text
+    assert [one["is_against"] for one in numbers(text)["laps"]].count(True) == 1  # type: ignore[attr-defined]
+
+
 def test_identified_values_stand_with_their_sigma(session: Session, trajectory: Trajectory) -> None:
     text = page(Report(session, trajectory, None, None, GOOD))
     assert "<td>GPS position delay</td><td>0.120</td><td>0.010</td><td>s</td><td>identified</td>" in text
