@@ -32,6 +32,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "live",
     "batch",
     "cli",
+    "__main__",
 ]
 
 

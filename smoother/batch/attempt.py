@@ -184,7 +184,7 @@ def _failure(task: Task, ended: Ended) -> tuple[State, str]:
 def _reason(task: Task, lines: list[str]) -> str:
     """The last thing that was said, without the name of the session, which stands beside it."""
     last = lines[-1] if lines else "no reason was given"
-    return last.removeprefix("smooth: ").removeprefix(f"{task.session}: ")
+    return last.removeprefix("smooth: ").removeprefix(f"{task.session}: ").removeprefix(f"{task.session}/")
 
 
 def _keep_words(task: Task, said: Outcome, ended: Ended) -> None:

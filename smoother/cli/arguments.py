@@ -9,6 +9,10 @@ from smoother.cli.commands import COMMAND_NAMES
 from smoother.errors import UsageError
 
 EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is Python's own, for bugs; 130 the shell's
+ABOUT_EXIT = (
+    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted, 130 "
+    "stopped."
+)
 
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")

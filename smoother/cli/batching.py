@@ -45,7 +45,11 @@ class Plan:
     title: str
 
 
-@click.command(short_help="Many sessions at once, with one page about all of them.")
+@click.command(
+    short_help="Many sessions at once, with one page about all of them.",
+    epilog="Exit code: that of the worst session: 1 if one broke off or was lost, else 2 if one was unusable or over "
+    "its limit (or the usage wrong), else 3 if one is not to be trusted, else 0; 130 stopped.",
+)
 @click.argument("folders", nargs=-1, metavar="DIR...", type=click.Path(path_type=Path))
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where all results go [beside sessions].")
 @click.option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import each
 from smoother.cli.output import progress_on_terminal, say, say_json, say_pairs, warn
-from smoother.cli.pipeline import read
+from smoother.cli.pipeline import naming, read
 from smoother.errors import SmootherError
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
     if as_json:
         documents = [_document(outcome, path) for outcome, path in zip(outcomes, paths, strict=True)]
         _say_documents(documents)
-    for outcome in outcomes:
+    for outcome, heading in zip(outcomes, _headings(outcomes, paths), strict=True):
         if isinstance(outcome, SmootherError):
             warn(str(outcome))
         elif not as_json:
-            _show(outcome)
+            _show(outcome, heading)
     if any(isinstance(outcome, SmootherError) for outcome in outcomes):
         return EXIT_UNUSABLE
     good = all(outcome.is_good for outcome in outcomes if not isinstance(outcome, SmootherError))
@@ -61,15 +62,24 @@ def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
     with progress_on_terminal() as progress:
         progress("reading", 0.0)
         try:
-            return check_recording(read(path))
+            with naming(path):
+                return check_recording(read(path))
         except SmootherError as error:
             if is_only:
                 raise
             return error
 
 
-def _show(result: Check) -> None:
-    say_pairs(result.name, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
+def _headings(outcomes: Sequence[Check | SmootherError], paths: Sequence[Path]) -> list[str]:
+    """What stands above each block: the name of the session, its path where names repeat."""
+    names = [
+        str(path) if isinstance(one, SmootherError) else one.name for one, path in zip(outcomes, paths, strict=True)
+    ]
+    return names if len(set(names)) == len(names) else [str(path) for path in paths]
+
+
+def _show(result: Check, heading: str) -> None:
+    say_pairs(heading, [(f"{_MARKS[f.level]:<4}  {f.topic}", f.text) for f in result.findings])
     if result.is_good:
         say("GOOD TO DRIVE, GPS only: no roll, pitch, sideslip" if result.is_gps_only else "GOOD TO DRIVE")
     else:
@@ -78,9 +88,10 @@ def _show(result: Check) -> None:
 
 def _document(outcome: Check | SmootherError, path: Path) -> dict[str, object]:
     if isinstance(outcome, SmootherError):
-        return {"session": str(path), "error": str(outcome)}
+        return {"session": str(path), "path": str(path), "error": str(outcome)}
     return {
         "session": outcome.name,
+        "path": str(path),
         "good": outcome.is_good,
         "gps_only": outcome.is_gps_only,
         "reasons": outcome.reasons,

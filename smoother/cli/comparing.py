@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
@@ -27,7 +27,7 @@ PAGE = "comparison.html"
 FAR = 5000.0  # m between two sessions: not the same track
 
 
-@click.command(short_help="Laps of several sessions on one reference line.")
+@click.command(short_help="Laps of several sessions on one reference line.", epilog=ABOUT_EXIT)
 @sessions_argument
 @line_option
 @click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")
@@ -241,9 +241,14 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
         if best is None or len(one.analysis.corners) != len(corners):
             rows.append(["-"] * (len(corners) + 1) + [one.name])
             continue
-        cells = [_lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best]) for c in one.analysis.corners]
-        traces = one.analysis.traces
-        whole = "-" if traces is None else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
+        traces, is_itself = one.analysis.traces, best == one.reference
+        cells = [
+            "- " if is_itself else _lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best])
+            for c in one.analysis.corners
+        ]
+        whole = (
+            "- " if traces is None or is_itself else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
+        )
         rows.append([*cells, whole, one.name])
     return header, rows
 
@@ -251,7 +256,9 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
 def _lost(lost: float, sigma: float, is_real: bool) -> str:
     if lost != lost:
         return "-"
-    mark = "*" if is_real or (sigma == sigma and abs(lost) > 2.0 * sigma > 0.0) else " "
+    from smoother.laps.sigma import least_real
+
+    mark = "*" if is_real or (sigma == sigma and abs(lost) > least_real(sigma) > 0.0) else " "
     return f"{round(float(lost), 2) + 0.0:+.2f}{mark}"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY
 from smoother.cli.output import progress_on_terminal, say, warn
 from smoother.cli.pipeline import OUTPUT_DIRECTORY, Options, smooth_session
 from smoother.cli.simulating import TRACKS, write
@@ -15,7 +15,7 @@ from smoother.cli.tables import show_result
 PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tuned to it
 
 
-@click.command(short_help="No recording yet? Simulate one and smooth it.")
+@click.command(short_help="No recording yet? Simulate one and smooth it.", epilog=ABOUT_EXIT)
 @click.argument(
     "directory", metavar="[DIR]", required=False, default="demo", type=click.Path(path_type=Path, file_okay=False)
 )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     json_option,
@@ -19,7 +20,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import one
 from smoother.cli.output import number, progress_on_terminal, say_json, say_table, warn
-from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, session_directory
+from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read, session_directory
 
 if TYPE_CHECKING:
     from smoother.cli.output import Progress
@@ -47,7 +48,7 @@ _ROWS = (  # what people read, key, digits
 )
 
 
-@click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.")
+@click.command(short_help="Accuracy against truth.csv: GPS alone, baseline, smoother.", epilog=ABOUT_EXIT)
 @sessions_argument
 @recording_option
 @solver_option
@@ -63,7 +64,7 @@ def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, ski
     require_sessions(sessions, "smooth evaluate")
     documents, passed = [], True
     for path in [one(session, recording) for session in sessions]:
-        with progress_on_terminal() as progress:
+        with progress_on_terminal() as progress, naming(path):
             document, quality = score(path, Options(solver=solver), skip, progress)
         documents.append(document)
         passed &= quality.passed

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, EXIT_QUALITY, recording_option, require_sessions
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, recording_option, require_sessions
 from smoother.cli.card import one
 from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
 from smoother.cli.pipeline import unwritable
@@ -17,7 +17,7 @@ from smoother.errors import UsageError
 FORMAT_NAMES = ("vbo", "racechrono", "motec", "aim", "gpx", "kml", "geojson", "tum")
 
 
-@click.command(short_help="The smoothed session for RaceChrono, MoTeC i2, Google Earth, ...")
+@click.command(short_help="The smoothed session for RaceChrono, MoTeC i2, Google Earth, ...", epilog=ABOUT_EXIT)
 @click.argument("session", metavar="SESSION", required=False, type=click.Path(path_type=Path))
 @click.argument("form", metavar="FORMAT", required=False)
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Where to [SESSION/smoothed/NAME.ENDING].")

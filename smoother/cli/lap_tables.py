@@ -58,7 +58,8 @@ def lap_table(
     best = (analysis["statistics"] or {}).get("best_s")
     rows = []
     for lap in laps:
-        gap = None if best is None or not lap["valid"] else lap["lap_time_s"] - best
+        is_best = lap["lap"] == (analysis["statistics"] or {}).get("best_lap")  # of itself there is no gap
+        gap = None if best is None or is_best or not lap["valid"] else lap["lap_time_s"] - best
         row = [
             str(lap["lap"]),
             *([] if unix_at_zero is None else [local_time(unix_at_zero + lap["start_s"])]),
@@ -160,7 +161,8 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
         cells = [next((one for one in c["laps"] if one["lap"] == lap["lap"]), None) for c in corners]
         if all(cell is None for cell in cells):
             continue
-        rows.append([str(lap["lap"]), *(_lost(cell) for cell in cells), lap["reason"]])
+        is_itself = lap["lap"] == analysis["reference_lap"]
+        rows.append([str(lap["lap"]), *("- " if is_itself else _lost(cell) for cell in cells), lap["reason"]])
     factor = SPEED_UNITS[units]
     say("")
     say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)

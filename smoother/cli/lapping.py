@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     json_option,
@@ -21,7 +22,7 @@ from smoother.cli.card import each
 from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps
 from smoother.cli.output import Progress, progress_on_terminal, say_json
-from smoother.cli.pipeline import SUMMARY, Options, Stopwatch, calibrated, estimate, read, session_directory
+from smoother.cli.pipeline import SUMMARY, Options, Stopwatch, calibrated, estimate, naming, read, session_directory
 from smoother.cli.results import results_of
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ units_option = click.option(
 )
 
 
-@click.command(short_help="Laps and sectors, with an error bar on each.")
+@click.command(short_help="Laps and sectors, with an error bar on each.", epilog=ABOUT_EXIT)
 @sessions_argument
 @recording_option
 @line_option
@@ -91,9 +92,16 @@ def laps_of(
     path: Path, line: str | None, official: Path | None, progress: Progress
 ) -> tuple[Document, float | None, bool]:
     """Return laps and analysis as summary.json would hold them, UTC at t = 0, and whether the session passed."""
+    wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
+    with naming(path):
+        return _laps_on(path, wanted, official, progress)
+
+
+def _laps_on(
+    path: Path, wanted: tuple[Any, ...] | None, official: Path | None, progress: Progress
+) -> tuple[Document, float | None, bool]:
     from smoother.laps.stored import read_stored
 
-    wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
     directory, passed = results_of(path, progress)
     progress("laps", 0.0)
     document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))

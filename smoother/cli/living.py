@@ -19,6 +19,7 @@ from smoother.words import counted
 
 if TYPE_CHECKING:
     from smoother.live.frame import Frame
+    from smoother.live.receiver import LinkStatus
     from smoother.live.recording import Recorder
     from smoother.live.running import View
 
@@ -126,25 +127,34 @@ def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
 
 
 class _Lines:
-    """The view without one: a line of JSON a second, or nothing at all."""
+    """The view without one: a line of JSON a second, or nothing but what is waited for."""
 
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
+    def __init__(self, as_json: bool, name: str) -> None:
+        self._as_json, self._name, self._has_told = as_json, name, False
         self.frames_a_second = 1.0
 
     def draw(self, frame: Frame) -> bool:
         from smoother.live.document import line_of
 
+        self._tell_waiting(frame.link)
         if self._as_json:
             say_json(line_of(frame))
             sys.stdout.flush()
         return True
 
+    def _tell_waiting(self, link: LinkStatus) -> None:
+        """Say once what is wrong with a connection that is not there, and again when it was there and was lost."""
+        if link.is_open:
+            self._has_told = False
+        elif link.error and not self._has_told:
+            warn(f"waiting for {self._name}: {link.error}")
+            self._has_told = True
+
 
 @contextlib.contextmanager
 def _view(kind: str, headless: bool, as_json: bool, name: str) -> Iterator[View]:
     if headless:
-        yield _Lines(as_json)
+        yield _Lines(as_json, name)
         return
     if kind == "window" or (kind == "auto" and _has_display()):
         from smoother.live.window import WindowView

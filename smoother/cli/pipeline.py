@@ -24,7 +24,7 @@ from smoother.cli.lap_stage import (
 )
 from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.documents import staged
-from smoother.errors import SessionError, SmootherError, UsageError
+from smoother.errors import ConfigError, SessionError, SmootherError, UsageError
 from smoother.units import KMH
 from smoother.words import counted, duration
 
@@ -100,6 +100,20 @@ class Result:
     unix_at_zero: float | None = None
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Say in errors about the files of a session which session that is: gps.csv becomes a/run1/gps.csv."""
+    try:
+        yield
+    except (SessionError, ConfigError) as error:
+        text, directory = str(error), session_directory(path)
+        file, colon, rest = text.partition(":")
+        if Path(file).is_absolute() or text.startswith((str(path), str(directory))):
+            raise
+        is_there = bool(colon and file) and (directory / file).exists()
+        raise type(error)(f"{directory / file}:{rest}" if is_there else f"{path}: {text}") from error
+
+
 def read(path: Path) -> RawSession:
     """Read a session. Raises SmootherError in one line with file and remedy, also for a folder of results."""
     from smoother.disc import reuse_freed_memory
@@ -107,7 +121,8 @@ def read(path: Path) -> RawSession:
 
     reuse_freed_memory()
     require_recording(path)
-    return load_raw(path)
+    with naming(path):
+        return load_raw(path)
 
 
 def require_recording(path: Path) -> None:
@@ -172,6 +187,11 @@ def estimate_baseline(session: Session, rate: float) -> Trajectory:
 
 def smooth_session(path: Path, out: Path | None, options: Options, progress: Progress = no_progress) -> Result:
     """Smooth one session and write everything about it into `out`, by default as `usual_output`."""
+    with naming(path):
+        return _smooth_session(path, out, options, progress)
+
+
+def _smooth_session(path: Path, out: Path | None, options: Options, progress: Progress) -> Result:
     watch = Stopwatch()
     progress("reading", 0.0)
     with watch.stage("reading"):
@@ -328,7 +348,7 @@ def heading(estimates: Estimates) -> str:
     smoothed = estimates.smoothed
     length, kilometres = duration(float(smoothed.t[-1] - smoothed.t[0])), distance_driven(smoothed) / 1000.0
     name = estimates.session.config.title or estimates.session.name
-    return f"{plain(name)}: {length}, {kilometres:.2f} km, top speed {top_speed(smoothed) / KMH:.1f} km/h"
+    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top_speed(smoothed) / KMH:.1f} km/h"
 
 
 def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:

@@ -38,7 +38,7 @@ MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simula
 @click.option("--no-imu", is_flag=True, help="GPS only.")
 @click.option("--no-mag", is_flag=True, help="No compass.")
 @click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")
-@click.option("--told", is_flag=True, help="Also write session.toml with the true mounting, noise and delays.")
+@click.option("--told", is_flag=True, help="Write the true mounting, noise and delays into session.toml.")
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Any other figure; --list shows them.")
 @click.option("--list", "list_them", is_flag=True, help="List every figure of this preset, and stop.")
 def simulate(
@@ -79,7 +79,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
 
     Raises UsageError rather than write over a recording, or where nothing can be written.
     """
-    from smoother.sim.record import write_csv, write_settings, write_thesis
+    from smoother.sim.record import write_csv, write_settings, write_thesis, write_title
     from smoother.sim.record_log import write_klg
 
     _require_nothing_else(directory)
@@ -88,8 +88,7 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
         # what is there of another format or with more sensors would be read with the new files: it goes
         with staged(directory, MARK, SIMULATED_FILES) as staging:
             {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, staging)
-            if told:
-                write_settings(simulation, staging / "session.toml")
+            (write_settings if told else write_title)(simulation, staging / "session.toml")
     except OSError as error:
         raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from smoother.cli.arguments import (
+    ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
@@ -38,8 +39,7 @@ EPILOG = (
     "A folder called like a command is a session: `smooth demo` smooths the folder demo if there is one. With more "
     "words the command is meant: `smooth check demo`. To smooth several of which the first is called so: "
     "`smooth ./check other`.",
-    "Exit codes: 0 done, 1 a bug in this program, 2 wrong usage or unusable data, 3 done but not to be trusted, 130 "
-    "stopped.",
+    ABOUT_EXIT,
 )
 
 
@@ -89,7 +89,7 @@ def smooth(
     wanted = [task for path, place in places for task in tasks(path, place, recording)]
     for path, directory in wanted:
         outcomes.append(_attempt(path, directory, options, is_only=len(wanted) == 1))
-        _report(outcomes[-1], path, as_json)
+        _report(outcomes[-1], path, as_json, is_only=len(wanted) == 1)
     if as_json:
         say_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]
@@ -126,14 +126,14 @@ def _attempt(path: Path, directory: Path | None, options: Options, is_only: bool
             return error
 
 
-def _report(outcome: Result | SmootherError, path: Path, as_json: bool) -> None:
+def _report(outcome: Result | SmootherError, path: Path, as_json: bool, is_only: bool) -> None:
     if isinstance(outcome, SmootherError):
         warn(str(outcome))
         return
     if not outcome.quality.passed:
         warn(f"{path}: the result failed its quality gate: {'; '.join(outcome.quality.reasons)}")
     if not as_json:
-        show_result(outcome)
+        show_result(outcome, None if is_only else path)
 
 
 def _as_json(sessions: list[Path], outcomes: list[Result | SmootherError]) -> str:

@@ -11,6 +11,8 @@ from smoother.units import DEG, KMH
 from smoother.words import counted, duration, measured, repeated
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from smoother.cli.pipeline import Result
     from smoother.samples import AppliedValue, Problem
     from smoother.trajectory import Identified
@@ -33,8 +35,11 @@ _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")
 _ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
 
 
-def show_result(result: Result) -> None:
-    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at."""
+def show_result(result: Result, path: Path | None = None) -> None:
+    """Print duration, distance, sigma, what was identified, problems and the verdict; last the file to look at.
+
+    path: what the session was named by, above its rows where several are shown.
+    """
     from smoother.report.summary import is_told
 
     document: Any = result.document
@@ -53,7 +58,11 @@ def show_result(result: Result) -> None:
     pairs += [("problem" if i == 0 else "", repeated(p.text, p.count)) for i, p in enumerate(problems)]
     reasons = "; ".join(result.quality.reasons)
     pairs.append(("verdict", f"NOT TO BE TRUSTED: {reasons}" if reasons else "passed its quality gate"))
-    say_pairs(about.get("title") or about["name"], pairs)
+    title = about.get("title")
+    if path is None:
+        say_pairs(title or about["name"], pairs)
+    else:
+        say_pairs(f"{path}: {title}" if title else str(path), pairs)
     if "lap_analysis" in document:
         show_laps(document["laps"], document["lap_analysis"], result.unix_at_zero)
     say(str(result.main_file))
@@ -108,26 +117,30 @@ def _sigma(sigma: Any) -> str:
 
 
 def _identified(name: str, identified: Identified) -> str:
-    weak = identified.source == "identified" and not identified.observable
-    source = "weakly identified" if weak else identified.source
+    from smoother.report.summary import known_axes
+
     if name == "R_bs":
-        return f"{_mounting(identified.value)} ({source})"
+        return f"{_mounting(identified)} ({identified.source})"
     unit, factor, digits = _shown_unit(identified.unit)
-    values = _scaled(identified.value, factor)
+    told = known_axes(name, identified)
+    values = _scaled(identified.value, factor)[told]
     digits += 2 if max(map(abs, values)) < 0.1 else 0
-    text, sigma = measured(values, [] if identified.sigma is None else _scaled(identified.sigma, factor), digits)
-    text += f" ± {sigma}" if sigma else ""
-    axes = " forward, left, up" if name == "lever_arm_b" else ""
-    return f"{text} {unit}{axes} ({source})"
+    text = _with_sigma(values, [] if identified.sigma is None else _scaled(identified.sigma, factor)[told], digits)
+    axes = "" if name != "lever_arm_b" else " forward, left, up" if len(values) == 3 else " forward, left; up not known"
+    return f"{text} {unit}{axes} ({identified.source})"
 
 
-def _mounting(R_bs: Any) -> str:
-    import numpy as np
+def _with_sigma(values: list[float], sigmas: list[float], digits: int) -> str:
+    text, sigma = measured(values, sigmas, digits)
+    return f"{text} ± {sigma}" if sigma else text
 
-    from smoother.frames import euler_from_rotation
 
-    roll, pitch, yaw = (round(float(angle) / DEG, 1) + 0.0 for angle in euler_from_rotation(np.asarray(R_bs)))
-    return f"rolled {roll:.1f}, pitched {pitch:.1f}, yawed {yaw:.1f} deg"
+def _mounting(identified: Identified) -> str:
+    from smoother.report.summary import mounting_angles
+
+    angles, sigmas = mounting_angles(identified)
+    said = (_with_sigma([angle], sigmas[i : i + 1], 1) for i, angle in enumerate(angles))
+    return ", ".join(f"{name} {text}" for name, text in zip(("rolled", "pitched", "yawed"), said, strict=True)) + " deg"
 
 
 def _shown_unit(unit: str) -> tuple[str, float, int]:

@@ -67,7 +67,6 @@ def solve_chains(chains: Chains) -> ChainSolution:
         weighted[:-1] @ transposed[1:] + cross[like].reshape(A * K, n, n)[:-1],
         constants_covariance,
         -weighted,
-        2.0 * float(np.sum(np.log(factor[..., 0][like])) - np.sum(np.log(np.einsum("iik->ik", root)))),
     )
 
 

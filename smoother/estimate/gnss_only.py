@@ -216,8 +216,9 @@ def _identified(
     if has_velocity:
         found["gps_velocity_noise"] = Identified(path.velocity_sigma.tolist(), None, "m/s", True, "identified")
         bias, bias_sigma = path.velocity_bias.tolist(), path.velocity_bias_sigma.tolist()
+        is_seen = max(bias_sigma[:2]) < 0.5 * options.path.velocity_bias_sigma
         found["gps_velocity_bias"] = Identified(
-            bias, bias_sigma, "m/s", max(bias_sigma[:2]) < 0.5 * options.path.velocity_bias_sigma, "identified"
+            bias, bias_sigma, "m/s", is_seen, "identified" if is_seen else "default"
         )
     return {**found, **_inertial(session)}
 

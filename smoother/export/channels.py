@@ -9,8 +9,6 @@ from smoother.export.rows import Rows
 from smoother.export.source import Source
 from smoother.units import KMH, STANDARD_GRAVITY
 
-LAP_COLUMNS = ("lap", "lap_time_s", "delta_s")
-
 
 @dataclass(frozen=True)
 class Channel:

@@ -18,7 +18,6 @@ from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, read_rows, 
 from smoother.frames import Origin
 
 TRAJECTORY, LAPS, SUMMARY = "trajectory.csv", "laps.csv", "summary.json"
-FASTEST_RATE = 1000.0  # Hz; what `smooth --rate` allows
 MOST_ROWS = 30_000_000  # eight hours at 1000 Hz; beyond, the times of the file are damaged
 SAME_RATE = 1e-4  # share; stored times are rounded to a microsecond
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 
-UNKNOWNS = 9
 TRIALS = 512  # with 10 points each: 14 clean draws at 30 % outliers, 3 at 40 %
 POINTS_PER_TRIAL = 10
 JUDGES = 400  # points by which the many candidates are compared

@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.laps.delta import GRID, SURE
+from smoother.laps.delta import GRID
 from smoother.laps.path import PlanPath, interpolated
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward
-from smoother.laps.sigma import Crossed, sigma_of, time_covariances
+from smoother.laps.sigma import Crossed, least_real, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
 
@@ -179,7 +179,7 @@ def _corner(
     braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
     with np.errstate(invalid="ignore"):
-        is_real = np.abs(lost) > SURE * lost_sigma
+        is_real = np.abs(lost) > least_real(lost_sigma)
     return Corner(
         number=i + 1,
         start=bend.start,

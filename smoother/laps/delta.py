@@ -16,7 +16,7 @@ from smoother.laps.path import PlanPath, level_acceleration
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
 from smoother.laps.sideslip import sideslip_of
-from smoother.laps.sigma import Crossed, covariances, sigma_of, time_covariances
+from smoother.laps.sigma import Crossed, covariances, least_real, sigma_of, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 
 GRID = 2.0  # m between places
@@ -25,7 +25,6 @@ BLENDED = 30.0  # m over which times on the grid are led into the crossing times
 SMOOTHED_OVER = 0.4  # s, of the acceleration that zones are judged by
 BRAKING, BRAKING_ENDS = -2.0, -1.0  # m/s^2, hysteresis
 DRIVING, DRIVING_ENDS = 0.7, 0.3  # m/s^2
-SURE = 2.0  # sigmas
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +145,7 @@ def make_traces(
         delta_sigma=np.full(t.shape, np.nan),
         lateral=lateral,
         lateral_sigma=lateral_sigma,
-        is_off_line=(np.abs(lateral) > SURE * lateral_sigma) & (lateral_sigma > 0.0),
+        is_off_line=(np.abs(lateral) > least_real(lateral_sigma)) & (lateral_sigma > 0.0),
         longitudinal=sampled(values.along),
         lateral_acceleration=sampled(values.left),
         yaw_rate=sampled(trajectory.angular_rate_b[:, 2]),

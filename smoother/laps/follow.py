@@ -25,7 +25,6 @@ ROWS_TOGETHER = 1 << 16  # of the path that are projected onto the line together
 SAME_DIRECTION = 0.4  # least cosine between path and line where the kart moves
 MOVING = 2.0  # m/s
 TURNED_FOR = 1.0  # s against the direction of the line, after which the kart is not on a lap
-SAME_WAY = 0.15  # of the distance driven away from the line that the line may be longer or shorter
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,13 @@ TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten
 SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
 LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
 SAMPLES = 40  # pairs of positions per lag
+SURE = 2.0  # sigmas of a difference from which on it is real
 TOGETHER = 240  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
+
+
+def least_real(sigma: float | Array) -> float | Array:
+    """Return how large a difference must be to be more than the noise of its two sides, by its sigma."""
+    return SURE * sigma
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ None at the end; OSError says that the cable was pulled, whatever the kind of po
 """
 
 import contextlib
+import errno
 import os
 import select
 import stat
@@ -69,7 +70,7 @@ class SerialSource:
         try:
             self._serial = serial.Serial(self.port, self.baud, timeout=WAIT, exclusive=False)
         except (serial.SerialException, ValueError) as error:
-            raise OSError(str(error)) from error
+            raise OSError(_reason(error)) from error
 
     def read(self) -> bytes | None:
         """Return the bytes that have come. Raises OSError when the cable was pulled."""
@@ -86,6 +87,14 @@ class SerialSource:
             with contextlib.suppress(OSError):  # it is gone already
                 self._serial.close()
             self._serial = None
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong with a port, without its name, which pyserial says twice."""
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "no such port"
+    return os.strerror(number).lower() if number else str(error)
 
 
 @dataclass

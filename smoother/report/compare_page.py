@@ -14,6 +14,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.clock import local_day
 from smoother.laps.results import Corner, LapAnalysis, Statistics, Traces
+from smoother.laps.sigma import least_real
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
 from smoother.report.page_charts import grip, linked, picker, settings, styled
@@ -129,7 +130,7 @@ def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
         "grid": packed(first.analysis.traces.distance[columns]),
         "points": len(columns) - 1,
         "traces": {name: packed(values) for name, values in named.items()},
-        "laps": [{"name": _lap_name(one, i)} for one, laps in drawn for i in laps],
+        "laps": [{"name": _lap_name(one, i), "is_against": i == one.reference} for one, laps in drawn for i in laps],
         "best": starts[best],
         "first": [starts[best], *(start for start in starts if start != starts[best])],
         "against_name": first.analysis.reference_name,
@@ -188,11 +189,11 @@ def _lost(one: Compared, lap: int) -> Element:
     """A cell with what a whole lap lost to the lap that all are compared with."""
     traces: Traces | None = one.analysis.traces
     if traces is None or lap == one.reference:
-        return element("td", number(0.0, 3, signed=True))
+        return element("td", DASH)
     lost, sigma = float(traces.delta[lap, -1]), float(traces.delta_sigma[lap, -1])
     if not np.isfinite(lost):
         return element("td", DASH)
-    is_real = np.isfinite(sigma) and abs(lost) > 2.0 * sigma
+    is_real = np.isfinite(sigma) and abs(lost) > least_real(sigma)
     small = element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else "")
     kind = ("slower" if lost > 0.0 else "faster") if is_real else "noise"
     return element("td", f"{number(lost, 3, signed=True)}{'*' if is_real else ''}", small, class_=kind)
@@ -230,9 +231,7 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
 
 
 def _lost_in(one: Compared, corner: Corner, lap: int) -> Element:
-    if lap == one.reference:
-        return element("td", number(0.0, 2, signed=True), class_="noise")
-    return lost_cell(corner, lap)
+    return element("td", DASH) if lap == one.reference else lost_cell(corner, lap)
 
 
 def _usual(corner: Corner, laps: list[int]) -> Element:

@@ -32,6 +32,8 @@ CLOSE_UP_TIME = 30.0  # s shown in a close-up over time
 SLOWEST_CORNER = 0.5  # of the usual speed; the way into the pits is no corner
 STANDING = 2.0  # m/s, below which a kart is not being driven
 TYPICAL_OVER = 1.0  # s, over which a sigma that swings between keyframes is told as one
+LITTLE_BEYOND = 1.5  # times a limit, up to which it rather widens than cuts
+WIDEST_BAND = 15.0  # deg, one sigma; beyond it a band of attitudes does not widen its axes
 CELLS = 75  # along each side of the g-g diagram
 MOSTLY = 0.25  # of the rows of an angle that are beside a jump across the half turn
 DOTS = 10  # for each point of a line, where an angle turns too fast for one
@@ -144,21 +146,39 @@ def attitude(shown: Shown) -> Figure | None:
     rows = style.rows(figure, 3, left=1.05)
     labels = ("roll (deg)\nright side down +", "pitch (deg)\nnose down +", "yaw (deg)\nfrom north, left +")
     angles = shown.smoothed.euler / DEG
+    limits = [style.limits_around(_with_band(shown, i), 0.1, least=20.0) for i in range(2)] + [(-190.0, 190.0)]
+    baseline = _off_the_scale(shown, limits)
     for i, (axes, label) in enumerate(zip(rows, labels, strict=True)):
         if shown.baseline is not None:
             degrees = shown.baseline.euler[:, i] / DEG
-            _line(axes, shown, shown.baseline, degrees, "baseline", style.BASELINE, width=0.7, wraps=True)
+            _line(axes, shown, shown.baseline, degrees, baseline, style.BASELINE, width=0.7, wraps=True)
         _line(axes, shown, shown.smoothed, angles[:, i], "smoothed", style.SMOOTHED, wraps=True)
         if shown.smoothed.sigmas is not None:
             sigma = shown.smoothed.sigmas.attitude[:, i] / DEG
             style.band(axes, shown.smoothed.t - shown.start, style.broken_at_wraps(angles[:, i]), sigma, style.SMOOTHED)
         axes.set_ylabel(label)
-        axes.set_ylim(style.limits_around(angles[:, i], 0.3, least=20.0))
-    rows[2].set(yticks=[-180, -90, 0, 90, 180], ylim=(-190.0, 190.0))
+        axes.set_ylim(limits[i])
+    rows[2].set(yticks=[-180, -90, 0, 90, 180])
     rows[0].set_title("Band: two sigma")
     style.outside_legend(rows[0])
     _time_axes(rows, shown)
     return figure
+
+
+def _with_band(shown: Shown, i: int) -> Array:
+    """Roll (0) or pitch (1) of the smoother (N,) deg with both edges of its band, (3 N,)."""
+    angle, sigmas = shown.smoothed.euler[:, i] / DEG, shown.smoothed.sigmas
+    sigma = np.zeros(len(angle)) if sigmas is None else np.minimum(sigmas.attitude[:, i] / DEG, WIDEST_BAND)
+    return np.concatenate([angle, angle - 2.0 * sigma, angle + 2.0 * sigma])
+
+
+def _off_the_scale(shown: Shown, limits: list[Limits]) -> str:
+    """What the legend of attitudes calls the baseline, which may leave the limits of the smoother by far."""
+    if shown.baseline is None:
+        return ""
+    angles = shown.baseline.euler / DEG
+    is_off = any(np.any((angle < low) | (angle > high)) for angle, (low, high) in zip(angles.T, limits, strict=True))
+    return "baseline, in places off the scale" if is_off else "baseline"
 
 
 def accelerations(shown: Shown) -> Figure | None:
@@ -175,6 +195,9 @@ def accelerations(shown: Shown) -> Figure | None:
         axes.set_ylabel(label)
         reach = limit if i < 2 else limit_up
         axes.set_ylim(-reach, reach)
+        beyond = np.nanmax(np.abs(acceleration[:, i]), initial=0.0)
+        if beyond > reach:
+            axes.text(0.995, 0.97, f"spikes go on to {beyond:.2g} g", transform=axes.transAxes, **style.REMARK)
         _time_axis(axes, shown, is_labelled=i == 2)
     circle = figure.add_subplot(grid[:, 1])
     known = np.isfinite(acceleration).all(axis=1)
@@ -392,9 +415,12 @@ def _turn(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _limit_of_most(values: Array) -> float:
-    """Symmetric axis limit that leaves out the highest spikes only."""
+    """Symmetric axis limit that leaves out the highest spikes only, and no such as lie little beyond."""
     known = np.abs(values[np.isfinite(values)])
-    return 1.2 * float(np.percentile(known, 99.8)) + 0.05 if known.size else 1.0
+    if not known.size:
+        return 1.0
+    limit, highest = 1.2 * float(np.percentile(known, 99.8)) + 0.05, float(np.max(known))
+    return max(limit, 1.05 * highest) if highest < LITTLE_BEYOND * limit else limit
 
 
 def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = None) -> None:

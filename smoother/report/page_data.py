@@ -115,7 +115,7 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
         "grid": packed(traces.distance[columns]),
         "points": len(columns) - 1,
         "traces": {name: packed(values) for name, values in named.items()},
-        "laps": [{"name": lap_name(laps.laps[i])} for i in drawn],
+        "laps": [{"name": lap_name(laps.laps[i]), "is_against": i == against} for i in drawn],
         "best": main,
         "first": _first(laps, drawn, main),
         "against_name": laps.reference_name if against is None else f"lap {laps.laps[against].number}",

@@ -9,14 +9,14 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
-from smoother.frames import euler_from_rotation
 from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
+from smoother.laps.sigma import least_real
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, merged, top_speed
+from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, top_speed
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -153,7 +153,8 @@ def lap_section(told: Told) -> list[Element]:
         cells: list[Child] = [str(lap.number)]
         if unix is not None:
             cells.append(local_time(unix + lap.start))
-        gap = lap.time - said.best if said is not None and lap.is_valid else np.nan
+        is_best = said is not None and said.best_lap == i  # of itself there is no gap
+        gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
         cells += [time_cell(*_sector(lap, k)) for k in range(laps.sectors)]
         cells += [speed_cell(lap.top_speed), lap_clock(lap.raw_time)]
@@ -161,8 +162,7 @@ def lap_section(told: Told) -> list[Element]:
             theirs = official.get(i)
             cells += [DASH, DASH] if theirs is None else [lap_clock(theirs.time), number(theirs.difference, 3, True)]
         cells.append(" ".join(lap.reasons))
-        best = said is not None and said.best_lap == i
-        rows.append(row(*cells, class_="best" if best else "" if lap.is_valid else "out"))
+        rows.append(row(*cells, class_="best" if is_best else "" if lap.is_valid else "out"))
     source = laps.start_line.source if laps.start_line is not None else ""
     line = {
         "found": "The start/finish line was found where timing is surest. ",
@@ -223,7 +223,8 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
         if not lap.is_timed:
             continue
         name = str(lap.number) + ("" if lap.is_valid else f" ({', '.join(lap.reasons)})")
-        cells: list[Child] = [name, *(lost_cell(corner, i) for corner in laps.corners)]
+        is_itself = i == laps.reference_lap
+        cells: list[Child] = [name, *(DASH if is_itself else lost_cell(corner, i) for corner in laps.corners)]
         rows.append(row(*cells, class_="" if lap.is_valid else "out"))
     return rows
 
@@ -268,7 +269,12 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
     sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
     title = f"Corners on lap {laps.laps[shown].number}"
-    slide = " Slide: how far the nose points into the corner, beyond the path." if slides else ""
+    slide = (
+        " Slide: how far the nose points into the corner, beyond the path: in the trace of sideslip that is + in a "
+        "right corner, − in a left one."
+        if slides
+        else ""
+    )
     note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}{slide}"
     return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
 
@@ -350,7 +356,9 @@ def _trust_sentences(told: Told) -> Iterator[str]:
             yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
         yield f"Speed is sure to ± {number(float(np.nanmedian(sigmas.speed)) / KMH, 2)} km/h."
     if said is not None and np.isfinite(said.best_sigma):
-        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s; smaller differences of laps mean nothing."
+        alike = _alike(told.laps)
+        enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
+        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s{enough}."
     measures = told.quality.measures
     if "far_fix_share" in measures:
         yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
@@ -359,6 +367,15 @@ def _trust_sentences(told: Told) -> Iterator[str]:
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
         yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {doubted} given little weight."
+
+
+def _alike(laps: LapAnalysis | None) -> float:
+    """Difference (s) of a lap from the best up to which both may be equally fast; 0 where none other counts."""
+    if laps is None or laps.statistics is None or laps.statistics.best_lap is None:
+        return 0.0
+    best = laps.laps[laps.statistics.best_lap]
+    others = [lap.sigma for lap in laps.laps if lap.is_valid and lap is not best and np.isfinite(lap.sigma)]
+    return max(0.01, float(least_real(np.hypot(best.sigma, np.median(others))))) if others else 0.0
 
 
 _MEASURES: Mapping[str, tuple[str, str, int]] = {
@@ -400,7 +417,10 @@ def residual_table(told: Told) -> Element:
         )
         for name, r in told.smoothed.report.residuals.items()
     ]
-    caption = "Residuals (in sigma: 1 is honest, far above means the noise was taken too small)"
+    caption = (
+        "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
+        "noise was taken too small"
+    )
     return table(["", "count", "rms", "in sigma", "rejected"], rows, caption)
 
 
@@ -431,27 +451,23 @@ def identified_table(told: Told) -> Element:
 
 
 def _identified(name: str, found: Identified) -> Element:
-    unit, factor = found.unit, 1.0
-    value, sigma = np.asarray(found.value, dtype=np.float64), found.sigma
-    if name == "R_bs" and value.shape == (3, 3):
-        value, unit, factor = _angles(value), "deg", 1.0 / DEG
-    elif unit.startswith("rad"):
+    unit, factor, told = found.unit, 1.0, known_axes(name, found)
+    if unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
-    values = np.atleast_1d(value).ravel() * factor
-    errors = np.empty(0) if sigma is None else np.atleast_1d(np.asarray(sigma, dtype=np.float64)).ravel() * factor
-    shown = measured(values.tolist(), errors.tolist(), _digits(values))
-    source = "weakly identified" if found.source == "identified" and not found.observable else found.source
-    return row(
-        _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")),
-        shown[0],
-        shown[1] or DASH,
-        unit,
-        source,
-    )
+    if name == "R_bs":
+        unit, (values, errors) = "deg", mounting_angles(found)
+    else:
+        values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))
+    shown = measured(values, errors, _digits(np.array(values)))
+    called = _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS"))
+    if told != slice(None):
+        called = called.replace(", up", " (up is not known)")
+    return row(called, shown[0], shown[1] or DASH, unit, found.source)
 
 
-def _angles(R_bs: Array) -> Array:
-    return np.array([float(angle) for angle in euler_from_rotation(R_bs)])
+def _flat(numbers: object, factor: float) -> list[float]:
+    """One number or many, scaled; empty for None."""
+    return [] if numbers is None else (np.ravel(np.asarray(numbers, dtype=np.float64)) * factor).tolist()
 
 
 def _digits(values: Array) -> int:

@@ -49,6 +49,8 @@ STYLE: Any = {  # matplotlib types every key of it by name
     "lines.linewidth": 1.2,
     "figure.facecolor": "white",
 }
+HEADING = 13.0  # points
+LETTER = 0.6  # of its size that a letter of a heading is wide, on average
 DOTS_PER_INCH = 110
 COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
@@ -59,6 +61,14 @@ GRID: Any = {"colors": "#dddddd", "linewidths": 0.6, "zorder": 0.5}
 SETTLED: Any = STYLE | {"axes.grid": False}  # where :func:`save` draws the grid
 X_LABELS: Any = {"ha": "center", "va": "top", "color": "#444444"}
 Y_LABELS: Any = {"ha": "right", "va": "center_baseline", "color": "#444444"}
+REMARK: Any = {
+    "ha": "right",
+    "va": "top",
+    "fontsize": 8.5,
+    "color": "#444444",
+    "bbox": {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5},
+    "zorder": 5,
+}
 MARGINS = {"left": 0.8, "right": 0.2, "top": 0.72, "bottom": 0.6}  # inches, for labels of one line
 
 
@@ -69,7 +79,8 @@ def new_figure(title: str, width: float = 12.0, height: float = 7.2, *, is_laid_
     """
     figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained" if is_laid_out else None)
     y = {} if is_laid_out else {"y": 1.0 - 0.1 / height, "va": "top"}
-    heading = figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK, **y)
+    size = min(HEADING, 72.0 * (width - 0.3) / (LETTER * max(len(title), 1)))  # a long name in smaller letters
+    heading = figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold", color=INK, **y)
     heading.set_parse_math(False)  # a session may be called $1$
     return figure
 

@@ -8,8 +8,10 @@ import numpy as np
 import smoother
 from smoother.arrays import median
 from smoother.estimate.quality import Quality
+from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Trajectory
+from smoother.units import DEG
 
 Document = dict[str, object]
 
@@ -52,6 +54,23 @@ def merged(problems: list[Problem]) -> list[Problem]:
 def is_told(name: str, found: Identified, mode: str) -> bool:
     """Whether an identified value says something: of fixes alone, those of the inertial sensor stand for nothing."""
     return mode != "gps-only" or name not in OF_THE_IMU or found.source != "default"
+
+
+def known_axes(name: str, found: Identified) -> slice:
+    """Which components of a value are told. Of an arm that nobody stated: forward and left, since a drive on the level
+    does not show how high the antenna is."""
+    return slice(0, 2) if name == "lever_arm_b" and found.source != "configured" else slice(None)
+
+
+def mounting_angles(found: Identified) -> tuple[list[float], list[float]]:
+    """Return roll, pitch, yaw (deg) of `R_bs` and their sigmas, none where the mounting was stated."""
+    R_bs = np.asarray(found.value, dtype=np.float64)
+    angles = [float(angle) / DEG for angle in euler_from_rotation(R_bs)]
+    if found.sigma is None:
+        return angles, []
+    by_turn_b = euler_jacobian(R_bs) @ R_bs.T  # the sigmas are those of turns about the axes of the kart
+    sigma = np.sqrt(by_turn_b**2 @ np.square(found.sigma)) / DEG
+    return angles, np.minimum(sigma, 180.0).tolist()
 
 
 def distance_driven(estimate: Trajectory) -> float:

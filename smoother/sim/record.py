@@ -85,7 +85,7 @@ def write_settings(simulation: Simulation, path: Path) -> None:
     scenario = simulation.scenario
     date = datetime.fromtimestamp(scenario.start_unix, UTC).date().isoformat()
     lines = [
-        *("[session]", f'title = "Simulation {scenario.name}"', f'track = "{scenario.track}"', f'date = "{date}"'),
+        *("[session]", _title(simulation), f'track = "{scenario.track}"', f'date = "{date}"'),
         *("[mounting]", f"lever_arm_b = {_toml(scenario.lever_arm_b)}", f"R_bs = {_toml(scenario.R_bs)}"),
         "[gps]",
         f"position_latency = {scenario.gnss.position_latency!r}",
@@ -95,6 +95,15 @@ def write_settings(simulation: Simulation, path: Path) -> None:
         names = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
         lines += ["[imu]", *(f"{name} = {float(getattr(scenario.imu, name))!r}" for name in names)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_title(simulation: Simulation, path: Path) -> None:
+    """Write a session.toml that says that this was simulated, so that no report of it passes for a drive."""
+    path.write_text(f"[session]\n{_title(simulation)}\n", encoding="utf-8")
+
+
+def _title(simulation: Simulation) -> str:
+    return f'title = "Simulated session ({simulation.scenario.name}, {simulation.scenario.track})"'
 
 
 def write_mag_calibration(simulation: Simulation, path: Path) -> None:

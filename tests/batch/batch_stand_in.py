@@ -27,7 +27,7 @@ if word == "grow":
 if word == "bug":
     raise ZeroDivisionError("a\\x1b[31m <b>")
 if word == "unusable":
-    print("smooth: one thing", "smooth: gps.csv: no usable fix", sep="\\n", file=sys.stderr)
+    print("smooth: one thing", f"smooth: {session}/gps.csv: no usable fix", sep="\\n", file=sys.stderr)
     sys.exit(2)
 if word == "killed" and len((session / "starts").read_text()) <= int(rest):
     os.kill(os.getpid(), signal.SIGKILL)

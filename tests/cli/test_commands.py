@@ -1,6 +1,7 @@
 """check, demo, simulate and evaluate as a person calls them."""
 
 import json
+import shutil
 import time
 from pathlib import Path
 
@@ -39,6 +40,21 @@ def test_check_says_of_a_gps_alone_that_it_is_good_for_what_that_tells(monday: P
     assert said[-1] == "GOOD TO DRIVE, GPS only: no roll, pitch, sideslip"
     assert run(["check", str(monday), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gps_only"] is True
+
+
+def test_check_of_several_tells_sessions_of_one_name_apart(
+    monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for kart in ("a", "b", "c"):
+        shutil.copytree(monday, tmp_path / kart / "run1")
+    (tmp_path / "c" / "run1" / "gps.csv").write_text("t_s,lat_deg,lon_deg\n")
+    assert run(["check", "a/run1", "b/run1", "c/run1"]) == 2
+    said = capsys.readouterr()
+    assert {"a/run1", "b/run1"} <= set(said.out.splitlines()) and "run1" not in said.out.splitlines()
+    assert said.err.startswith("smooth: c/run1/gps.csv: ")
+    assert run(["check", "a/run1", "b/run1", "--json"]) == 0
+    assert [one["path"] for one in json.loads(capsys.readouterr().out)] == ["a/run1", "b/run1"]
 
 
 def test_check_json_has_verdict_findings_and_numbers(simulated: Path, tmp_path: Path, capsys: Captured) -> None:

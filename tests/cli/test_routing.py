@@ -117,6 +117,23 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
     assert output.err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "command", [[], ["check"], ["laps"], ["export"], ["evaluate"], ["compare"], ["demo"], ["batch"]]
+)
+def test_help_names_the_exit_codes(here: Path, capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
+    assert run([*command, "--help"]) == 0
+    said = capsys.readouterr().out
+    assert "Exit code" in said
+    assert "3" in said[said.index("Exit code") :]
+
+
+@pytest.mark.parametrize("module", ["smoother", "smoother.cli"])
+def test_the_package_runs_as_a_module(module: str) -> None:
+    done = subprocess.run([sys.executable, "-m", module, "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "smooth" in done.stdout
+
+
 def test_of_several_sessions_each_gets_a_folder_of_its_own(tmp_path: Path) -> None:
     sessions = tuple(tmp_path / name for name in ("a/run", "b/run", "c"))
     for session in sessions:

@@ -1,12 +1,15 @@
 """`smooth simulate`: the files of a session appear together, or the earlier ones stay."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from smoother.cli.main import run
 from smoother.cli.simulating import write
+from smoother.config import Mounting
 from smoother.errors import UsageError
+from smoother.session.settings import load_settings
 from smoother.sim import record
 from smoother.sim.simulation import Simulation, simulate_preset
 
@@ -36,7 +39,23 @@ def test_files_of_another_format_go(simulation: Simulation, tmp_path: Path) -> N
     write(simulation, tmp_path / "new", "thesis")
     names = {path.name for path in (tmp_path / "new").iterdir()}
     assert "out.txt" in names
-    assert not names & {"imu.csv", "gps.csv", "session.toml"}
+    assert not names & {"imu.csv", "gps.csv"}
+    assert load_settings(tmp_path / "new" / "session.toml").mounting == Mounting()  # what was told is gone
+
+
+@pytest.mark.parametrize("form", ["csv", "klg", "thesis"])
+@pytest.mark.parametrize("told", [False, True])
+def test_what_was_simulated_says_so_wherever_it_is_shown(
+    simulation: Simulation, tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str, told: bool
+) -> None:
+    """A report that is handed on must not pass for one of a drive."""
+    write(simulation, tmp_path, form, told=told)
+    assert run([str(tmp_path), "--no-baseline", "--no-pictures"]) in (0, 3)
+    title = f"Simulated session ({simulation.scenario.name}, {simulation.scenario.track})"
+    assert capsys.readouterr().out.splitlines()[0] == title
+    page = (tmp_path / "smoothed" / "report.html").read_text(encoding="utf-8")
+    assert f"<title>{title}</title>" in page and f"<h1>{title}</h1>" in page
+    assert json.loads((tmp_path / "smoothed" / "summary.json").read_text())["session"]["title"] == title
 
 
 VBO = "[header]\ntime\n[column names]\ntime lat long\n[data]\n"

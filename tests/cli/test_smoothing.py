@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -227,6 +228,48 @@ def test_unusable_input_is_one_line_on_stderr_and_exit_code_2(monday: Path, caps
     assert output.out == ""
     assert output.err.count("\n") == 1
     assert output.err.startswith("smooth: ")
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["check"], ["laps"], ["evaluate"]], ids=lambda words: " ".join(words) or "smooth"
+)
+@pytest.mark.parametrize(
+    ("spoil", "place"),
+    [
+        (lambda d: (d / "session.toml").write_text("[session]\ntitel = 1\n"), "fleet/run1/session.toml: "),
+        (lambda d: (d / "gps.csv").write_text("t_s,lat_deg,lon_deg\n"), "fleet/run1/gps.csv: "),
+        (lambda d: (d / "gps.csv").unlink(), "fleet/run1: "),
+    ],
+)
+def test_what_is_wrong_with_a_session_is_said_with_its_place(
+    monday: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Captured,
+    spoil: Callable[[Path], object],
+    place: str,
+    command: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fleet").mkdir()
+    spoil(monday.rename(tmp_path / "fleet" / "run1"))
+    assert run([*command, "fleet/run1"]) == 2
+    assert capsys.readouterr().err.startswith(f"smooth: {place}")
+    monkeypatch.chdir(tmp_path / "fleet" / "run1")
+    assert run([*command, "."]) == 2
+    assert "fleet" not in capsys.readouterr().err  # as it was named
+
+
+def test_of_several_sessions_the_path_stands_above_each(
+    monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for kart in ("a", "b"):
+        shutil.copytree(monday, tmp_path / kart / "run1")
+    (tmp_path / "a" / "run1" / "session.toml").unlink()
+    (tmp_path / "b" / "run1" / "session.toml").write_text('[session]\ntitle = "Final"\n')
+    assert run(["a/run1", "b/run1", *TABLES_ONLY]) == 0
+    assert {"a/run1", "b/run1: Final"} <= set(capsys.readouterr().out.splitlines())
 
 
 def test_an_unusable_session_does_not_keep_the_others_from_being_smoothed(

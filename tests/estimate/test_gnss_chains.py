@@ -72,13 +72,12 @@ def test_solution_and_covariance_are_those_of_dense_algebra(like: tuple[int, ...
         if k + 1 < nodes:
             np.testing.assert_allclose(found.cross[k], own[k, :, k + 1], rtol=1e-9, atol=1e-11)
     np.testing.assert_allclose(found.constants_covariance, P[nodes * N :, nodes * N :])
-    assert found.log_determinant == pytest.approx(np.linalg.slogdet(H)[1])
 
 
 def test_it_says_what_cyclic_reduction_says() -> None:
     chains = random_chains((0, 0, 1), 4, seed=3)
     found, other = solve_chains(chains), solve_chain(laid_out(chains))
-    for name in ("x", "constants", "covariance", "cross", "constants_covariance", "constants_cross", "log_determinant"):
+    for name in ("x", "constants", "covariance", "cross", "constants_covariance", "constants_cross"):
         np.testing.assert_allclose(getattr(found, name), getattr(other, name), rtol=1e-9, atol=1e-11)
 
 

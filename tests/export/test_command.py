@@ -105,7 +105,7 @@ def test_another_recording_in_the_same_folder_has_results_of_its_own(monday: Pat
     assert run(["export", str(monday / "other.vbo"), "gpx"]) == 0
     assert Path(capsys.readouterr().out.splitlines()[-1]).name == "other.gpx"
     place = monday / "smoothed" / "other"
-    assert json.loads((place / "summary.json").read_text())["inputs"] == ["other.vbo"]
+    assert json.loads((place / "summary.json").read_text())["inputs"] == ["other.vbo", "session.toml"]
 
 
 @pytest.mark.parametrize(

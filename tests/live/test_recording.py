@@ -143,6 +143,13 @@ def test_the_command_writes_json_lines_and_a_session_that_can_be_checked(
     assert "error" not in found
 
 
+def test_without_a_view_a_port_that_is_not_there_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(["live", "/dev/ttyNoSuchPort", "--headless", "--seconds", "2.5"]) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines() == ["smooth: waiting for /dev/ttyNoSuchPort: no such port"]
+
+
 def test_speeds_that_are_none_are_refused() -> None:
     for speed in ("0", "-1", "fast"):
         result = CliRunner().invoke(live, ["/dev/null", "--speed", speed])

@@ -1,6 +1,7 @@
 """Figures: which are drawn for which session, and that nothing in a name or in the data spoils them."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -15,6 +16,7 @@ from smoother.report import figures, style
 from smoother.report.figures import FIGURES, Shown, overview, save_figures
 from smoother.samples import Session
 from smoother.trajectory import EstimateReport, Trajectory
+from smoother.units import STANDARD_GRAVITY
 
 
 def gps_only(trajectory: Trajectory) -> Trajectory:
@@ -58,6 +60,19 @@ def test_a_name_is_text_and_never_markup(
 ) -> None:
     monkeypatch.setattr(figures, "FIGURES", {"overview": overview})  # all headings are made alike
     assert save_figures(Shown(session, gps_only(trajectory), None, heading), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["monday", "Simulated session (kart_harsh, longmeadow)", "a long name of a session " * 5]
+)
+def test_a_heading_stays_on_the_figure(name: str) -> None:
+    figure = style.new_figure(
+        f"What the smoother expected minus each fix: {name} · 4 min 0 s, 4.85 km", is_laid_out=False
+    )
+    figure.draw_without_rendering()
+    heading = figure._suptitle  # type: ignore[attr-defined]
+    assert heading.get_window_extent().x1 < figure.bbox.x1
+    assert heading.get_fontsize() == 13.0 or len(name) > 10
 
 
 def test_the_map_keeps_to_the_track_when_fixes_and_baseline_stray(session: Session, trajectory: Trajectory) -> None:
@@ -174,6 +189,41 @@ def test_a_heading_that_turns_faster_than_pixels_can_show_is_still_drawn(
     degrees = np.asarray(figure.axes[2].lines[0].get_ydata(), dtype=np.float64)
     assert np.mean(np.isfinite(degrees)) > 0.9
     assert np.ptp(degrees[np.isfinite(degrees)]) > 300.0
+
+
+@pytest.mark.parametrize(("tilt", "said"), [(0.0, "baseline"), (30.0, "baseline, in places off the scale")])
+def test_attitudes_of_the_baseline_that_leave_the_axes_are_said_to(
+    session: Session, trajectory: Trajectory, tilt: float, said: str
+) -> None:
+    roll, pitch, yaw = trajectory.euler.T
+    tilted = replace(trajectory, R_nb=rotation_from_euler(roll + np.radians(tilt), pitch, yaw))
+    figure = figures.attitude(Shown(session, trajectory, tilted, "a session"))
+    assert figure is not None
+    legend = figure.axes[0].get_legend()
+    assert legend is not None and [text.get_text() for text in legend.get_texts()] == [said, "smoothed"]
+
+
+def test_the_band_of_an_attitude_lies_inside_its_axes(session: Session, trajectory: Trajectory) -> None:
+    assert trajectory.sigmas is not None
+    unsure = replace(trajectory, sigmas=replace(trajectory.sigmas, attitude=np.full((len(trajectory), 3), 0.2)))
+    figure = figures.attitude(Shown(session, unsure, None, "a session"))
+    assert figure is not None
+    for i in range(2):
+        low, high = figure.axes[i].get_ylim()
+        angle = np.degrees(trajectory.euler[:, i])
+        assert low < angle.min() - np.degrees(0.4) and angle.max() + np.degrees(0.4) < high
+
+
+@pytest.mark.parametrize("spike", [0.0, 9.0])
+def test_spikes_that_the_axes_of_accelerations_cut_are_told(
+    session: Session, trajectory: Trajectory, spike: float
+) -> None:
+    acceleration = np.clip(trajectory.acceleration_b, -1.0, 1.0)
+    acceleration[700, 2] = spike * STANDARD_GRAVITY
+    figure = figures.accelerations(Shown(session, replace(trajectory, acceleration_b=acceleration), None, "a session"))
+    assert figure is not None
+    told = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert told == (["spikes go on to 9 g"] if spike else [])
 
 
 def test_the_frame_on_the_map_is_what_the_close_up_shows(

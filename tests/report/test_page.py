@@ -224,10 +224,58 @@ def test_what_failed_its_gate_is_not_to_be_trusted(report: Report) -> None:
     assert "No, not as it stands: the trajectory leaves the fixes for 99 s." in text
 
 
+def test_laps_may_be_equally_fast_up_to_two_sigma_of_their_difference(report: Report) -> None:
+    laps = report.laps
+    assert laps is not None and laps.statistics is not None
+    valid = [lap for lap in laps.laps if lap.is_valid]
+    best = min(valid, key=lambda lap: lap.time)
+    sure = [replace(lap, sigma=0.03 if lap is best else 0.04) for lap in laps.laps]
+    said = replace(laps.statistics, best_sigma=0.03)
+    text = page(replace(report, laps=replace(laps, laps=tuple(sure), statistics=said)))
+    assert "sure to ± 0.030 s; two laps that differ by less than 0.10 s may be equally fast." in text
+    alone = [lap if lap.number == best.number else replace(lap, reasons=("pit",)) for lap in sure]
+    text = page(replace(report, laps=replace(laps, laps=tuple(alone), statistics=said)))
+    assert "<li>The best lap is sure to ± 0.030 s.</li>" in text
+
+
+def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) -> None:
+    text = page(report)
+    assert "around 1 or below is as it should be" in text
+    assert "1 is honest" not in text
+
+
+def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
+    laps = report.laps
+    assert laps is not None and laps.statistics is not None and laps.statistics.best_lap is not None
+    text = page(report)
+    best = re.search(r'<tr class="best">.*?</tr>', text)
+    assert best is not None and "+0.000" not in best[0] and "<td>–</td>" in best[0]
+    assert laps.reference_lap is not None
+    lost = "<td>–</td>" * len(laps.corners)
+    assert f"<tr><td>{laps.laps[laps.reference_lap].number}</td>{lost}</tr>" in text
+    assert [one["is_against"] for one in numbers(text)["laps"]].count(True) == 1  # type: ignore[attr-defined]
+
+
 def test_identified_values_stand_with_their_sigma(session: Session, trajectory: Trajectory) -> None:
     text = page(Report(session, trajectory, None, None, GOOD))
     assert "<td>GPS position delay</td><td>0.120</td><td>0.010</td><td>s</td><td>identified</td>" in text
     assert "box in the kart: roll, pitch, yaw" in text
+
+
+@pytest.mark.parametrize(
+    ("source", "row"),
+    [
+        ("identified", "forward, left (up is not known)</td><td>0.47, 0.352</td><td>0.12, 0.026</td>"),
+        ("default", "forward, left (up is not known)</td><td>0.47, 0.352</td><td>0.12, 0.026</td>"),
+        ("configured", "forward, left, up</td><td>0.470, 0.352, 0.200</td><td>–</td>"),
+    ],
+)
+def test_of_an_arm_that_was_not_stated_the_height_is_not_known(report: Report, source: str, row: str) -> None:
+    sigma = None if source == "configured" else [0.12, 0.026, 0.5]
+    found = {"lever_arm_b": Identified([0.47, 0.352, 0.2], sigma, "m", source != "default", source)}
+    estimate = replace(report.smoothed.report, identified=found)
+    text = page(replace(report, smoothed=replace(report.smoothed, report=estimate)))
+    assert f"<td>antenna from the box: {row}<td>m</td><td>{source}</td>" in text
 
 
 def test_json_in_a_script_can_not_end_it() -> None:

@@ -303,7 +303,7 @@ def test_what_explains_a_chart_stands_whole_above_it(
         expected = [
             "(s), band: two sigma",
             "sideways (g), left +",
-            "sideslip (deg), + slides to its left, band: two sigma",
+            "sideslip (deg), + nose right of the path, band: two sigma",
             "line: metres left of the mean line, band: two sigma, grey: within noise",
         ]
         if name == "simulated_page":
@@ -322,6 +322,47 @@ def test_what_explains_a_chart_stands_whole_above_it(
             "}); return boxes.length"
         )
         assert covered == 0
+
+
+def test_every_corner_has_its_number_over_the_traces_of_a_wide_screen(opened: Any) -> None:
+    numbers = (
+        f"return [...document.querySelectorAll('#{chart} svg text.corner')].map(t => t.textContent)"
+        for chart in ("traces", "map")
+    )
+    with sized(opened, 1280, 900):
+        opened.refresh()
+        over_traces, on_map = (opened.execute_script(script) for script in numbers)
+        assert over_traces == on_map and len(on_map) > 8
+
+
+@pytest.mark.parametrize("name", ["simulated_page", "compared_page"])
+def test_bands_end_inside_their_frame_or_the_title_says_that_they_do_not(
+    name: str, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    browser.get(request.getfixturevalue(name).as_uri())
+    told = browser.execute_script(
+        "return [...document.querySelectorAll('#traces svg path.band')].map(band => {"
+        "  const frame = band.parentNode.getAttribute('clip-path').slice(4, -1);"
+        "  const shape = document.querySelector(frame + ' rect'), box = band.getBBox();"
+        "  const [y, height] = ['y', 'height'].map(key => Number(shape.getAttribute(key)));"
+        "  return box.y >= y && box.y + box.height <= y + height; })"
+    )
+    titles = browser.execute_script(
+        "return [...document.querySelectorAll('#traces text.title')].map(t => t.textContent).join(' ')"
+    )
+    assert len(told) > 2
+    assert all(told) or "beyond the frame" in titles
+    if name == "simulated_page":  # without an outage nothing is cut
+        assert all(told) and "beyond the frame" not in titles
+
+
+def test_cards_stand_in_rows_of_like_length(opened: Any) -> None:
+    for width in (1100, 1280, 1920):
+        with sized(opened, width, 900):
+            tops = opened.execute_script(
+                "return [...document.querySelectorAll('.card')].map(c => Math.round(c.getBoundingClientRect().top))"
+            )
+            assert sorted(tops.count(top) for top in set(tops)) == [3, 4], width
 
 
 def test_theme_and_unit_are_switched(opened: Any) -> None:
@@ -359,7 +400,8 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
         )
         assert opened.execute_script(
             "const boxes = [...document.querySelectorAll('#traces text.corner')].map(t => t.getBoundingClientRect());"
-            "return boxes.length > 3 && boxes.every((b, i) => i === 0 || boxes[i - 1].right <= b.left)"
+            "return boxes.length > 3 && boxes.every((b, i) => boxes.slice(i + 1).every("
+            "  c => c.right <= b.left || b.right <= c.left || c.bottom <= b.top + 4 || b.bottom <= c.top + 4))"
         )
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])

@@ -2,13 +2,16 @@
 
 import json
 
+import numpy as np
 import pytest
 
+from smoother import so3
 from smoother.estimate.quality import Quality
+from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
-from smoother.report.summary import distance_driven, summary
+from smoother.report.summary import distance_driven, mounting_angles, summary
 from smoother.samples import Problem, Session
-from smoother.trajectory import Trajectory
+from smoother.trajectory import Identified, Trajectory
 
 
 @pytest.fixture
@@ -44,6 +47,15 @@ def test_identified_values_have_sigma_unit_and_source(document: dict[str, object
         "observable": True,
         "source": "identified",
     }
+
+
+@pytest.mark.parametrize("R_bs", [np.eye(3), so3.exp(np.array([0.3, -0.4, 1.8])), so3.exp(np.array([2.0, 0.5, -1.0]))])
+def test_a_mounting_s_angles_have_the_sigma_that_turns_about_the_kart_s_axes_give_them(R_bs: np.ndarray) -> None:
+    sigma, rng = np.array([0.002, 0.004, 0.01]), np.random.default_rng(1)
+    angles, sigmas = mounting_angles(Identified(R_bs.tolist(), sigma.tolist(), "1 (sigma: rad)", True, "identified"))
+    turned = so3.exp(rng.normal(size=(20_000, 3)) * sigma) @ R_bs
+    scattered = np.degrees(np.stack(euler_from_rotation(turned), axis=1)) - angles
+    np.testing.assert_allclose(np.std(scattered, axis=0), sigmas, rtol=0.03)
 
 
 def test_the_verdict_comes_with_its_reasons(document: dict[str, object]) -> None:

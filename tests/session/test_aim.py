@@ -146,7 +146,7 @@ def test_an_unusable_file_is_one_line_and_exit_code_2(
         read(tmp_path, text)
     assert run([str(tmp_path), "--no-figures"]) == 2
     output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith("smooth: aim.csv: ")
+    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/aim.csv: ")
 
 
 @pytest.mark.parametrize("seed", range(30))

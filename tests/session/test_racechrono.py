@@ -110,7 +110,9 @@ def test_an_unusable_file_is_one_line_and_exit_code_2(
         read(tmp_path, text)
     assert run([str(tmp_path), "--no-figures"]) == 2
     output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith("smooth: session.csv: ")
+    assert (
+        output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/session.csv: ")
+    )
 
 
 def test_an_endless_line_ends_the_reading(tmp_path: Path) -> None:

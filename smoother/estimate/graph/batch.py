@@ -55,7 +55,10 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 
-ROBUST_LIMIT = 3.0  # residuals beyond this many sigmas lose weight as (limit / distance)^2: redescending
+# A residual beyond this loses weight as (limit / distance)^2: redescending. Of two components the distance is that in
+# sigmas; of other numbers it is sqrt(2) times the rms of the components, so that one beyond 2.1 sigma loses weight, and
+# three beyond 3.7.
+ROBUST_LIMIT = 3.0
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
 ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known

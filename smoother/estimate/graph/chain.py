@@ -44,7 +44,7 @@ class ChainSolution:
     """Solution and selected covariance of a ChainSystem.
 
     x (K, n), constants (m,); covariance (K, n, n) of each keyframe, cross (K-1, n, n) of neighbours (k, k+1),
-    constants_covariance (m, m), constants_cross (K, n, m); log_determinant of H.
+    constants_covariance (m, m), constants_cross (K, n, m).
     """
 
     x: Array
@@ -53,7 +53,6 @@ class ChainSolution:
     cross: Array
     constants_covariance: Array
     constants_cross: Array
-    log_determinant: float
     factor: "ChainFactor | None" = None  # of the system, where the covariance was asked for
 
 
@@ -124,7 +123,7 @@ def solve_chain(
     _check(system)
     rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2)
 
-    levels, offsets, root, log_determinant = _reduce(system.diagonal, system.upper, rhs)
+    levels, offsets, root = _reduce(system.diagonal, system.upper, rhs)
     x = _substitute(levels, offsets, root[1])
     K, n, m = system.border.shape
     inner = rhs.reshape(K * n, m + 1)[:, :m].T @ x.reshape(K * n, m + 1)
@@ -138,10 +137,8 @@ def solve_chain(
             constants[free], constants_covariance = _but_for(free, held, own, pull)
             solution = solution - influence @ constants
     elif m:
-        factor = _cholesky((system.corner - inner[:, :m])[None])[0]
-        constants_covariance = _inverse_from_cholesky(factor[None])[0]
+        constants_covariance = _inverse_from_cholesky(_cholesky((system.corner - inner[:, :m])[None]))[0]
         constants = constants_covariance @ (system.rhs_constants - inner[:, m])
-        log_determinant += 2.0 * float(np.sum(np.log(np.diag(factor))))
         solution = solution - influence @ constants
     if not np.isfinite(np.sum(solution)):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
@@ -158,7 +155,6 @@ def solve_chain(
         cross,
         constants_covariance,
         constants_cross,
-        log_determinant,
         ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
     )
 
@@ -187,36 +183,30 @@ def _check(system: ChainSystem) -> None:
         raise NotPositiveDefiniteError("an unknown has no information at all")
 
 
-def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array], float]:
+def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array]]:
     """Eliminate odd nodes until one is left.
 
-    Returns the levels, D^-1 rhs (M, n, m + 1) of each, (inverse, solution) of the last node, and log det.
+    Returns the levels, D^-1 rhs (M, n, m + 1) of each, and (inverse, solution) of the last node.
     """
     levels: list[_Level] = []
     offsets: list[Array] = []
-    log_determinant = 0.0
     while diagonal.shape[0] > 1:
-        level, offset, of_level, (diagonal, upper, rhs) = _eliminate_odd(diagonal, upper, rhs)
+        level, offset, (diagonal, upper, rhs) = _eliminate_odd(diagonal, upper, rhs)
         levels.append(level)
         offsets.append(offset)
-        log_determinant += of_level
-    factor = _cholesky(diagonal)
-    log_determinant += _log_determinant(factor)
-    inverse = _inverse_from_cholesky(factor)
-    return levels, offsets, (inverse, inverse @ rhs), log_determinant
+    inverse = _inverse_from_cholesky(_cholesky(diagonal))
+    return levels, offsets, (inverse, inverse @ rhs)
 
 
-def _eliminate_odd(
-    diagonal: Array, upper: Array, rhs: Array
-) -> tuple[_Level, Array, float, tuple[Array, Array, Array]]:
-    """Eliminate every second node. Returns what is left behind, D^-1 rhs, log det, and the system of the even nodes.
+def _eliminate_odd(diagonal: Array, upper: Array, rhs: Array) -> tuple[_Level, Array, tuple[Array, Array, Array]]:
+    """Eliminate every second node. Returns what is left behind, D^-1 rhs, and the system of the even nodes.
 
     In pieces whose matrices stay in the processor's cache, and in the same memory: each odd node takes part in a dozen
     small products, and fresh memory for them would cost as much as they do.
     """
     (n_nodes, n), n_odd, n_right = diagonal.shape[:2], len(diagonal) // 2, (len(diagonal) - 1) // 2
     level = _Level(np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), np.empty((n_odd, n, n)), n_nodes)
-    offset, log_determinant = np.empty((n_odd, *rhs.shape[1:])), 0.0
+    offset = np.empty((n_odd, *rhs.shape[1:]))
     n_even = n_nodes - n_odd
     even_diagonal, even_upper, even_rhs = (
         np.empty((n_even, n, n)),
@@ -229,9 +219,7 @@ def _eliminate_odd(
         n_here, n_beside, after = here.stop - here.start, beside.stop - beside.start, _next(beside)
         even_diagonal[after], even_rhs[after] = diagonal[0::2][after], rhs[0::2][after]
         left, right = upper[0::2][here], upper[1::2][beside]  # A(left even, odd), A(odd, right even)
-        factor = _cholesky(diagonal[1::2][here])
-        log_determinant += _log_determinant(factor)
-        inverse = _inverse_from_cholesky(factor, level.inverse[here], square[0, :n_here])
+        inverse = _inverse_from_cholesky(_cholesky(diagonal[1::2][here]), level.inverse[here], square[0, :n_here])
         to_left = np.matmul(inverse, left.transpose(0, 2, 1), out=level.to_left[here])
         to_right = np.matmul(inverse[:n_beside], right, out=level.to_right[beside])
         solved = np.matmul(inverse, rhs[1::2][here], out=offset[here])
@@ -243,7 +231,7 @@ def _eliminate_odd(
         even_diagonal[after] -= np.matmul(right_t, to_right, out=square[1, :n_beside])
         even_rhs[after] -= np.matmul(right_t, solved[:n_beside], out=wide[:n_beside])
     level.to_right[n_right:] = 0.0
-    return level, offset, log_determinant, (even_diagonal, even_upper, even_rhs)
+    return level, offset, (even_diagonal, even_upper, even_rhs)
 
 
 def _substitute(levels: list[_Level], offsets: list[Array], root: Array) -> Array:
@@ -313,10 +301,6 @@ def _pieces(level: _Level) -> Iterator[tuple[slice, slice]]:
 
 def _next(nodes: slice) -> slice:
     return slice(nodes.start + 1, nodes.stop + 1)
-
-
-def _log_determinant(factor: Array) -> float:
-    return 2.0 * float(np.sum(np.log(np.einsum("kii->ki", factor))))
 
 
 def _cholesky(blocks: Array) -> Array:

@@ -59,14 +59,10 @@ def identified_values(
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
     arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
     sigma_b = np.sqrt(np.diag(arm_covariance))
+    # The value stays where nothing shows it: it is the one that leads from the box to the antenna in the trajectory.
+    observable = bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2]))
     stated = config.mounting.lever_arm_b is not None
-    out["lever_arm_b"] = Identified(
-        arm_b.tolist(),
-        None if stated else sigma_b.tolist(),
-        "m",
-        bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2])) or stated,
-        "configured" if stated else "identified",
-    )
+    out["lever_arm_b"] = _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, stated)
     stated = config.mounting.R_bs is not None
     common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T) * [1.0, 1.0, 0.0 if mounting.by_wheels else 1.0]
     # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
@@ -103,13 +99,13 @@ def identified_values(
 
 
 def _value(
-    value: float | list[float], sigma: float | None, unit: str, observable: bool, configured: bool
+    value: float | list[float], sigma: float | list[float] | None, unit: str, observable: bool, configured: bool
 ) -> Identified:
     if configured:
         return Identified(value, None, unit, True, "configured")
     return Identified(
         float(value) if isinstance(value, float) else value,
-        None if sigma is None else float(sigma),
+        float(sigma) if isinstance(sigma, float) else sigma,
         unit,
         observable,
         "identified" if observable else "default",

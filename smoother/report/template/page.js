@@ -8,6 +8,7 @@
   const MARGIN = { left: 50, right: 10, top: 22, bottom: 6 };
   const AXIS = 24; // px below the lowest panel
   const LINE = 15; // px of a title that takes another line
+  const WIDEST = 2; // times the reach of its line that a band may widen a panel at each side, lest an outage flatten it
   const data = JSON.parse(document.getElementById("data").textContent);
   const place = (id) => document.getElementById(id);
 
@@ -101,6 +102,14 @@
     }
     close();
     return d;
+  }
+  function around(series, first, last, least) { // limits that hold lines and bands, and whether a band goes beyond
+    const lines = extent(series.map((s) => s.y), first, last);
+    const edges = series.filter((s) => s.sigma).flatMap((s) => [-2, 2].map((k) => s.y.map((y, i) => y + k * s.sigma[i])));
+    const bands = extent([...series.map((s) => s.y), ...edges], first, last);
+    const most = WIDEST * Math.max(lines[1] - lines[0], least);
+    const limits = [Math.max(bands[0], lines[0] - most), Math.min(bands[1], lines[1] + most)];
+    return [limits, limits[0] > bands[0] || limits[1] < bands[1]];
   }
   function nearest(list, value) {
     let low = 0, high = list.length - 1;
@@ -218,39 +227,43 @@
     { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
     { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
     { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
-    { name: "sideslip", title: () => "sideslip (deg), + slides to its left, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
+    { name: "sideslip", title: () => "sideslip (deg), + nose right of the path, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {
     const wide = room("traces", wanted);
-    const panels = PANELS.filter((p) => traces[p.name]).map((p) => ({ ...p, title: p.title(), height: grown(p.height, p.title(), wide) }));
-    const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
-    const [svg, width] = sheet("traces", total, wanted);
     const [first, last] = state.range;
-    const [x0, x1] = [grid[first], grid[last]];
-    const bends = data.corners.map((c) => [c.start, c.end]);
-    let top = 0, frame, highest;
-    const marks = [];
-    for (const p of panels) {
+    const panels = PANELS.filter((p) => traces[p.name]).map((p) => {
       const k = p.scale ? p.scale() : 1;
       const series = [...state.slots].map(([lap, slot]) => ({
         x: grid, y: traces[p.name][lap].map((v) => v * k), slot, span: [first, last],
         sigma: p.sigma && traces[p.sigma] ? traces[p.sigma][lap] : null,
         sure: p.sure && traces[p.sure] ? traces[p.sure][lap] : null,
       }));
-      const limits = extent(series.map((s) => s.y), first, last);
-      frame = panel(svg, { top, height: p.height }, { x0, x1, width, title: p.title, series, bends, limits, least: p.least });
+      const [limits, isCut] = around(series, first, last, p.least);
+      const title = p.title() + (isCut ? "; the band goes on beyond the frame" : "");
+      return { ...p, series, limits, title, height: grown(p.height, title, wide) };
+    });
+    const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
+    const [svg, width] = sheet("traces", total, wanted);
+    const [x0, x1] = [grid[first], grid[last]];
+    const bends = data.corners.map((c) => [c.start, c.end]);
+    let top = 0, frame, highest;
+    const marks = [];
+    for (const p of panels) {
+      frame = panel(svg, { top, height: p.height }, { ...p, x0, x1, width, bends });
       highest ??= frame.top;
-      for (const s of series) marks.push([make("circle", { r: 4, class: `dot f${s.slot % 6}` }, svg), s.y, frame.Y]);
+      for (const s of p.series) marks.push([make("circle", { r: 4, class: `dot f${s.slot % 6}` }, svg), s.y, frame.Y]);
       top += p.height;
     }
     const range = data.corners.filter((c) => c.apex > x0 && c.apex < x1);
-    let free = 0; // numbers that would stand in one another are left out; the bands of their corners are there
+    const free = [0, 0]; // two rows of numbers, else left out: the bands of their corners are there
     for (const c of range) {
       const x = frame.X(c.apex), half = 4 * String(c.number).length + 1;
-      if (x - half < free) continue;
-      write(svg, x, highest + 8, c.number, "corner", "middle");
-      free = x + half;
+      const level = free.findIndex((end) => x - half >= end);
+      if (level < 0) continue;
+      write(svg, x, highest + 8 + LINE * level, c.number, "corner", "middle");
+      free[level] = x + half;
     }
     bottomAxis(svg, x0, x1, width, top, data.axis === "time");
     if (data.axis === "distance") write(svg, MARGIN.left - 12, top + 17, "m", "", "end");
@@ -474,7 +487,8 @@
       for (const [key, sigma, digits] of [["delta", "delta_sigma", 3], ["offset", "offset_sigma", 2]]) {
         const value = traces[key] ? traces[key][lap][at] : NaN;
         const error = traces[sigma] ? traces[sigma][lap][at] : NaN;
-        html("td", fixed(value, digits, true) + (Number.isFinite(value + error) && error > 0 ? ` ± ${fixed(error, digits)}` : ""), row);
+        const isItself = key === "delta" && data.laps[lap].is_against;
+        html("td", isItself ? "–" : fixed(value, digits, true) + (Number.isFinite(value + error) && error > 0 ? ` ± ${fixed(error, digits)}` : ""), row);
       }
       for (const key of ["longitudinal", "sideways"]) html("td", fixed(traces[key] ? traces[key][lap][at] / 9.80665 : NaN, 2, true), row);
     }

@@ -264,7 +264,7 @@ def random_solution(n_keyframes: int) -> tuple[np.ndarray, ChainSolution]:
     blocks, k = P[:c, :c].reshape(n_keyframes, n, n_keyframes, n).transpose(0, 2, 1, 3), np.arange(n_keyframes)
     cross = P[:c, c:].reshape(n_keyframes, n, m)
     zeros = np.zeros((n_keyframes, n)), np.zeros(m)
-    return P, ChainSolution(*zeros, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross, 0.0)
+    return P, ChainSolution(*zeros, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross)
 
 
 def test_posterior_variance_of_rows_is_that_of_the_dense_covariance() -> None:

@@ -56,7 +56,7 @@ def assert_close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> 
 
 
 @pytest.mark.parametrize(("K", "n", "m"), SIZES)
-def test_solution_covariance_and_determinant_are_those_of_the_dense_system(K: int, n: int, m: int) -> None:
+def test_solution_and_covariance_are_those_of_the_dense_system(K: int, n: int, m: int) -> None:
     system = random_system(K, n, m)
     H, g = dense(system)
     P, x = np.linalg.inv(H), np.linalg.solve(H, g)
@@ -71,7 +71,6 @@ def test_solution_covariance_and_determinant_are_those_of_the_dense_system(K: in
     assert_close(found.cross, blocks[k[:-1], k[1:]], tolerance)
     assert_close(found.constants_covariance, P[c:, c:], tolerance)
     assert_close(found.constants_cross, P[:c, c:].reshape(K, n, m), tolerance)
-    assert found.log_determinant == pytest.approx(np.linalg.slogdet(H)[1], abs=1e-9 * len(g))
 
 
 def test_units_that_differ_by_six_decades_cost_no_digits() -> None:
@@ -99,7 +98,6 @@ def test_without_covariance_the_solution_is_the_same() -> None:
     full, bare = solve_chain(system), solve_chain(system, with_covariance=False)
     np.testing.assert_array_equal(bare.x, full.x)
     np.testing.assert_array_equal(bare.constants, full.constants)
-    assert bare.log_determinant == full.log_determinant
     assert bare.covariance.size == bare.cross.size == bare.constants_cross.size == 0
 
 

@@ -346,7 +346,7 @@ def random_covariance() -> tuple[np.ndarray, ChainSolution]:
     blocks, k = P[:c, :c].reshape(K, n, K, n).transpose(0, 2, 1, 3), np.arange(K)
     cross = P[:c, c:].reshape(K, n, m)
     empty = np.zeros((K, n)), np.zeros(m)
-    return P, ChainSolution(*empty, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross, 0.0)
+    return P, ChainSolution(*empty, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross)
 
 
 def test_posterior_covariance_is_that_of_the_dense_one() -> None:

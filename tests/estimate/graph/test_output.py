@@ -46,7 +46,7 @@ def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> 
     k, m = np.arange(K), CONSTANTS_SIZE
     own, cross = joint[k, :, k], joint[k[:-1], :, k[1:]]
     no = np.zeros((K, KEYFRAME_SIZE))
-    solution = ChainSolution(no, np.zeros(m), own, cross, np.eye(m), np.zeros((K, KEYFRAME_SIZE, m)), 0.0)
+    solution = ChainSolution(no, np.zeros(m), own, cross, np.eye(m), np.zeros((K, KEYFRAME_SIZE, m)))
     errors = root.reshape(K, KEYFRAME_SIZE, -1)
     position, velocity = R_ns @ errors[:, TRANSLATION], errors[:, VELOCITY]
     halfway = 1.5 / T * (position[1:] - position[:-1]) - 0.25 * (velocity[1:] + velocity[:-1])

@@ -41,7 +41,7 @@ def test_a_kart_that_does_not_drive_may_point_anywhere_and_tells_no_constants(
     told = found.report.identified
     for name in ("gps_position_latency", "gps_velocity_latency", "gps_velocity_response", "lever_arm_b", "R_bs"):
         assert not told[name].observable, name
-        assert told[name].source == "default" or name == "lever_arm_b"
+        assert told[name].source == "default", name
     assert told["gps_position_latency"].sigma == pytest.approx(LATENCY)
     assert told["gps_velocity_latency"].sigma == pytest.approx(LATENCY)
     np.testing.assert_allclose(told["lever_arm_b"].sigma, ARM)  # type: ignore[arg-type]

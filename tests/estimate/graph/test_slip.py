@@ -9,6 +9,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.evaluate import errors_between
+from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph import slip as slip_module
 from smoother.estimate.graph import smoother as smoother_module
 from smoother.estimate.graph import solve
@@ -221,6 +222,12 @@ def test_wheels_draw_no_latency_and_no_arm(both: tuple[Simulation, Session, Traj
     for key in ("gps_position_latency", "gps_velocity_latency"):
         one, other = with_wheels.report.identified[key], without.report.identified[key]
         assert (one.value, one.sigma) == (other.value, other.sigma)
+    # what is found of the nose turns the kart's axes about the box: the arm stays where it was in those of the box
+    arms = [
+        np.array(found["R_bs"].value).T @ np.array(found["lever_arm_b"].value)
+        for found in (with_wheels.report.identified, without.report.identified)
+    ]
+    np.testing.assert_allclose(arms[0], arms[1], rtol=0.0, atol=1e-9)
 
 
 def test_the_first_step_with_wheels_finds_how_much_slip_there_is() -> None:
@@ -298,5 +305,24 @@ def test_a_box_that_turns_otherwise_than_the_kart_is_left_alone(damage: str, mon
     assert len(decided) == (1 if damage == "none" else 0)
 
 
-def test_what_is_steered_is_told_from_wheels_by_much() -> None:
-    assert slip_module.FIRST < 0.3 * slip_module.MOST
+def test_what_is_steered_is_told_from_wheels_by_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit lies well away from both a box on the frame and one that turns with the hands."""
+    scatter = {}
+    decide = batch_module.slip_noise
+    for steering in (0.0, 10.0 * DEG):
+        asked = []
+
+        def watched(*given: Any, asked: list[Any] = asked) -> Any:
+            asked.append(given)
+            return decide(*given)
+
+        monkeypatch.setattr(batch_module, "slip_noise", watched)
+        GraphSmoother().estimate(kart("kart", **({"motion_steering": steering} if steering else {}))[1])
+        with monkeypatch.context() as unlimited:
+            for limit in ("MOST", "APART", "MOST_SLIDING"):
+                unlimited.setattr(slip_module, limit, np.inf)
+            noise = decide(*asked[0])
+        assert noise is not None
+        scatter[steering] = noise.sigma
+    assert scatter[0.0] < 0.3 * slip_module.MOST
+    assert scatter[10.0 * DEG] > 3.0 * slip_module.MOST
