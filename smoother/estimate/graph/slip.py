@@ -142,12 +142,18 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
 
 
 def _slides(angle: Array, moves: BoolArray, interval: float) -> BoolArray:
-    """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move."""
-    if not moves.any():
+    """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move.
+
+    Beside what is usual in its BLOCK: attitudes that nothing holds are off by more, but for longer.
+    """
+    at = np.flatnonzero(moves)
+    if not len(at):
         return moves
-    sliding = moves & (np.abs(wrap_angle(angle - np.median(angle[moves]))) > SLIDING)
-    around = round(AROUND / interval)
-    return np.convolve(sliding, np.ones(2 * around + 1), "same")[: len(angle)] > 0.5
+    first = np.arange(0, len(at), round(BLOCK / interval))
+    usual = np.repeat([np.median(block) for block in np.split(angle[at], first[1:])], np.diff(first, append=len(at)))
+    sliding = np.zeros(len(angle))
+    sliding[at] = np.abs(wrap_angle(angle[at] - usual)) > SLIDING
+    return np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same")[: len(angle)] > 0.5
 
 
 def tells_nose(variance: float) -> bool:

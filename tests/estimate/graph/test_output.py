@@ -69,7 +69,7 @@ def test_the_line_is_that_of_the_antenna_whose_arm_errs_with_the_motion() -> Non
     )
     no = np.zeros((K, KEYFRAME_SIZE))
     with_constants = np.einsum("kir,jr->kij", of_keyframes, of_constants)
-    solution = ChainSolution(no, np.zeros(m), own, cross, of_constants @ of_constants.T, with_constants, 0.0)
+    solution = ChainSolution(no, np.zeros(m), own, cross, of_constants @ of_constants.T, with_constants)
     step, line = 1e-3, np.empty((K, 2, 2 * size))
     for i, error in enumerate(step * root.T):
         moved = state.retract(error[:size].reshape(K, KEYFRAME_SIZE), error[size:])
