@@ -80,9 +80,14 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
 
 
 def along_wheels(mounting: FittedMounting, constants: Constants, variance: float) -> FittedMounting:
-    """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the level axes."""
-    offset = constants.slip[0]
-    ahead_b = mounting.R_bs @ (np.array([np.cos(offset), np.sin(offset), 0.0]) @ constants.level_axes_s)
+    """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the first level axis.
+
+    About what is up in the mounting: the level axes are an alignment's, with few fixes some degrees off level and tens
+    off the nose, and turned about their own up the nose would be off by the product of both.
+    """
+    offset, axis_b = constants.slip[0], mounting.R_bs @ constants.level_axes_s[0]
+    turned = so3.exp(np.array([[0.0, 0.0, offset]]))[0]
+    ahead_b = turned @ (axis_b * [1.0, 1.0, 0.0])
     turn = so3.exp(np.array([[0.0, 0.0, -np.arctan2(ahead_b[1], ahead_b[0])]]))[0]
     sigma = np.array([*mounting.sigma[:2], np.sqrt(variance)])
     return replace(mounting, R_bs=turn @ mounting.R_bs, sigma=sigma, by_wheels=True)

@@ -7,7 +7,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.imu import are_told
-from smoother.estimate.graph.mounting import fit_mounting, swing_on_the_wheel
+from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, swing_on_the_wheel
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
@@ -154,3 +154,18 @@ def test_samples_on_one_side_tell_a_keyframe() -> None:
     missing = np.array([0.0, 0.8, 0.1, 0.9, 1.0, 0.5])
     np.testing.assert_array_equal(are_told(missing), [1, 1, 1, 1, 0, 0, 0])
     assert np.all(are_told(np.array([0.0, 1.0, 0.0, 1.0, 0.0])))  # bursts in every other interval tell all
+
+
+def test_the_nose_that_slip_tells_is_beside_axes_that_are_not_quite_level() -> None:
+    """Of an alignment with few fixes: 8 deg off level, half a radian off the nose."""
+    R_bs = so3.exp(np.array([[0.3, -0.8, 2.0]]))[0]
+    tilted = so3.exp(np.array([[8.0 * DEG, -8.0 * DEG, 0.0]]))[0]
+    axes = tilted @ so3.exp(np.array([[0.0, 0.0, -0.5]]))[0] @ R_bs
+    axis_b = R_bs @ axes[0]  # its direction on level ground, and how far the nose is to the left of it
+    offset = -np.arctan2(axis_b[1], axis_b[0])
+    constants = Constants(0.0, 0.0, np.zeros(3), slip=np.array([offset, 0.0, 0.0, 0.0]), level_axes_s=axes)
+    askew = so3.exp(np.array([[0.0, 0.0, 0.1]]))[0] @ R_bs
+    found = along_wheels(FittedMounting(askew, np.full(3, 0.01), True, True), constants, 0.02**2)
+    np.testing.assert_allclose(found.R_bs, R_bs, atol=1e-12)
+    assert found.by_wheels
+    assert found.sigma[2] == pytest.approx(0.02)
