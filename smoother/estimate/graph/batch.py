@@ -69,6 +69,7 @@ STILL_TURN = 3e-4  # rad between keyframes, likewise
 # m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
 # are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
 LEVEL_GROUND = 2.0
+NEAR_FIX = 1.0  # s; beyond, a direction of the path is what the samples add up to
 FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone carry a height
 HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: one of them may be wild
 
@@ -255,7 +256,13 @@ class Batch:
 
     def _slip(self, state: ChainState, noise: Noise) -> Slip:
         path = self.path(state)
-        return slip_of(state, path, expected_of(self._data, path, state, noise), self._told)
+        return slip_of(state, path, expected_of(self._data, path, state, noise), self._told, self._seen(state))
+
+    def _seen(self, state: ChainState) -> BoolArray:
+        """Mask (K,) of the keyframes that fixes are near to."""
+        t = self._data.t
+        first, last = (np.searchsorted(t, state.t + NEAR_FIX * side) for side in (-1.0, 1.0))
+        return np.asarray(last > first)
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise, *, was_without_wheels: bool = False
@@ -269,7 +276,7 @@ class Batch:
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         slip = None
         if noise.slip is not None:
-            slip = slip_of(state, path, felt, self._told)
+            slip = slip_of(state, path, felt, self._told, self._seen(state))
             for r in slip_rows(slip, state.interval, noise.slip.sigma):
                 judged = not_doubted_by(slip, noise.slip.unsure, r) if was_without_wheels else r
                 rows[r.name] = replace(r, weight=_robust(judged).weight)

@@ -107,10 +107,11 @@ class Slip:
         return np.flatnonzero(self.moves[:-1] & self.moves[1:])
 
 
-def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: BoolArray) -> Slip:
+def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: BoolArray, seen: BoolArray) -> Slip:
     """Return the slip at the keyframes of `state`. felt: the motion expected along `path`, which noise does not turn.
 
     told (K,): keyframes whose attitude samples tell; others' comes from the path, and would be asked for twice.
+    seen (K,): keyframes near fixes, which show a slide; in an outage the path may point anywhere before wheels tell it.
     Only the turn about up is asked for: how steeply noise makes the path climb in the kart must not tilt it.
     """
     velocity_n, ahead_n = state.velocity_n, state.R_ns @ state.constants.level_axes_s[0]
@@ -129,7 +130,7 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
     course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
     angle = wrap_angle(course - design @ state.constants.slip)
     moves = (speed > MOVING) & told
-    rolls = moves & ~_slides(angle, moves, state.interval)
+    rolls = moves & ~_slides(angle, moves & seen, state.interval)
     return Slip(
         angle / level,
         rolls,
@@ -142,7 +143,7 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
 
 
 def _slides(angle: Array, moves: BoolArray, interval: float) -> BoolArray:
-    """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move.
+    """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move and are seen.
 
     Beside what is usual in its BLOCK: attitudes that nothing holds are off by more, but for longer.
     """

@@ -66,7 +66,7 @@ def told() -> np.ndarray:
 def test_the_slip_is_the_angle_from_nose_to_path_less_what_the_constants_say() -> None:
     angle = 0.01 * np.arange(K) - 0.03
     state, path, felt = driven(angle)
-    found = slip_of(state, path, felt, told())
+    found = slip_of(state, path, felt, told(), told())
     np.testing.assert_allclose(found.value * found.level, angle, atol=1e-12)
     sliding = replace(state, constants=replace(state.constants, slip=SLIDES))
     v = state.velocity_n
@@ -75,18 +75,18 @@ def test_the_slip_is_the_angle_from_nose_to_path_less_what_the_constants_say() -
     jerk_n = np.gradient(felt.acceleration_n, T, axis=0)
     later = (v[:, 0] * jerk_n[:, 1] - v[:, 1] * jerk_n[:, 0]) / speed
     expected = angle - np.column_stack([np.ones(K), lateral, later, lateral / speed**2]) @ SLIDES
-    found = slip_of(sliding, path, felt, told())
+    found = slip_of(sliding, path, felt, told(), told())
     np.testing.assert_allclose(found.value * found.level, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("heading", [0.0, np.pi - 0.1, -2.0])
 def test_jacobians_are_those_of_a_turn_about_up_and_of_velocity(heading: float) -> None:
     state, path, felt = driven(np.full(K, 0.05), heading)
-    found, step = slip_of(state, path, felt, told()), 1e-6
+    found, step = slip_of(state, path, felt, told(), told()), 1e-6
     for column in range(KEYFRAME_SIZE):
         delta = np.zeros((K, KEYFRAME_SIZE))
         delta[:, column] = step
-        moved = slip_of(state.retract(delta, np.zeros_like(state.constants.as_vector())), path, felt, told())
+        moved = slip_of(state.retract(delta, np.zeros_like(state.constants.as_vector())), path, felt, told(), told())
         # of turns in s that do not turn the nose about up nothing is asked: the kart is level here
         by_step = (moved.value * moved.level - found.value * found.level) / step  # how level goes with it is left out
         np.testing.assert_allclose(by_step, found.level * found.by_keyframe[:, column], atol=1e-5)
@@ -96,7 +96,7 @@ def test_jacobians_are_those_of_a_turn_about_up_and_of_velocity(heading: float) 
         constants = state.constants.as_vector()
         constants[SLIP.start + i] += step
         other = replace(state, constants=Constants.from_vector(constants, state.constants.level_axes_s))
-        moved = slip_of(other, path, felt, told())
+        moved = slip_of(other, path, felt, told(), told())
         np.testing.assert_allclose((moved.value - found.value) / step, found.by_constants[:, i], atol=1e-6)
 
 
@@ -105,13 +105,15 @@ def test_a_kart_that_slides_is_not_asked_how_its_wheels_roll() -> None:
     angle = np.full(60, 0.4)
     angle[30:33] += np.pi
     state, path, felt = driven(angle)
-    found = slip_of(state, path, felt, np.ones(60, dtype=np.bool_))
+    found = slip_of(state, path, felt, *2 * (np.ones(60, dtype=np.bool_),))
     np.testing.assert_array_equal(np.flatnonzero(~found.moves), np.arange(25, 38))
     assert found.sliding == pytest.approx(13 / 60)
+    unseen = slip_of(state, path, felt, np.ones(60, dtype=np.bool_), np.zeros(60, dtype=np.bool_))
+    assert np.all(unseen.moves)  # in an outage the path points where the samples add up to
     # an attitude that nothing holds is off by as much, but not for a moment
     for usual in (np.full(60, 0.4), np.linspace(0.0, 1.2, 300)):
         state, path, felt = driven(usual)
-        found = slip_of(state, path, felt, np.ones(len(usual), dtype=np.bool_))
+        found = slip_of(state, path, felt, *2 * (np.ones(len(usual), dtype=np.bool_),))
         assert np.all(found.moves)
         assert found.sliding == 0.0
 
