@@ -18,6 +18,9 @@ from smoother.frames import Origin, geodetic_to_nwu
 SENSOR_AXES = 3
 
 
+DEAD_AXES = "imu_axis_dead"  # code of the problem that axes of the inertial sensor never change
+
+
 @dataclass(frozen=True)
 class Problem:
     """A flaw of the data that was lived with: a machine-readable code, a sentence for people, and how often."""

@@ -283,6 +283,7 @@ def write(
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
     from smoother.disc import settle
+    from smoother.estimate.true_time import unix_at_zero
     from smoother.laps.document import lap_table
     from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
 
@@ -290,12 +291,12 @@ def write(
     progress("writing", 0.0)
     with watch.stage("writing"):
         laps = lap_columns(estimates.laps, estimates.smoothed, smoothed.t)
-        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, session.unix_at_zero, laps)
+        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, unix_at_zero(session, smoothed.report), laps)
         if estimates.laps is not None:
             write_csv(directory / LAPS, lap_table(estimates.laps))
         write_fixes(directory / FIXES, session, smoothed.report.fixes)
         if baseline is not None:
-            write_trajectory(directory / BASELINE, baseline, session.origin, session.unix_at_zero)
+            write_trajectory(directory / BASELINE, baseline, session.origin, unix_at_zero(session, smoothed.report))
         else:
             (directory / BASELINE).unlink(missing_ok=True)
     settle(smoothed, baseline)

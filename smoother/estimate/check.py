@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.estimate.align import PathMotion, align
-from smoother.samples import GnssFixes, ImuSamples, RawImu, RawMag, RawSession
+from smoother.samples import DEAD_AXES, GnssFixes, ImuSamples, RawImu, RawMag, RawSession
 from smoother.session.clock import find_gaps, regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -23,7 +23,7 @@ ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
 _WITH_SENSOR = (".klg", "out.txt", "imu.csv", "imu.csv.gz", "simulation")  # ends of inputs that promise a motion sensor
-_JUDGED_HERE = ("gps_gap", "imu_gap", "imu_axis_dead")  # problems of the reader that are judged below by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, median
+from smoother.arrays import Array, BoolArray, median
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
-from smoother.samples import Session
+from smoother.samples import DEAD_AXES, Session
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
+from smoother.words import counted
 
 ROW = 0.1  # s, between the rows that are asked about attitude
 
@@ -40,6 +41,8 @@ class QualityLimits:
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
     direction of travel, beyond any banked track; by less, stated axes may be off a box that does not lie level.
+    near_seconds: of a fix, beyond which rows are not judged: where both sensors paused nobody knows what was between.
+    fewest_fixes: that make a path at all.
     """
 
     near_fix: float = 5.0  # m
@@ -67,6 +70,8 @@ class QualityLimits:
     sideways: float = 35.0 * DEG
     sideways_share: float = 0.20
     overturned: float = 25.0 * DEG
+    near_seconds: float = 5.0
+    fewest_fixes: int = 5
 
 
 @dataclass(frozen=True)
@@ -83,22 +88,36 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     limits = QualityLimits() if limits is None else limits
     finite = bool(np.isfinite(estimate.position_n).all() and np.isfinite(estimate.velocity_n).all())
     release(estimate)
-    measures = {"top_speed_mps": float(np.nanmax(estimate.speed, initial=0.0)), **_distances(session, estimate, limits)}
+    near = _near_fixes(session, estimate.t, limits)
+    speed = np.where(near, estimate.speed, 0.0)
+    measures = {"top_speed_mps": float(np.nanmax(speed, initial=0.0)), **_distances(session, estimate, limits)}
     if estimate.sigmas is not None:
         sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
-        measures["median_sigma_horizontal_m"] = median(sigma)
+        measures["median_sigma_horizontal_m"] = median(sigma[near] if near.any() else sigma)
     release(estimate)
     reasons = [] if finite else ["some rows have no position or velocity"]
-    measures |= _attitude_measures(estimate, limits)
+    if len(session.gnss) < limits.fewest_fixes:
+        reasons.append(f"{counted(len(session.gnss), 'fix')} can not tell how the kart went")
+    measures |= _attitude_measures(session, estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
-    reasons += _residual_reasons(estimate, limits) + _axes_reasons(estimate)
+    reasons += _residual_reasons(estimate, limits) + _axes_reasons(session, estimate)
     return Quality(not reasons, tuple(reasons), measures)
 
 
-def _axes_reasons(estimate: Trajectory) -> list[str]:
-    """Axes that no mounting explains give attitudes that are wrong by ten times their sigmas, and look whole."""
-    wrong = [problem for problem in estimate.report.problems if problem.code in (MIRRORED_AXES, UNLIKE_AXES)]
-    return [problem.text.partition(":")[0] for problem in wrong if estimate.report.mode == "full"]
+def _near_fixes(session: Session, t: Array, limits: QualityLimits) -> BoolArray:
+    """Mask (M,) of the times t (M,) s that lie near a fix."""
+    fixes = session.gnss.t
+    first, last = (np.searchsorted(fixes, t + side * limits.near_seconds) for side in (-1.0, 1.0))
+    return np.asarray(last > first)
+
+
+def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
+    """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole."""
+    if estimate.report.mode != "full":
+        return []
+    wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
+    dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code == DEAD_AXES]
+    return wrong + dead
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
@@ -157,17 +176,18 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
     return reasons
 
 
-def _attitude_measures(estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
+def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
     """How well the heading is known, how the box stands in the kart from time to time, how much of it is sideways."""
     estimate = _thinned(estimate)
     known = np.isfinite(estimate.R_nb).all(axis=(1, 2))
     if estimate.report.mode != "full" or estimate.sigmas is None or not known.any():
         return {}
-    driving = known & (estimate.speed > limits.driving_speed)
+    near = _near_fixes(session, estimate.t, limits)
+    driving = known & near & (estimate.speed > limits.driving_speed)
     t = estimate.t[driving]
     if estimate.t[-1] - estimate.t[0] < limits.lean_seconds:
         return {}
-    if np.mean(driving) < limits.least_driving:
+    if np.count_nonzero(driving) < limits.least_driving * np.count_nonzero(near):
         return {"parked_sigma_yaw_rad": float(np.median(estimate.sigmas.attitude[known, 2]))}
     if t[-1] - t[0] < limits.lean_seconds:
         return {}

@@ -9,7 +9,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import Problem, Session
-from smoother.trajectory import JointPosition, Trajectory
+from smoother.trajectory import EstimateReport, JointPosition, Trajectory
 
 CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
 BEYOND_BELIEF = 0.1  # more is not a clock
@@ -24,6 +24,22 @@ def clock_scale(session: Session) -> float:
     """Return how many seconds of the session pass in a true one; 1 where its clock is good, or nothing tells."""
     slope, _ = _against_utc(session)
     return slope if CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF else 1.0
+
+
+def unix_at_zero(session: Session, report: EstimateReport) -> float | None:
+    """UTC, seconds since 1970, at t = 0 of the motion; None where the receiver never told it.
+
+    A receiver says when a fix was true, and the clock of the session stamps it when it comes: later by the delay, where
+    the session tells that.
+    """
+    unix_s = session.gnss.unix_s
+    difference = np.empty(0) if unix_s is None else unix_s - session.gnss.t
+    known = np.isfinite(difference)
+    if not known.any():
+        return session.unix_at_zero
+    latency = report.identified.get("gps_position_latency")
+    told = latency is not None and latency.observable and isinstance(latency.value, float)
+    return float(np.median(difference[known])) + (float(np.asarray(latency.value)) if told and latency else 0.0)
 
 
 def clock_problems(session: Session) -> tuple[Problem, ...]:

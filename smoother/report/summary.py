@@ -8,6 +8,7 @@ import numpy as np
 import smoother
 from smoother.arrays import median
 from smoother.estimate.quality import Quality
+from smoother.estimate.true_time import unix_at_zero
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Trajectory
@@ -98,7 +99,7 @@ def _about(session: Session, estimate: Trajectory) -> Document:
     return {
         "name": session.name,
         **{key: value for key, value in names.items() if value is not None},
-        "start_utc": _iso(session.unix_at_zero, float(estimate.t[0])),
+        "start_utc": _iso(unix_at_zero(session, estimate.report), float(estimate.t[0])),
         "start_s": float(estimate.t[0]),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),

@@ -20,7 +20,7 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import DEAD_AXES, SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes
@@ -244,7 +244,7 @@ def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
     if 0 < len(dead) < SENSORS * SENSOR_AXES:
         axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
         text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
-        yield Problem("imu_axis_dead", text)
+        yield Problem(DEAD_AXES, text)
 
 
 def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:

@@ -77,6 +77,7 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     return time[~stray], index[~stray]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd times are dropped later, with their reason
 def _is_flawless(rows: RowFilter, t: Array) -> bool:
     """Whether all rows are in use and stand in time order without a long gap; a day is looked at bit by bit."""
     if t.size == 0 or not np.all(rows.keep) or not (abs(t[0]) <= LATEST and abs(t[-1]) <= LATEST):

@@ -7,7 +7,7 @@ import pytest
 
 from smoother.estimate.quality import QualityLimits, assess
 from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
-from smoother.samples import GnssFixes, Problem, Session
+from smoother.samples import DEAD_AXES, GnssFixes, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
 
 ORIGIN = Origin(45.0, 12.0, 30.0)
@@ -188,3 +188,38 @@ def test_axes_that_no_mounting_explains_are_wrong_wherever_they_were_used(code: 
     told = EstimateReport(problems=(Problem(code, "ay is mirrored: change it"),), mode="full")
     assert assess(session(), estimate(report=told)).reasons == ("ay is mirrored",)
     assert assess(session(), estimate(report=replace(told, mode="gps-only"))).passed
+
+
+def test_nobody_judges_what_was_while_both_sensors_paused() -> None:
+    """Rows there run away, as nothing tells otherwise; a hole of 100 s is half of this session."""
+    whole, found = session(), estimate()
+    hole = (whole.gnss.t > 50.0) & (whole.gnss.t < 150.0)
+    fixes = whole.gnss.select(~hole)
+    inside = (found.t > 55.0) & (found.t < 145.0)
+    velocity_n = np.where(inside[:, None], [0.0, 900.0, 0.0], found.velocity_n)
+    assert found.sigmas is not None
+    wide = np.where(inside[:, None], 1e4, found.sigmas.position_n)
+    told = replace(found.report, mode="full")
+    lost = replace(found, velocity_n=velocity_n, sigmas=replace(found.sigmas, position_n=wide), report=told)
+    assert assess(replace(whole, gnss=fixes), lost).passed
+    reasons = " ".join(assess(whole, lost).reasons)
+    assert "km/h" in reasons
+    assert "sideways" in reasons
+
+
+@pytest.mark.parametrize(("n", "passes"), [(1, False), (4, False), (5, True)])
+def test_a_few_fixes_are_no_drive(n: int, passes: bool) -> None:
+    whole = session()
+    few = whole.gnss.select(np.arange(len(whole.gnss)) < n)
+    quality = assess(replace(whole, gnss=few), estimate())
+    assert quality.passed == passes
+    assert passes or "can not tell how the kart went" in quality.reasons[0]
+
+
+@pytest.mark.parametrize(("mode", "passes"), [("full", False), ("gps-only", True)])
+def test_a_dead_axis_is_no_attitude(mode: str, passes: bool) -> None:
+    dead = Problem(DEAD_AXES, "imu.csv: z of the gyroscope never changes; attitude and what depends on it are wrong")
+    told = EstimateReport(mode=mode)  # type: ignore[arg-type]
+    quality = assess(replace(session(), problems=(dead,)), estimate(report=told))
+    assert quality.passed == passes
+    assert passes or quality.reasons == ("z of the gyroscope never changes",)

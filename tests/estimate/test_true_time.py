@@ -7,10 +7,11 @@ import pytest
 
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
+from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time, unix_at_zero
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import EstimateReport, Identified
 
 
 def drive(drift: float) -> Simulation:
@@ -84,3 +85,14 @@ def test_a_clock_that_is_off_costs_no_accuracy() -> None:
         truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, origin=origin)
         errors.append(evaluate(estimate, truth).horizontal_velocity_rms_mps)
     assert errors[1] < 1.1 * errors[0]  # the same noise on the same drive; 2 % of 15 m/s would be 0.3 m/s
+
+
+@pytest.mark.parametrize(("observable", "later"), [(True, 0.15), (False, 0.0)])
+def test_utc_is_that_of_the_motion_and_not_of_stamps_that_come_late(observable: bool, later: float) -> None:
+    given = session(0.0)
+    late = replace(given, gnss=replace(given.gnss, unix_s=1.7e9 + given.gnss.t - 0.15))
+    latency = Identified(0.15, 0.01, "s", observable, "identified" if observable else "default")
+    told = EstimateReport(identified={"gps_position_latency": latency})
+    assert unix_at_zero(late, told) == pytest.approx(1.7e9 - 0.15 + later, abs=1e-3)
+    without = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=5.0)
+    assert unix_at_zero(without, told) == 5.0

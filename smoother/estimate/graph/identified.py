@@ -89,10 +89,11 @@ def identified_values(
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
     out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
     out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
+    # how large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best
     sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
     source = "identified" if shown else "default"
-    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown, source)
     told = math.isfinite(noise.offset_tau_spread)
+    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown and told, source)
     sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
     out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
     return out

@@ -14,9 +14,12 @@ from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
 from smoother.trajectory import Identified
 
 
-def told(sampled_every: float, sigma: float = 2e-3, **priors: bool) -> dict[str, Identified]:
+def told(
+    sampled_every: float, sigma: float = 2e-3, tau_spread: float = math.inf, **priors: bool
+) -> dict[str, Identified]:
     """Of latencies known to `sigma`, s, with priors of 0.25 s."""
-    noise = Noise(InertialNoise(0.1, 0.01, 0.003, 1e-4), *(np.full(3, 0.5) for _ in range(3)), 60.0, np.full(3, 0.01))
+    inertial, half = InertialNoise(0.1, 0.01, 0.003, 1e-4), np.full(3, 0.5)
+    noise = Noise(inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread)
     beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
     return identified_values(
         Constants(0.12, 0.2, np.zeros(3)),
@@ -42,3 +45,9 @@ def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
     assert told(0.02, drives=False)["gps_position_latency"].sigma == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("spread", "observable"), [(math.inf, False), (0.2, True)])
+def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, observable: bool) -> None:
+    value = told(0.0, tau_spread=spread)["gps_offset_sigma"]
+    assert value.observable == observable
