@@ -214,7 +214,7 @@ def _log_likelihood(seen: Drift, candidates: Array) -> Array:
         p02, p12, p22 = keep * (p02 + h * p12), keep * p12, variance + keep**2 * (p22 - variance)
         x0, x2 = x0 + h * x1, keep * x2
         a0, a1, a2 = p00 + p02, p01 + p12, p02 + p22
-        s = a0 + a2 + white * noise
+        s = np.maximum(a0 + a2, 0.0) + white * noise  # after a pause of an hour rounding could make it negative
         innovation = z - x0 - x2
         total -= np.log(s) + 0.5 * np.sum(innovation**2, axis=0) / s
         g0, g1, g2 = a0 / s, a1 / s, a2 / s
