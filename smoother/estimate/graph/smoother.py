@@ -10,7 +10,7 @@ fails, the result is the smoothing of the fixes alone.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,7 +42,7 @@ from smoother.estimate.in_step import in_step
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
-from smoother.trajectory import EstimateReport, Trajectory
+from smoother.trajectory import EstimateReport, Identified, Trajectory
 from smoother.words import counted
 
 __all__ = ["GraphOptions", "GraphSmoother"]
@@ -57,6 +57,7 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as w
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
+EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
@@ -141,9 +142,24 @@ class GraphSmoother:
                 *told.problems,
                 *solution.problems,
                 *_shaken(session, solution.noise),
+                *_early(told.identified),
             ),
         )
         return replace(trajectory, report=report)
+
+
+def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
+    """Say so where fixes come before they are true: stamps of samples and fixes are then not on one clock."""
+    latency = identified["gps_position_latency"]
+    if not (latency.observable and isinstance(latency.value, float) and isinstance(latency.sigma, float)):
+        return ()
+    if latency.value + EARLY_SIGMAS * latency.sigma > -EARLY:
+        return ()
+    text = (
+        f"the fixes seem to come {-latency.value:.2f} s before they are true: the samples' t_s is late by more than "
+        "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
+    )
+    return (Problem("gps_early", text),)
 
 
 def _start_in_step(session: Session, options: GraphOptions) -> tuple[Session, Start, ForceDelay]:

@@ -10,6 +10,7 @@ from smoother.estimate.graph.batch import Noise, Priors
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.imu import InertialNoise
 from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.smoother import _early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
 from smoother.trajectory import Identified
 
@@ -51,3 +52,11 @@ def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
 def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, observable: bool) -> None:
     value = told(0.0, tau_spread=spread)["gps_offset_sigma"]
     assert value.observable == observable
+
+
+@pytest.mark.parametrize(("value", "said"), [(-0.8, True), (-0.06, False), (0.1, False)])
+def test_fixes_that_come_before_they_are_true_are_named(value: float, said: bool) -> None:
+    latency = Identified(value, 0.006, "s", True, "identified")
+    problems = _early({"gps_position_latency": latency})
+    assert [p.code for p in problems] == (["gps_early"] if said else [])
+    assert not _early({"gps_position_latency": Identified(value, 0.25, "s", False, "default")})
