@@ -182,7 +182,8 @@ def drift_against_doppler(fixes_t: Array, path: GnssPath) -> Drift:
     offset_n = path.at(fixes_t - path.position_latency).offset_n
     drift = (offset_n - path.position_residual_n)[:, :2] + added
     noise = path.velocity_sigma[0] * path.velocity_scale[1:] * step
-    walk = np.where(both & (step < GAP), noise, 0.5 * WILD * step**2) ** 2
+    # over a pause of an hour it may be anywhere; a larger number would only take the digits of all that follows
+    walk = np.where(both & (step < GAP), noise, np.minimum(0.5 * WILD * step**2, ANYWHERE)) ** 2
     walk = np.concatenate([[0.0], np.cumsum(walk)])
     use = np.flatnonzero(np.isfinite(drift).all(axis=1) & (path.position_weight > WEIGHTY))
     if path.position_sigma[0] < AVERAGED:
@@ -214,7 +215,7 @@ def _log_likelihood(seen: Drift, candidates: Array) -> Array:
         p02, p12, p22 = keep * (p02 + h * p12), keep * p12, variance + keep**2 * (p22 - variance)
         x0, x2 = x0 + h * x1, keep * x2
         a0, a1, a2 = p00 + p02, p01 + p12, p02 + p22
-        s = np.maximum(a0 + a2, 0.0) + white * noise  # after a pause of an hour rounding could make it negative
+        s = a0 + a2 + white * noise
         innovation = z - x0 - x2
         total -= np.log(s) + 0.5 * np.sum(innovation**2, axis=0) / s
         g0, g1, g2 = a0 / s, a1 / s, a2 / s

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.gnss_offset import (
+    ANYWHERE,
     FEWEST,
     PRICE,
     OffsetFit,
@@ -129,6 +130,14 @@ def test_an_outage_tells_nothing(fits: Callable[..., Made]) -> None:
     """Over a gap Doppler cannot be added up: what its path does there must not pass for an offset."""
     made = fits(seed=2, duration=300.0, offset=(0.0, 0.0, 0.0), outages=((100.0, 112.0), (200.0, 206.0)), **UNFILTERED)
     assert fitted(made).evidence < 2.0 * PRICE
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pause_of_an_hour_leaves_numbers(fits: Callable[..., Made]) -> None:
+    made = fits(seed=2, duration=4000.0, outages=((150.0, 3750.0),))
+    found = fitted(made)
+    assert np.isfinite([found.sigma, found.tau, found.evidence]).all()
+    assert np.max(drift_against_doppler(*made).walk) <= 1.1 * ANYWHERE**2
 
 
 def test_a_path_that_follows_its_fixes_is_no_judge_of_them(fits: Callable[..., Made]) -> None:
