@@ -46,6 +46,12 @@ def is_increasing(t: Array) -> bool:
     return all(np.all(np.diff(t[i : i + _TOGETHER + 1]) > 0.0) for i in range(0, t.size, _TOGETHER))
 
 
+def are_near(t: Array, others: Array, reach: float) -> BoolArray:
+    """Mask (N,) of the times t (N,) s that lie within `reach` s of any of `others` (M,) s, in order."""
+    first, last = (np.searchsorted(others, t + side * reach) for side in (-1.0, 1.0))
+    return np.asarray(last > first)
+
+
 def median(values: Array) -> float:
     """Return what `np.median` gives of values (N,), N > 0; of some thousands in a fifth of the time.
 

@@ -162,6 +162,13 @@ class GnssFixes:
         position[~known, 2] = np.nan
         return position
 
+    @property
+    def unix_at_zero(self) -> float | None:
+        """UTC, seconds since 1970, at t = 0 by the stamps of the fixes; None where none says when it was true."""
+        difference = np.empty(0) if self.unix_s is None else self.unix_s - self.t
+        known = np.isfinite(difference)
+        return float(np.median(difference[known])) if known.any() else None
+
     def select(self, keep: np.ndarray) -> "GnssFixes":
         """Return the rows chosen by a mask (N,) bool or by indices."""
         names = ("t", "lat_deg", "lon_deg", "alt_m", "velocity_n", *_OPTIONAL_COLUMNS, "num_sv", "fix")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, median
+from smoother.arrays import Array, are_near, median
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
@@ -88,9 +88,9 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     limits = QualityLimits() if limits is None else limits
     finite = bool(np.isfinite(estimate.position_n).all() and np.isfinite(estimate.velocity_n).all())
     release(estimate)
-    near = _near_fixes(session, estimate.t, limits)
-    speed = np.where(near, estimate.speed, 0.0)
-    measures = {"top_speed_mps": float(np.nanmax(speed, initial=0.0)), **_distances(session, estimate, limits)}
+    near = are_near(estimate.t, session.gnss.t, limits.near_seconds)
+    top_speed = float(np.nanmax(estimate.speed, initial=0.0, where=near))
+    measures = {"top_speed_mps": top_speed, **_distances(session, estimate, limits)}
     if estimate.sigmas is not None:
         sigma = np.hypot(estimate.sigmas.position_n[:, 0], estimate.sigmas.position_n[:, 1])
         measures["median_sigma_horizontal_m"] = median(sigma[near] if near.any() else sigma)
@@ -102,13 +102,6 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
     reasons += _residual_reasons(estimate, limits) + _axes_reasons(session, estimate)
     return Quality(not reasons, tuple(reasons), measures)
-
-
-def _near_fixes(session: Session, t: Array, limits: QualityLimits) -> BoolArray:
-    """Mask (M,) of the times t (M,) s that lie near a fix."""
-    fixes = session.gnss.t
-    first, last = (np.searchsorted(fixes, t + side * limits.near_seconds) for side in (-1.0, 1.0))
-    return np.asarray(last > first)
 
 
 def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
@@ -182,7 +175,7 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     known = np.isfinite(estimate.R_nb).all(axis=(1, 2))
     if estimate.report.mode != "full" or estimate.sigmas is None or not known.any():
         return {}
-    near = _near_fixes(session, estimate.t, limits)
+    near = are_near(estimate.t, session.gnss.t, limits.near_seconds)
     driving = known & near & (estimate.speed > limits.driving_speed)
     t = estimate.t[driving]
     if estimate.t[-1] - estimate.t[0] < limits.lean_seconds:

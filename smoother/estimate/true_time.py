@@ -32,14 +32,13 @@ def unix_at_zero(session: Session, report: EstimateReport) -> float | None:
     A receiver says when a fix was true, and the clock of the session stamps it when it comes: later by the delay, where
     the session tells that.
     """
-    unix_s = session.gnss.unix_s
-    difference = np.empty(0) if unix_s is None else unix_s - session.gnss.t
-    known = np.isfinite(difference)
-    if not known.any():
+    by_stamps = session.gnss.unix_at_zero
+    if by_stamps is None:
         return session.unix_at_zero
     latency = report.identified.get("gps_position_latency")
-    told = latency is not None and latency.observable and isinstance(latency.value, float)
-    return float(np.median(difference[known])) + (float(np.asarray(latency.value)) if told and latency else 0.0)
+    if latency is None or not latency.observable or not isinstance(latency.value, float):
+        return by_stamps
+    return by_stamps + latency.value
 
 
 def clock_problems(session: Session) -> tuple[Problem, ...]:

@@ -163,15 +163,8 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
         problems=tuple(problems),
-        unix_at_zero=_unix_at_zero(gnss, recording.unix_at_zero),
+        unix_at_zero=recording.unix_at_zero if (told := gnss.unix_at_zero) is None else told,
     )
-
-
-def _unix_at_zero(gnss: GnssFixes, otherwise: float | None) -> float | None:
-    assert gnss.unix_s is not None
-    difference = gnss.unix_s - gnss.t
-    known = np.isfinite(difference)
-    return float(np.median(difference[known])) if np.any(known) else otherwise
 
 
 def _require_fixes(recording: Recording) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, are_near
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
@@ -256,13 +256,10 @@ class Batch:
 
     def _slip(self, state: ChainState, noise: Noise) -> Slip:
         path = self.path(state)
-        return slip_of(state, path, expected_of(self._data, path, state, noise), self._told, self._seen(state))
+        return self._slip_along(state, path, expected_of(self._data, path, state, noise))
 
-    def _seen(self, state: ChainState) -> BoolArray:
-        """Mask (K,) of the keyframes that fixes are near to."""
-        t = self._data.t
-        first, last = (np.searchsorted(t, state.t + NEAR_FIX * side) for side in (-1.0, 1.0))
-        return np.asarray(last > first)
+    def _slip_along(self, state: ChainState, path: DensePath, felt: ExpectedMotion) -> Slip:
+        return slip_of(state, path, felt, self._told, are_near(state.t, self._data.t, NEAR_FIX))
 
     def _linearize(
         self, graph: InertialGraph, state: ChainState, noise: Noise, *, was_without_wheels: bool = False
@@ -276,7 +273,7 @@ class Batch:
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         slip = None
         if noise.slip is not None:
-            slip = slip_of(state, path, felt, self._told, self._seen(state))
+            slip = self._slip_along(state, path, felt)
             for r in slip_rows(slip, state.interval, noise.slip.sigma):
                 judged = not_doubted_by(slip, noise.slip.unsure, r) if was_without_wheels else r
                 rows[r.name] = replace(r, weight=_robust(judged).weight)

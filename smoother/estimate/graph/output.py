@@ -5,12 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.batch import Noise, Priors, Solved
-from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
@@ -33,20 +31,13 @@ from smoother.estimate.graph.mounting import (
     swing_on_the_wheel,
 )
 from smoother.estimate.graph.rows import Rows
-from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.state import (
-    ACCEL_BIAS,
     CONSTANTS_SIZE,
-    GYRO_BIAS,
     KEYFRAME_SIZE,
-    LEVER_ARM,
-    OFFSET,
     ROTATION,
-    SLIP,
-    TRANSLATION,
-    VELOCITY,
     ChainState,
 )
+from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
 from smoother.frames import euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
@@ -65,29 +56,12 @@ MARGIN = 20.0  # s of the path around the rows that are made together: more than
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
-PIECE = 256  # keyframes whose covariances stay in the processor's cache
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
     "position, speed, lap times and accelerations along the path are not affected"
 )
 LEAST_BETWEEN = 0.25  # of the smaller variance of two keyframes: no less is left anywhere between them
-_MOTION = slice(ROTATION.start, VELOCITY.stop)
-
-
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """What is known of the errors of K keyframes.
-
-    antenna (K, 9, 9): covariance of the errors in n of the sensor's attitude, the antenna's velocity and its position;
-    biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see :func:`_track_variance`; bend (K, 3, 3) m^2/s^2:
-    see :func:`_bend`.
-    """
-
-    antenna: Array
-    biases: Array
-    track: Array
-    bend: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +80,13 @@ class Estimated:
     common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
-def estimated(solved: Solved, of_nose: float | None) -> Estimated:
-    """Return what a graph that was solved in one piece says; of_nose as for :func:`uncertainty_of`."""
+def estimated(solved: Solved, nose: float | None) -> Estimated:
+    """Return what a graph that was solved in one piece says; nose, rad^2, as for :func:`uncertainty_of`."""
     state, factor = solved.state, solved.solution.factor
     return Estimated(
         state,
         solved.solution.constants_covariance,
-        uncertainty_of(solved, of_nose),
+        uncertainty_of(solved, nose),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
         common_attitude(solved),
@@ -306,52 +280,6 @@ def row_times(start: float, end: float, rate: float) -> Array:
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
 
 
-def of_nose(session: Session, noise: Noise) -> float | None:
-    """Variance, rad^2, of where slip has the nose, beyond the graph's own; None where it is stated, or not by slip."""
-    return None if noise.slip is None or session.config.mounting.R_bs is not None else noise.slip.of_nose
-
-
-def uncertainty_of(solved: Solved, of_nose: float | None) -> Uncertainty:
-    """Return sigmas and covariances of the antenna at the keyframes of a solved graph.
-
-    of_nose: variance, rad^2, of where slip has the nose beyond that in `solved`; None where the nose is not by slip.
-    """
-    state, P = solved.state, solved.solution.covariance
-    R, arm_s = state.R_ns, state.constants.lever_arm_s
-    turn = _turning(state)
-    arm_n, swing_n = R @ arm_s, np.einsum("kij,kj->ki", R, np.cross(turn, arm_s))
-    K = len(state.t)
-    # errors in n of (attitude, velocity, position) by rotation, translation and velocity of the keyframe and by the arm
-    J, C = np.zeros((K, 9, 9)), np.zeros((K, 9, 3))
-    J[:, 0:3, ROTATION] = R
-    J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R, np.eye(3)
-    J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
-    C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
-    columns, S = np.arange(LEVER_ARM.start, LEVER_ARM.stop), solved.solution.constants_covariance
-    beyond = of_nose if tells_nose(S[SLIP.start, SLIP.start]) else None
-    if beyond is not None:  # where slip has the nose, its error is one of the kart's attitude
-        columns, C = np.append(columns, SLIP.start), np.concatenate([C, np.zeros((K, 9, 1))], axis=2)
-        C[:, 2, 3] = 1.0
-    S, with_constants = S[np.ix_(columns, columns)], solved.solution.constants_cross
-    antenna = np.empty((K, 9, 9))
-    for part in pieces(K, PIECE):
-        J_t, C_t = J[part].transpose(0, 2, 1), C[part].transpose(0, 2, 1)
-        cross = J[part] @ with_constants[part, _MOTION][:, :, columns] @ C_t
-        antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
-        antenna[part] += cross + cross.transpose(0, 2, 1)
-    if beyond is not None:
-        antenna[:, 2, 2] += beyond
-    sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
-    return Uncertainty(antenna, sigma, _track_variance(state, solved.solution), _bend(state, solved.solution))
-
-
-def _turning(state: ChainState) -> Array:
-    """Mean angular rate (K, 3) rad/s in s from each keyframe to the next."""
-    R = state.R_ns
-    turn = so3.log(R[:-1].transpose(0, 2, 1) @ R[1:]) / state.interval
-    return np.concatenate([turn, turn[-1:]])
-
-
 def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, made_up: BoolArray | None) -> Array:
     """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
 
@@ -423,7 +351,7 @@ def _sigmas(
 ) -> dict[str, Array]:
     """Sigmas at t (n,), fields of :class:`Sigmas`, between keyframes at `at` (K,), which are closer than these change.
 
-    covariance (K, 9, 9) of the keyframes; track (K, 3) m^2, columns of :func:`_track_variance` and :func:`_bridge`;
+    covariance (K, 9, 9) of the keyframes; track (K, 3) m^2, columns of :func:`track_variance` and :func:`_bridge`;
     bend (K, 3, 3), by which the covariance of velocity is greater halfway to the next keyframe than between both;
     R_nb (n, 3, 3) and velocity_n (n, 3) at t.
     """
@@ -460,25 +388,6 @@ def _sigmas(
     }
 
 
-def _bend(state: ChainState, solution: ChainSolution) -> Array:
-    """Covariance (K, 3, 3) m^2/s^2 of the cubic's velocity halfway to the next keyframe, less the mean of both ends'.
-
-    Where Doppler holds the keyframes more tightly than the samples hold the way from one to the next, the velocity is
-    better known at them than between: with what the samples' noise adds there (:func:`_between_samples`). Where the
-    samples are good both cancel out. What the antenna's swing is unsure by changes slowly and is left out.
-    """
-    moved, T = slice(TRANSLATION.start, VELOCITY.stop), state.interval
-    halfway = np.zeros((len(state.t), 3, 6))
-    halfway[:, :, :3], halfway[:, :, 3:] = 1.5 / T * state.R_ns, -0.25 * np.eye(3)
-    before = halfway[:-1] * np.repeat([-1.0, 1.0], 3)
-    own, cross = solution.covariance[:, moved, moved], solution.cross[:, moved, moved]
-    after_t = halfway[1:].transpose(0, 2, 1)
-    with_next = before @ cross @ after_t
-    bend = before @ own[:-1] @ before.transpose(0, 2, 1) + halfway[1:] @ own[1:] @ after_t
-    bend += with_next + with_next.transpose(0, 2, 1) - 0.5 * (own[:-1, 3:, 3:] + own[1:, 3:, 3:])
-    return np.concatenate([bend, bend[-1:]])
-
-
 def _between_samples(binned: BinnedImu, noise: InertialNoise, R_ns: Array) -> Array:
     """Covariance (K, 3, 3) m^2/s^2 of velocity halfway to the next keyframe, given position and velocity of both.
 
@@ -501,31 +410,6 @@ def _bridge(line: Array, noise: Noise, interval: float) -> Array:
     """
     walk = float(np.mean(noise.offset_sigma[:2] ** 2)) * 0.5 * interval / noise.offset_tau
     return walk * np.maximum(1.0 - 2.0 * line / float(noise.position[0] ** 2), 0.0)
-
-
-def _track_variance(state: ChainState, solution: ChainSolution) -> Array:
-    """Variance of the antenna's position plus offset, the line in the frame of the fixes, (K, 2) m^2 per level axis.
-
-    Of each keyframe, and together with the next one: the offset is rough, and between two keyframes it is their mean.
-    The antenna is where the arm has it: arm and latency err together, by what the sensor itself is not off.
-    """
-    K, arm_n = len(state.t), state.R_ns @ state.constants.lever_arm_s
-    by_state, by_arm = np.zeros((K, 2, KEYFRAME_SIZE)), state.R_ns[:, :2]
-    by_state[:, :, ROTATION] = (-so3.skew(arm_n) @ state.R_ns)[:, :2]
-    by_state[:, :, TRANSLATION], by_state[:, :, OFFSET] = state.R_ns[:, :2], np.eye(3)[:2]
-    arm, with_arm = solution.constants_covariance[LEVER_ARM, LEVER_ARM], solution.constants_cross[:, :, LEVER_ARM]
-    by_both = by_state @ with_arm  # (K, 2, 3), covariance of what the keyframe does to the line with the arm
-
-    def together(one: slice, other: slice, covariance: Array) -> Array:
-        own = np.sum((by_state[one] @ covariance) * by_state[other], axis=(1, 2))
-        own += np.sum((by_arm[one] @ arm) * by_arm[other], axis=(1, 2))
-        own += np.sum(by_both[one] * by_arm[other] + by_both[other] * by_arm[one], axis=(1, 2))
-        return np.asarray(0.5 * own)
-
-    everything = slice(None)
-    own = together(everything, everything, solution.covariance)
-    with_next = together(slice(0, -1), slice(1, None), solution.cross)
-    return np.stack([own, np.append(with_next, own[-1])], axis=1)
 
 
 _UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad"}

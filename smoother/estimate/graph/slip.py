@@ -40,9 +40,9 @@ HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
 # s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
 # unsure by. Simulated karts and drivers 0 to 0.3 deg, boxes that move on their mount or swing to and fro 0.8 to 4.
-DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
 BLOCK, APART = 10.0, 0.7 * DEG
 BEYOND_DOUBT = 1.4  # sigmas of the scatter of slip by which its process may have less than shows
 FIT_SIGMA = 1.0 * DEG  # of a keyframe's slip about what the constants say, where these are fitted to a solution without
@@ -70,7 +70,7 @@ class SlipNoise:
     apart: float = 0.0
 
     @property
-    def of_nose(self) -> float:
+    def nose_variance(self) -> float:
         """Variance, rad^2, of where the nose is, by what the constants miss of the slip in the same way in every lap.
 
         The process forgets in seconds, and a hundred laps would tell the nose ten times as well as one. But tyres are

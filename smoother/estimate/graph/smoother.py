@@ -22,7 +22,7 @@ from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
-from smoother.estimate.graph.output import Estimated, build_trajectory, estimated, of_nose
+from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
@@ -36,6 +36,7 @@ from smoother.estimate.graph.start import (
     on_path_without,
 )
 from smoother.estimate.graph.state import SLIP
+from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.in_step import in_step
@@ -267,7 +268,7 @@ def _solve(
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
-    return estimated(whole.solved, of_nose(session, whole.noise)), whole
+    return estimated(whole.solved, nose_variance(session, whole.noise)), whole
 
 
 def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
@@ -276,7 +277,7 @@ def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) ->
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
         mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing)
-        of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), of_nose(session, noise)
+        of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
         if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
             mounting = along_wheels(mounting, state.constants, of_slip + beyond)
     return without_heading(mounting) if start.alignment.is_level_only else mounting

@@ -34,10 +34,10 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
-SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within a tenth of it
+SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within an eighth of it
 ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
-STILL = 1e-4  # rad, likewise of a stream, whose weights are to be those of the batch
 ROLLING = 2e-3, 2  # rad that the last of at most so many steps moves attitudes by, before the one that counts
+STREAM_ROLLING = 1e-4, 4  # likewise of a stream, whose weights are to be those of the batch
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
@@ -77,14 +77,14 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
     noise = found
     if options.solver == "isam2":
         constants, held = solved.state.constants, solved.solution.constants_covariance
-        on_wheels = noise.slip is not None
+        with_wheels = noise.slip is not None
         no_slip = replace(noise, slip=None)
         solved = solve_as_stream(
-            batch, data, start.binned, priors, no_slip, start.state, constants, held if on_wheels else None
+            batch, data, start.binned, priors, no_slip, start.state, constants, held if with_wheels else None
         )
-        if on_wheels:
+        if with_wheels:
             graph = batch.graph(solved.state, noise)
-            state = batch.approach(graph, solved.state, noise, STILL, 2 * ROLLING[1])
+            state = batch.approach(graph, solved.state, noise, *STREAM_ROLLING)
             solved = batch.step(graph, state, noise, held=held)
     return Solution(solved, noise, priors, problems)
 
@@ -177,7 +177,8 @@ def _settled(
 ) -> tuple[ChainState, Array]:
     """Go on from `steps` with the noise as it is, until settled or `most` were gone; the constants' covariance too.
 
-    Without that of the keyframes: known (K, 18), their variances of the last step, is as good, and half the cost.
+    Without that of the keyframes: known (K, 18), their variances of the last step, is as good. With the noise, that is
+    a third of what a turn costs.
     """
     steps = list(steps)
     while True:

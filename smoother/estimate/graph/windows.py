@@ -23,12 +23,13 @@ from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
-from smoother.estimate.graph.output import Estimated, Uncertainty, common_attitude, of_nose, uncertainty_of
+from smoother.estimate.graph.output import Estimated, common_attitude
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.state import ChainState
+from smoother.estimate.graph.uncertainty import Uncertainty, nose_variance, uncertainty_of
 from smoother.samples import Problem, Session
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
@@ -121,7 +122,7 @@ def _solve_piece(
     batch = Batch(data, part.binned, start.priors)
     solved = _solve_window(batch, data, part, state, noise, held, options)
     fixes = np.flatnonzero(fixes_between(start, begin, end))
-    core, known = slice(first - begin, last - begin), uncertainty_of(solved, of_nose(session, noise))
+    core, known = slice(first - begin, last - begin), uncertainty_of(solved, nose_variance(session, noise))
     known = Uncertainty(*(values[core] for values in vars(known).values()))
     return _piece(solved, first, last, begin, fixes), known
 

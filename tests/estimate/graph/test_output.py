@@ -9,8 +9,9 @@ from smoother.arrays import Array
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise
-from smoother.estimate.graph.output import _bend, _between_samples, _bridge, _track_variance
+from smoother.estimate.graph.output import _between_samples, _bridge
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
+from smoother.estimate.graph.uncertainty import bend_covariance, track_variance
 
 K, T = 4, 0.2
 TIMES = np.linspace(0.0, (K - 1) * T, K)
@@ -50,7 +51,7 @@ def test_the_bend_is_the_covariance_of_the_cubic_less_the_mean_of_its_ends() -> 
     errors = root.reshape(K, KEYFRAME_SIZE, -1)
     position, velocity = R_ns @ errors[:, TRANSLATION], errors[:, VELOCITY]
     halfway = 1.5 / T * (position[1:] - position[:-1]) - 0.25 * (velocity[1:] + velocity[:-1])
-    bend = _bend(chain(R_ns), solution)
+    bend = bend_covariance(chain(R_ns), solution)
     for i in range(K - 1):
         middle, first, second = (x @ x.T for x in (halfway[i], velocity[i], velocity[i + 1]))
         np.testing.assert_allclose(bend[i], middle - 0.5 * (first + second), rtol=1e-9, atol=1e-12)
@@ -75,7 +76,7 @@ def test_the_line_is_that_of_the_antenna_whose_arm_errs_with_the_motion() -> Non
         moved = state.retract(error[:size].reshape(K, KEYFRAME_SIZE), error[size:])
         antenna = moved.position_n + moved.R_ns @ moved.constants.lever_arm_s + moved.offset_n
         line[:, :, i] = (antenna - state.position_n - state.R_ns @ state.constants.lever_arm_s)[:, :2] / step
-    variance = _track_variance(state, solution)
+    variance = track_variance(state, solution)
     np.testing.assert_allclose(variance[:, 0], 0.5 * np.sum(line**2, axis=(1, 2)), rtol=1e-3)
     np.testing.assert_allclose(variance[:-1, 1], 0.5 * np.sum(line[:-1] * line[1:], axis=(1, 2)), rtol=2e-3, atol=1e-4)
 

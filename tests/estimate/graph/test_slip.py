@@ -172,11 +172,11 @@ def noise_on(lateral: Array) -> SlipNoise:
 
 def test_corners_to_one_side_tell_the_nose_by_drawing_on_to_none() -> None:
     both, left, hard = (noise_on(np.linspace(*ends, 100)) for ends in ((-15.0, 15.0), (0.0, 15.0), (10.0, 15.0)))
-    assert both.of_nose < left.of_nose < 0.1 * hard.of_nose
+    assert both.nose_variance < left.nose_variance < 0.1 * hard.nose_variance
     # where corners go both ways alike, a mean of as many values as there are corners
     information = slip_module.DIFFERENT * both.moments[0, 0] / both.sigma**2 + slip_module.PRIOR[0] ** -2
-    assert both.of_nose == pytest.approx(1.0 / information)
-    assert replace(both, apart=0.02).of_nose == pytest.approx(both.of_nose + 0.02**2)
+    assert both.nose_variance == pytest.approx(1.0 / information)
+    assert replace(both, apart=0.02).nose_variance == pytest.approx(both.nose_variance + 0.02**2)
 
 
 def test_what_the_mean_of_the_slip_says_of_the_nose_otherwise_is_found() -> None:
@@ -252,15 +252,15 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
     solutions = []
     whole = smoother_module.estimated
 
-    def watched(solved: Solved, of_nose: float | None) -> Estimated:
-        assert (of_nose is None) == stated
-        solutions.append((solved, of_nose or 0.0))
-        return whole(solved, of_nose)
+    def watched(solved: Solved, nose: float | None) -> Estimated:
+        assert (nose is None) == stated
+        solutions.append((solved, nose or 0.0))
+        return whole(solved, nose)
 
     monkeypatch.setattr(smoother_module, "estimated", watched)
     found = GraphSmoother().estimate(session)
     assert found.report.keyframes is not None
-    (solved, of_nose), *_ = solutions
+    (solved, nose), *_ = solutions
     state, solution = solved.state, solved.solution
     of_slip = np.zeros((len(state.t), len(solution.constants)))
     of_slip[:, SLIP.start] = 0.0 if stated else 1.0
@@ -268,7 +268,7 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
     turn[:, ROTATION] = state.R_ns[:, 2, :]
     variance = np.einsum("ki,kij,kj->k", turn, solution.covariance, turn)
     variance += 2.0 * np.einsum("ki,kim,km->k", turn, solution.constants_cross, of_slip)
-    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip) + of_nose
+    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip) + nose
     yaw = found.report.keyframes.covariance[:, 2, 2]
     np.testing.assert_allclose(yaw[50:-50], variance[50:-50], rtol=0.02)
 
