@@ -54,6 +54,7 @@ from smoother.estimate.graph.state import (
     VELOCITY_LATENCY,
     ChainState,
 )
+from smoother.estimate.pauses import NO_PAUSES, Pauses
 
 # A residual beyond this loses weight as (limit / distance)^2: redescending. Of two components the distance is that in
 # sigmas; of other numbers it is sqrt(2) times the rms of the components, so that one beyond 2.1 sigma loses weight, and
@@ -130,6 +131,7 @@ class Data:
     whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
     in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
     that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
+    pauses: time that is cut out between some of them, for which the biases walk on.
     """
 
     t: Array
@@ -142,6 +144,7 @@ class Data:
     doubted: BoolArray | None = None
     heights: Array | None = None
     sampled: Array | None = None
+    pauses: Pauses = NO_PAUSES
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +272,8 @@ class Batch:
         inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
         if self._data.sampled is not None:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
-            set_apart(inertial, apart, state, noise.inertial, APART)
+            duration = state.interval + self._data.pauses.between(state.t)
+            set_apart(inertial, apart, state, noise.inertial, APART, duration)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
         slip = None
         if noise.slip is not None:

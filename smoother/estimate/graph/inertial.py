@@ -186,19 +186,23 @@ class InertialGraph:
         return force, rate
 
 
-def set_apart(linear: LinearInertial, at: BoolArray, state: ChainState, noise: InertialNoise, sigma: Array) -> None:
+def set_apart(
+    linear: LinearInertial, at: BoolArray, state: ChainState, noise: InertialNoise, sigma: Array, duration: Array
+) -> None:
     """Make the factors `at` (K-1,) say nothing of how the motion went on from left to right keyframe, in place.
 
-    The right one stays where it is, give or take sigma (9,) rad, m and m/s. Biases walk on.
+    The right one stays where it is, give or take sigma (9,) rad, m and m/s. Biases walk on, for duration (K-1,) s.
     """
-    walk = np.repeat([noise.accel_bias_walk, noise.gyro_bias_walk], 3) * np.sqrt(state.interval)
-    J = np.zeros((15, _WIDTH))
-    J[_MOTION, _RIGHT][:, _MOTION] = np.diag(1.0 / sigma)
-    J[_BIASES, _LEFT][:, _BIASES] = np.diag(1.0 / walk)
-    J[_BIASES, _RIGHT][:, _BIASES] = -np.diag(1.0 / walk)
+    walk = np.repeat([noise.accel_bias_walk, noise.gyro_bias_walk], 3) * np.sqrt(duration[:, None])
+    pull = np.zeros((len(walk), 6, 6))
+    np.einsum("kii->ki", pull)[...] = 1.0 / walk
+    J = np.zeros((np.count_nonzero(at), 15, _WIDTH))
+    J[:, _MOTION, _RIGHT][:, :, _MOTION] = np.diag(1.0 / sigma)
+    J[:, _BIASES, _LEFT][:, :, _BIASES] = pull[at]
+    J[:, _BIASES, _RIGHT][:, :, _BIASES] = -pull[at]
     biases = np.concatenate([state.accel_bias_s, state.gyro_bias_s], axis=1)
+    J[:, _BIASES, _RESIDUAL] = (-np.diff(biases, axis=0) / walk)[at]
     linear.whitened[at] = J
-    linear.whitened[at, _BIASES, _RESIDUAL] = (-np.diff(biases, axis=0) / walk)[at]
 
 
 def inertial_after_step(linear: LinearInertial, at: IntArray, solution: ChainSolution) -> Array:

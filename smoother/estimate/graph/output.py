@@ -1,6 +1,6 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,6 +38,7 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
+from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.frames import euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
@@ -139,15 +140,17 @@ def build_trajectory(
     priors: Priors,
     rate: float,
     population: Array,
+    pauses: Pauses = NO_PAUSES,
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
+    pauses: where time is cut out of the session; the rows that fall into them are left out.
     """
     unseen = unseen_offset(noise, population, len(session.gnss))
     fixes = session.gnss
     level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
-    source = _Source(found.state, binned, noise.inertial, level, up)
+    source = _Source(found.state, binned, noise.inertial, level, up, pauses)
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
     keyframes = _keyframes(found, source, mounting, unsure)
     swing = swing_on_the_wheel(keyframes)
@@ -172,9 +175,11 @@ def build_trajectory(
         mode="full",
     )
     joint = None if found.joint is None else found.joint(unsure)
-    t = row_times(session.gnss.t[0], session.gnss.t[-1], rate)
+    first, last = pauses.opened(session.gnss.t[[0, -1]])
+    t = row_times(first, last, rate)
+    t = pauses.closed(t[~pauses.hold(t)]) if len(pauses) else t
     rows = _Rows.empty(len(t))
-    for part in even_pieces(len(t), TOGETHER):
+    for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
@@ -189,10 +194,11 @@ class _Source:
     noise: InertialNoise
     doppler: DopplerNoise | None
     upwards: DopplerNoise | None
+    pauses: Pauses
 
     def around(self, t: Array) -> "_Stretch":
-        """Return the path around times t (n,) s that their rows need, and what was felt on it."""
-        keys = _around(self.state, t)
+        """Return the path around times t (n,) s that their rows need, and what was felt on it. No pause is in t."""
+        keys = _around(self.state, t, self.pauses)
         state, bins = self.state.between(keys.start, keys.stop), self.binned.between(keys.start, keys.stop)
         c = state.constants
         path = dense_path(
@@ -269,10 +275,19 @@ class _Rows:
         return Trajectory(t=t, **columns, sigmas=Sigmas(**self.sigmas), report=report, joint=joint)
 
 
-def _around(state: ChainState, t: Array) -> slice:
-    """Keyframes around times t (n,) s that the path there needs."""
-    first = max(int(np.searchsorted(state.t, t[0] - MARGIN)) - 1, 0)
-    return slice(first, min(int(np.searchsorted(state.t, t[-1] + MARGIN)) + 1, len(state.t)))
+def _around(state: ChainState, t: Array, pauses: Pauses) -> slice:
+    """Keyframes around times t (n,) s that the path there needs, from pause to pause."""
+    stretch = pauses.stretches(state.t)[int(np.searchsorted(pauses.cuts, t[0], side="right"))]
+    first = max(int(np.searchsorted(state.t, t[0] - MARGIN)) - 1, stretch.start)
+    return slice(first, min(int(np.searchsorted(state.t, t[-1] + MARGIN)) + 1, stretch.stop))
+
+
+def _parts(t: Array, pauses: Pauses) -> Iterator[slice]:
+    """Slices of t (n,) s that are worked on together, none across a pause."""
+    for stretch in pauses.stretches(t):
+        for part in even_pieces(stretch.stop - stretch.start, TOGETHER):
+            if part.stop > part.start:
+                yield slice(stretch.start + part.start, stretch.start + part.stop)
 
 
 def row_times(start: float, end: float, rate: float) -> Array:
@@ -312,7 +327,7 @@ def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unse
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, R_nb, _made_up(source.binned))
     of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
-    for part in even_pieces(len(R), TOGETHER):
+    for part in _parts(state.t, source.pauses):
         covariance[part] = known.antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
         left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)

@@ -22,7 +22,7 @@ from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
-from smoother.estimate.graph.output import Estimated, build_trajectory, estimated
+from smoother.estimate.graph.output import Estimated, build_trajectory, estimated, row_times
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
@@ -40,6 +40,7 @@ from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.in_step import in_step
+from smoother.estimate.pauses import Pauses, closed_up, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
@@ -93,28 +94,32 @@ class GraphSmoother:
             return self._from_fixes(session, ())
         if (problem := _too_little(session.imu, session.gnss)) is not None:
             return self._from_fixes(session, (problem,))
-        watch = Stopwatch(self.progress)
+        watch, pauses = Stopwatch(self.progress), pauses_of(session)
         try:
-            return self._from_graph(session, watch)
+            found = self._from_graph(closed_up(session, pauses) if len(pauses) else session, watch, pauses)
         except (NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
-            problem = Problem("graph_failed", f"the inertial solution failed ({error}); smoothed from the fixes alone")
-            return self._from_fixes(session, (problem,))
+            found = (Problem("graph_failed", f"the inertial solution failed ({error}); smoothed from the fixes alone"),)
+        if not isinstance(found, Trajectory):
+            return self._from_fixes(session, found)
+        t = row_times(session.gnss.t[0], session.gnss.t[-1], self.options.rate)
+        return opened_up(found, pauses, t) if len(pauses) else found
 
     def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
         trajectory = GnssSmoother(GnssOnlyOptions(rate=self.options.rate)).estimate(session)
         report = replace(trajectory.report, problems=trajectory.report.problems + problems)
         return replace(trajectory, report=report)
 
-    def _from_graph(self, session: Session, watch: "Stopwatch") -> Trajectory:
+    def _from_graph(self, session: Session, watch: "Stopwatch", pauses: Pauses) -> Trajectory | tuple[Problem, ...]:
+        """Trajectory of a session that `pauses` are cut out of, or why its samples are of no use."""
         options = self.options.for_fixes(session.gnss.t)
         with watch("align"):
-            session, start, delay = _start_in_step(session, options)
+            session, start, delay = _start_in_step(session, options, pauses)
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
-            return self._from_fixes(session, (*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
+            return (*start.alignment.problems, Problem("imu_unusable", UNLIKE))
         with watch("solve"):
             doubted = _jumped(session, start, start.noise, options, with_doppler=False)
             if doubted.any():
-                start = make_start(session, options, options.identification_span, doubted)
+                start = make_start(session, options, options.identification_span, doubted, pauses)
             constants, biases, noise = identify(start, options, watch.say)
             start = informed(session, start, options, constants, biases, doubted)
             again = _jumped(session, start, noise, options)  # in all of it, and with its noise
@@ -132,6 +137,7 @@ class GraphSmoother:
                 solution.priors,
                 options.rate,
                 np.array(options.offset_sigma) * start.receiver,
+                pauses,
             )
         told = trajectory.report
         report: EstimateReport = replace(
@@ -163,7 +169,7 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
     return (Problem("gps_early", text),)
 
 
-def _start_in_step(session: Session, options: GraphOptions) -> tuple[Session, Start, ForceDelay]:
+def _start_in_step(session: Session, options: GraphOptions, pauses: Pauses) -> tuple[Session, Start, ForceDelay]:
     """Return the session with its force at the time of its rate, its start, and the delay that was taken out.
 
     A nose that turns in and out of hairpins on its own makes a delay too. It is none where the fixes, which have
@@ -172,12 +178,12 @@ def _start_in_step(session: Session, options: GraphOptions) -> tuple[Session, St
     given = session
     session, delay = in_step(session) if options.in_step else (session, UNSEEN)
     # densities and constants are known to some per cent from two minutes of driving
-    start = make_start(session, options, options.identification_span)
+    start = make_start(session, options, options.identification_span, pauses=pauses)
     if delay.is_found:
         assert given.imu is not None
         as_given = align(given.imu, start.driven).share_explained
         if as_given > start.alignment.share_explained + LESS_EXPLAINED:
-            return given, make_start(given, options, options.identification_span), UNSEEN
+            return given, make_start(given, options, options.identification_span, pauses=pauses), UNSEEN
     return session, start, delay
 
 

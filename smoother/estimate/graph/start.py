@@ -19,6 +19,7 @@ from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
+from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
@@ -88,7 +89,7 @@ class Start:
     """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
     spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`. wheels: whether
-    slip is asked for where it shows.
+    slip is asked for where it shows. pauses: where time is cut out of the session.
     """
 
     path: GnssPath
@@ -104,15 +105,20 @@ class Start:
     stated: ImuNoise  # densities from the settings; they are not estimated
     spans: Array
     wheels: bool
+    pauses: Pauses = NO_PAUSES
 
 
 def make_start(
-    session: Session, options: GraphOptions, span: float = math.inf, doubted: BoolArray | None = None
+    session: Session,
+    options: GraphOptions,
+    span: float = math.inf,
+    doubted: BoolArray | None = None,
+    pauses: Pauses = NO_PAUSES,
 ) -> Start:
     """Return what the fixes alone and the alignment with the inertial samples tell.
 
     Of a session that is much longer than `span` s, keyframes, bins and data are those of its busiest stretch as long.
-    doubted (N,): fixes whose positions are left out.
+    doubted (N,): fixes whose positions are left out. pauses: where time was cut out of the session.
     """
     assert session.imu is not None
     path = fit_path(session if doubted is None else without_positions(session, doubted))
@@ -139,6 +145,7 @@ def make_start(
         session.config.imu,
         spans,
         options.wheels and priors.drives,
+        pauses,
     )
 
 
@@ -382,7 +389,7 @@ def where_sampled(start: Start) -> Start:
     first, last = np.searchsorted(t, [spans[0, 0], spans[-1, 1]])
     part = stretch(start, max(int(first) - 1, 0), min(int(last), len(t) - 1))
     data = _of_fixes(part.data, have_samples(spans, part.data.t))
-    return replace(part, data=replace(data, sampled=spans))
+    return replace(part, data=replace(data, sampled=spans, pauses=start.pauses))
 
 
 def fixes_between(start: Start, first: int, last: int) -> BoolArray:

@@ -4,7 +4,8 @@ Hours are solved in windows that overlap, one after the other, at a cost in memo
 arm and all other constants are those of the busiest window, which is solved first with everything free. They are known
 there far better than a lap needs, and held in all windows, so that no seam can show in them; how unsure they are is in
 the covariance of every window as it is in that of the whole. What remains at a seam is what the fixes beyond the
-overlap would have told of the slow GPS offset, minutes away.
+overlap would have told of the slow GPS offset, minutes away. No window reaches across a pause that time is cut out of:
+motion, biases and offset begin anew after it.
 
 Fixes without samples must not tell the constants, nor how they scatter (:func:`where_sampled`): along a way that is
 made up, delays and lever arm would seem to be known, several of their sigmas from where they are.
@@ -80,16 +81,16 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     common = _common_attitude(main.solved, start)
     del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
-    edges = _edges(len(start.state.t), start.state.interval)
+    windows = _windows(start)
     n, pieces = len(start.state.t), []
     whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)), roomy((n, 3, 3)))
-    for i, (first, last) in enumerate(pairwise(edges)):
-        piece, known = _solve_piece(session, start, first, last, noise, held, options)
+    for i, window in enumerate(windows):
+        piece, known = _solve_piece(session, start, window, noise, held, options)
         pieces.append(piece)
         for name, values in vars(whole).items():
-            values[first:last] = getattr(known, name)
+            values[window.first : window.last] = getattr(known, name)
         settle(whole, start.binned)
-        say(0.3 + 0.7 * (i + 1) / (len(edges) - 1))
+        say(0.3 + 0.7 * (i + 1) / len(windows))
     return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
 
 
@@ -105,17 +106,33 @@ def _common_attitude(main: Solved, start: Start) -> Array:
     return common_attitude(main, are_unsampled(start.spans, t, t))
 
 
-def _edges(n_keyframes: int, interval: float) -> list[int]:
-    n_windows = max(1, round(n_keyframes * interval / WINDOW))
-    return [int(edge) for edge in np.linspace(0, n_keyframes, n_windows + 1).round()]
+@dataclass(frozen=True)
+class _Window:
+    """Keyframes `begin` to `end`, exclusive, that are solved together; those from `first` to `last` count."""
+
+    first: int
+    last: int
+    begin: int
+    end: int
+
+
+def _windows(start: Start) -> list[_Window]:
+    """Windows of all keyframes, evenly from pause to pause, none across one."""
+    t, interval = start.state.t, start.state.interval
+    overlap, out = round(OVERLAP / interval), []
+    for part in start.pauses.stretches(t):
+        count = max(1, round((part.stop - part.start) * interval / WINDOW))
+        edges = [int(edge) for edge in np.linspace(part.start, part.stop, count + 1).round()]
+        for first, last in pairwise(edges):
+            out.append(_Window(first, last, max(part.start, first - overlap), min(last + overlap, part.stop)))
+    return out
 
 
 def _solve_piece(
-    session: Session, start: Start, first: int, last: int, noise: Noise, held: Array, options: GraphOptions
+    session: Session, start: Start, window: _Window, noise: Noise, held: Array, options: GraphOptions
 ) -> tuple[_Piece, Uncertainty]:
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
-    overlap = round(OVERLAP / start.state.interval)
-    begin, end = max(0, first - overlap), min(last + overlap, len(start.state.t)) - 1
+    first, last, begin, end = window.first, window.last, window.begin, window.end - 1
     part = stretch(start, begin, end)
     state = near_solution(part, noise, options.approaches)
     data = _with_level_heading(session, part, state)
@@ -172,7 +189,8 @@ def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -
         if name in FIXES:
             own[name] = fixes[use]
     assert solution.factor is not None
-    factor = window_factor(s.t[core.start], s.t[min(core.stop, len(s.t) - 1)], s, solution.factor)
+    until = s.t[core.stop] if core.stop < len(s.t) else s.t[-1] + s.interval  # where the next one begins to count
+    factor = window_factor(s.t[core.start], until, s, solution.factor)
     return _Piece(first, last, begin + outer.start, state, factor, rows, own)
 
 
@@ -208,6 +226,8 @@ def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:
     parts = {name: np.concatenate([_of_core(piece, name) for piece in pieces]) for name in STATES}
     margin = _margin(whole)
     for before, after in pairwise(pieces):
+        if after.begin == before.last:  # a pause: neither knows of the other's keyframes
+            continue
         first, last = max(after.begin, before.first), min(before.last + margin, after.last)
         share = (np.arange(first, last) - first + 0.5) / (last - first)
         one = {name: getattr(before.state, name)[first - before.begin : last - before.begin] for name in STATES}
