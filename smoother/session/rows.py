@@ -248,7 +248,8 @@ def _drop_disorder(rows: RowFilter, index: IntArray, t: Array, keep: BoolArray) 
 def _stray_ends(t: Array) -> BoolArray:
     """Mask of a few rows at either end that stand farther away than the whole rest lasts, or than a day.
 
-    A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound.
+    A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound. A few rows
+    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end.
     """
     stray = np.zeros(t.size, dtype=np.bool_)
     cuts = np.flatnonzero(np.diff(t) > STRAY_GAP) + 1
@@ -267,15 +268,31 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
     first = last = main
     few = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
 
-    def belongs(gap: float, part: int) -> bool:
-        span = t[bounds[last + 1] - 1] - t[bounds[first]]
-        many = bounds[part + 1] - bounds[part] > few
-        return bool(gap <= LONGEST_GAP and (many or gap <= span))
+    def next_long(part: int, step: int) -> int:
+        """The first part from `part` on that has many rows, -1 or the number of parts if none has."""
+        while 0 <= part < bounds.size - 1 and bounds[part + 1] - bounds[part] <= few:
+            part += step
+        return part
 
-    while first > 0 and belongs(t[bounds[first]] - t[bounds[first] - 1], first - 1):
-        first -= 1
-    while last < bounds.size - 2 and belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1], last + 1):
-        last += 1
+    def belongs(gap: float) -> bool:
+        return bool(gap <= min(LONGEST_GAP, t[bounds[last + 1] - 1] - t[bounds[first]]))
+
+    while first > 0:
+        part = next_long(first - 1, -1)
+        if part >= 0 and t[bounds[first]] - t[bounds[part + 1] - 1] <= LONGEST_GAP:
+            first = part
+        elif belongs(t[bounds[first]] - t[bounds[first] - 1]):
+            first -= 1
+        else:
+            break
+    while last < bounds.size - 2:
+        part = next_long(last + 1, 1)
+        if part < bounds.size - 1 and t[bounds[part]] - t[bounds[last + 1] - 1] <= LONGEST_GAP:
+            last = part
+        elif belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1]):
+            last += 1
+        else:
+            break
     return first, last
 
 

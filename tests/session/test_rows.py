@@ -89,6 +89,15 @@ def test_a_long_pause_inside_a_recording_is_a_gap_and_not_stray() -> None:
     assert index.size == 2500 and rows.problems == []
 
 
+@pytest.mark.parametrize("rows_between", [1, 8])
+def test_a_few_rows_between_two_long_parts_cost_neither_of_them(rows_between: int) -> None:
+    between = 5000.0 + np.arange(rows_between) * 0.1
+    t = np.concatenate([np.arange(2000) * 0.1, between, 9000.0 + np.arange(1500) * 0.1])
+    for times in (t, -t[::-1]):
+        _, index, rows = order(times)
+        assert index.size == t.size and rows.problems == []
+
+
 def test_the_first_of_a_repeated_time_is_kept_and_rows_out_of_order_are_counted() -> None:
     t = np.arange(1000) * 0.01
     t[10], t[20], t[30] = t[9], t[5], t[28]
