@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 import smoother
-from smoother.arrays import median
+from smoother.arrays import are_near, median
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_zero
 from smoother.frames import euler_from_rotation, euler_jacobian
@@ -17,6 +17,7 @@ from smoother.units import DEG
 Document = dict[str, object]
 
 SURE_SPEED = 0.1  # of a speed: one that is less sure than that and than others is an error of the fixes
+NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
 OF_THE_IMU = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
 
 
@@ -42,7 +43,7 @@ def summary(
         "identified": report.identified,
         "residuals": report.residuals,
         "quality": quality,
-        "sigma_median": _median_sigmas(estimate),
+        "sigma_median": _median_sigmas(session, estimate),
         "timings": {**timings, **{f"smoothing_{name}": seconds for name, seconds in report.timings.items()}},
     }
 
@@ -127,17 +128,23 @@ def _counts(session: Session, estimate: Trajectory) -> Document:
     }
 
 
-def _median_sigmas(estimate: Trajectory) -> Document | None:
-    """Typical sigma of each quantity, in the units of trajectory.csv, for people who want one number."""
+def _median_sigmas(session: Session, estimate: Trajectory) -> Document | None:
+    """Typical sigma of each quantity, in the units of trajectory.csv, for people who want one number.
+
+    Of the rows that have fixes near them: of a pause of an hour nobody asks how well it is known.
+    """
     sigmas = estimate.sigmas
     if sigmas is None:
         return None
-    roll, pitch, yaw = (_median(np.degrees(sigmas.attitude[:, i])) for i in range(3))
+    near = are_near(estimate.t, session.gnss.t, NEAR_FIX)
+    rows = slice(None) if near.all() or not near.any() else near
+    position_n, attitude = sigmas.position_n[rows], sigmas.attitude[rows]
+    roll, pitch, yaw = (_median(np.degrees(attitude[:, i])) for i in range(3))
     return {
-        "horizontal_m": _median(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])),
-        "up_m": _median(sigmas.position_n[:, 2]),
-        "track_m": _median(sigmas.track),
-        "speed_mps": _median(sigmas.speed),
+        "horizontal_m": _median(np.hypot(position_n[:, 0], position_n[:, 1])),
+        "up_m": _median(position_n[:, 2]),
+        "track_m": _median(sigmas.track[rows]),
+        "speed_mps": _median(sigmas.speed[rows]),
         "roll_deg": roll,
         "pitch_deg": pitch,
         "yaw_deg": yaw,

@@ -1,6 +1,7 @@
 """summary.json: complete, and strict JSON."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
 from smoother.report.summary import distance_driven, mounting_angles, summary
 from smoother.samples import Problem, Session
-from smoother.trajectory import Identified, Trajectory
+from smoother.trajectory import Identified, Sigmas, Trajectory
+
+COLUMNS = ("position_n", "velocity_n", "R_nb", "acceleration_b", "angular_rate_b")
 
 
 @pytest.fixture
@@ -60,6 +63,23 @@ def test_a_mounting_s_angles_have_the_sigma_that_turns_about_the_kart_s_axes_giv
 
 def test_the_verdict_comes_with_its_reasons(document: dict[str, object]) -> None:
     assert document["quality"] == {"passed": False, "reasons": ["because"], "measures": {"far_fix_share": 0.3}}
+
+
+def test_what_is_typical_is_not_that_of_a_pause(session: Session, trajectory: Trajectory) -> None:
+    """Of 200 s of rows the last 165 are of a time without fixes, and a thousand times as unsure."""
+    t = np.arange(0.0, 200.0, 0.1)
+    rows = np.arange(len(t)) % len(trajectory)
+    sigmas = trajectory.sigmas
+    assert sigmas is not None
+    growth = np.where(t > 35.0, 1000.0, 1.0)
+    columns = {name: values[rows] for name, values in vars(trajectory).items() if name in COLUMNS}
+    paused = Sigmas(**{name: (values[rows].T * growth).T for name, values in vars(sigmas).items()})
+    few = replace(session, gnss=session.gnss.select(session.gnss.t < 6.0))
+    made = summary(few, Trajectory(t=t, **columns, sigmas=paused), Quality(True, (), {}), {}, {})
+    typical = made["sigma_median"]
+    assert isinstance(typical, dict)
+    assert typical["speed_mps"] == pytest.approx(0.1)
+    assert typical["yaw_deg"] == pytest.approx(np.degrees(0.01))
 
 
 def test_the_distance_is_that_of_the_antenna_over_ground(session: Session, trajectory: Trajectory) -> None:
