@@ -6,7 +6,8 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
-from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.fix_columns import FixColumns
+from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table

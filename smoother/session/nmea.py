@@ -20,7 +20,8 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
-from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.fix_columns import FixColumns
+from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
 from smoother.units import DAY, KMH, KNOT
 from smoother.words import counted

@@ -220,7 +220,7 @@ def test_rows_that_are_no_fix_are_dropped_and_counted_by_kind(tmp_path: Path) ->
 
 
 def test_a_column_of_speeds_that_is_wrong_throughout_costs_the_column_and_not_the_fixes(tmp_path: Path) -> None:
-    rows = [row.replace(",10.0,", ",10000.0,") for row in gps_rows(100)]
+    rows = [row.replace(",10.0,", f",{10000 + k}.0,") for k, row in enumerate(gps_rows(100))]
     fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
     assert len(fixes) == 100 and np.all(np.isnan(fixes.speed)) and codes(problems) == {"gps_speed_absurd": 100}
 

@@ -37,7 +37,11 @@ def imu_csv(count: int = 1000, rate: float = 100.0, start: float = 0.0) -> str:
 
 
 def gps_csv(count: int = 50, rate: float = 5.0, start: float = 0.0) -> str:
-    rows = [f"{start + k / rate:.2f},{45 + 1e-4 * k + 1e-8 * k * k:.9f},12.0,8.0,50.0,0.0" for k in range(count)]
+    speeds = [111_195 * rate * (1e-4 + 2e-8 * k) for k in range(count)]
+    rows = [
+        f"{start + k / rate:.2f},{45 + 1e-4 * k + 1e-8 * k * k:.9f},12.0,8.0,{speed:.2f},0.0"
+        for k, speed in enumerate(speeds)
+    ]
     return "\n".join(["t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg", *rows]) + "\n"
 
 
