@@ -27,7 +27,7 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     rows.drop(unreadable, "invalid", "with an empty or unreadable value")
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, accel, gyro)
-    time, index = put_in_time_order(rows, t)
+    time, index = put_in_time_order(rows, t, accel, gyro)
     return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
 
 
