@@ -28,7 +28,7 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)
-    time, index = put_in_time_order(rows, columns.t)
+    time, index = put_in_time_order(rows, columns.t, columns.lat_deg, columns.lon_deg)
     ordered = without_wrong_velocity(rows, time, columns.take(index))
     for find, code, reason in (
         (_is_jump, "jump", "farther from the others than any vehicle moves"),
@@ -44,8 +44,10 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     with np.errstate(invalid="ignore"):
-        searching = (c.fix < 1.0) | c.is_blank | (c.sigma_horizontal > UNUSABLE_SIGMA)
-    rows.drop(searching & np.isfinite(c.t), "no_fix", "without a fix")
+        searching, unsure = (c.fix < 1.0) | c.is_blank, c.sigma_horizontal > UNUSABLE_SIGMA
+    if np.any(unsure & ~searching) and np.all(unsure | searching):  # then it is the column that is wrong
+        rows.drop(unsure & ~searching, "sigma_absurd", f"sure to more than {UNUSABLE_SIGMA:.0f} m (is hacc_m in m?)")
+    rows.drop((searching | unsure) & np.isfinite(c.t), "no_fix", "without a fix")
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 

@@ -44,6 +44,7 @@ FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
+NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
@@ -169,11 +170,11 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
 
 def _require_fixes(recording: Recording) -> None:
     if len(recording.gnss) == 0:
-        reasons = "; ".join(p.text.partition(": ")[2] for p in recording.problems if p.code.startswith("gps_"))
-        raise SessionError(
-            f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
-            "the antenna needs a free view of the sky before the start"
-        )
+        against = [problem for problem in recording.problems if problem.code.startswith("gps_")]
+        reasons = "; ".join(problem.text.partition(": ")[2] for problem in against)
+        searched = all(problem.code in NO_RECEPTION for problem in against)
+        remedy = "the antenna needs a free view of the sky before the start" if searched else "mend those columns"
+        raise SessionError(f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; {remedy}")
 
 
 def _without_fillers(gnss: GnssFixes) -> GnssFixes:
@@ -420,14 +421,15 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.csv_form import read_imu, read_mag
+    from smoother.session.csv_form import read_imu_and_unit, read_mag
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
-    gnss, gnss_file, problems = _read_any_fixes(files, imu_table is not None)
-    imu, mag = None, None
+    imu, mag, unit = None, None, None
+    problems: list[Problem] = []
     if imu_table is not None:
-        imu, imu_problems = read_imu(imu_table)
-        problems = imu_problems + problems
+        imu, problems, unit = read_imu_and_unit(imu_table)
+    gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    problems += gnss_problems
     if mag_table is not None:
         try:
             mag, mag_problems = read_mag(mag_table)
@@ -440,12 +442,12 @@ def _read_columns(files: SessionFiles) -> Recording:
     )
 
 
-def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path, list[Problem]]:
+def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table)
+        gnss, problems = read_fixes(table, imu_unit)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems

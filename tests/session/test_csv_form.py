@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from smoother.errors import SessionError
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.load import load_raw
 from smoother.session.tables import read_header, read_table
 
 IMU_HEADER = "t_s,ax,ay,az,gx,gy,gz"
@@ -223,6 +224,14 @@ def test_a_column_of_speeds_that_is_wrong_throughout_costs_the_column_and_not_th
     rows = [row.replace(",10.0,", f",{10000 + k}.0,") for k, row in enumerate(gps_rows(100))]
     fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
     assert len(fixes) == 100 and np.all(np.isnan(fixes.speed)) and codes(problems) == {"gps_speed_absurd": 100}
+
+
+def test_an_accuracy_that_is_in_millimetres_is_named_and_not_the_sky(tmp_path: Path) -> None:
+    rows = [row.replace(",1.5,9,3", ",1500,9,3") for row in gps_rows(100)]
+    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
+    assert len(fixes) == 0 and codes(problems) == {"gps_sigma_absurd": 100}
+    with pytest.raises(SessionError, match=r"is hacc_m in m.*mend those columns"):
+        load_raw(tmp_path)
 
 
 def test_jumps_of_50_m_are_left_to_the_estimator(tmp_path: Path) -> None:
