@@ -26,7 +26,7 @@ def ball(centre: np.ndarray, matrix: np.ndarray, n: int = 400) -> np.ndarray:
 
 
 def test_a_single_fix_is_no_session() -> None:
-    with pytest.raises(SessionError, match="^lone: only one usable fix"):
+    with pytest.raises(SessionError, match=r"^lone: only one usable fix"):
         prepare(RawSession("lone", fixes(LAT[:1], LON[:1])))
 
 

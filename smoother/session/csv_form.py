@@ -36,11 +36,12 @@ def read_imu_and_unit(path: Path) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds."""
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
+    cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     unit = unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
     imu, problems = screen_imu(path.name, t, accel, gyro)
-    return imu, [*said, *problems], unit
+    return imu, [*cut, *said, *problems], unit
 
 
 def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
@@ -54,7 +55,7 @@ def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
     with np.errstate(invalid="ignore"):
         rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
     time, index = put_in_time_order(rows, t, field)
-    return RawMag(time, field[index]), [*said, *rows.problems]
+    return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
 
 
 def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list[Problem]]:
@@ -85,7 +86,13 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*said, *problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *problems, *_unread_times(table)]
+
+
+def _cut_row(table: Table, prefix: str) -> list[Problem]:
+    if not table.cut:
+        return []
+    return [Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")]
 
 
 def _unread_times(table: Table) -> list[Problem]:
