@@ -20,10 +20,10 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import DEAD_AXES, SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
-from smoother.session.inertial import dead_axes
+from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -42,6 +42,7 @@ PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for rad
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
+STUCK_TIME, STUCK_WAY = 10.0, 50.0  # s and m for which one noisy value does not change, however coarse its steps
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
@@ -153,6 +154,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     if imu is not None:
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
+        problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
     return RawSession(
@@ -239,6 +241,19 @@ def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
         axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
         text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
         yield Problem(DEAD_AXES, text)
+
+
+def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
+    """What to say of axes that stop, or start late, while others go on; a cable that came off, or a failing chip."""
+    dead = dead_axes(imu)
+    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
+        for axis, letter in enumerate("xyz"):
+            first, last = longest_constant(values, axis)
+            begin, end = float(imu.t[first]), float(imu.t[last])
+            if (sensor, letter) in dead or end - begin < STUCK_TIME or _way(gnss, begin, end) < STUCK_WAY:
+                continue
+            text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
+            yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
 
 
 def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:

@@ -290,6 +290,14 @@ def test_fixes_of_an_unknown_unit_end_in_one_line_with_the_remedy(folder: Folder
         folder.load()
 
 
+def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> None:
+    rows = imu_csv(4000).splitlines()
+    rows[2000:] = [row.rpartition(",")[0] + ",0.006" for row in rows[2000:]]
+    problems = folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=gps_csv(200)).load().problems
+    (text,) = [problem.text for problem in problems if problem.code == "imu_axis_stuck"]
+    assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
+
+
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:
     assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
 
