@@ -11,6 +11,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import AppliedValue, GnssFixes, Problem, RawSession, Session
 
+FEWEST_FIXES = 2
 GOOD_HORIZONTAL_SIGMA = 10.0  # m; a receiver that reports worse is still searching
 UNIT_FIELD = (0.75, 1.33)  # median length of a calibrated field; outside, it was calibrated somewhere else
 
@@ -20,10 +21,13 @@ def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
 
     The calibration is `calibration_file` if given, and what magcalib.txt offers for a magnetometer it says nothing of.
     What was applied stands in `calibration` of the session.
-    Raises SessionError without a single usable fix, ConfigError for a flawed calibration file.
+    Raises SessionError without two usable fixes, ConfigError for a flawed calibration file.
     """
     if len(raw.gnss) == 0:
         raise SessionError(f"{raw.name}: no usable GPS fix; the antenna needs a view of the sky before the start")
+    if len(raw.gnss) < FEWEST_FIXES:
+        reasons = "; ".join(problem.text for problem in raw.problems if problem.code.startswith("gps_"))
+        raise SessionError(f"{raw.name}: only one usable fix, which is no track{f' ({reasons})' if reasons else ''}")
     calibration = Calibration() if calibration_file is None else load_calibration(calibration_file)
     problems = list(raw.problems)
     mag_source = calibration.source

@@ -19,6 +19,7 @@ SENSOR_AXES = 3
 
 
 DEAD_AXES = "imu_axis_dead"  # code of the problem that axes of the inertial sensor never change
+STUCK_AXES = "imu_axis_stuck"  # likewise, for a long part of the recording
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,11 @@ def ball(centre: np.ndarray, matrix: np.ndarray, n: int = 400) -> np.ndarray:
     return direction / np.linalg.norm(direction, axis=1, keepdims=True) @ matrix.T + centre
 
 
+def test_a_single_fix_is_no_session() -> None:
+    with pytest.raises(SessionError, match=r"^lone: only one usable fix"):
+        prepare(RawSession("lone", fixes(LAT[:1], LON[:1])))
+
+
 def test_the_origin_is_the_first_fix() -> None:
     assert choose_origin(fixes()) == Origin(45.0, 12.0, 30.0)
 

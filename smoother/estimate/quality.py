@@ -12,7 +12,7 @@ from smoother.arrays import Array, are_near, median
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
-from smoother.samples import DEAD_AXES, Session
+from smoother.samples import DEAD_AXES, STUCK_AXES, Session
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
 from smoother.words import counted
@@ -109,7 +109,7 @@ def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
     if estimate.report.mode != "full":
         return []
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
-    dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code == DEAD_AXES]
+    dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code in (DEAD_AXES, STUCK_AXES)]
     return wrong + dead
 
 

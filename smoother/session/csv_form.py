@@ -6,10 +6,12 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
-from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.fix_columns import FixColumns
+from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
+from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -26,30 +28,46 @@ OPTIONAL_FIX_COLUMNS = (
 
 def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     """Read imu.csv: t_s, ax ay az (m/s^2), gx gy gz (rad/s), axes s. Rows may all be dropped: length 0."""
+    imu, problems, _ = read_imu_and_unit(path)
+    return imu, problems
+
+
+def read_imu_and_unit(path: Path) -> tuple[RawImu, list[Problem], str | None]:
+    """The same, and the unit that its times are in where it is not seconds."""
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
+    cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
-    return screen_imu(path.name, t, accel, gyro)
+    unit = unit_by_rate(t)
+    t, said = in_seconds(t, unit, "imu", path.name)
+    imu, problems = screen_imu(path.name, t, accel, gyro)
+    return imu, [*cut, *said, *problems], unit
 
 
 def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
     """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0."""
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
+    t, said = in_seconds(t, unit_by_rate(t), "mag", path.name)
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
     with np.errstate(invalid="ignore"):
         rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
-    time, index = put_in_time_order(rows, t)
-    return RawMag(time, field[index]), rows.problems
+    time, index = put_in_time_order(rows, t, field)
+    return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
 
 
-def read_fixes(path: Path) -> tuple[GnssFixes, list[Problem]]:
-    """Read gps.csv, columns as in the contract; maybe without a single usable fix."""
+def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list[Problem]]:
+    """Read gps.csv, columns as in the contract; maybe without a single usable fix.
+
+    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds.
+    """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
+    t, unix_s = table.column("t_s"), _unix_seconds(table)
+    t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     columns = FixColumns(
-        t=table.column("t_s"),
+        t=t,
         lat_deg=table.column("lat_deg"),
         lon_deg=table.column("lon_deg"),
         alt_m=table.column("alt_m"),
@@ -64,11 +82,17 @@ def read_fixes(path: Path) -> tuple[GnssFixes, list[Problem]]:
         hdop=table.column("hdop"),
         num_sv=table.column("num_sv"),
         fix=table.column("fix"),
-        unix_s=_unix_seconds(table),
+        unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *problems, *_unread_times(table)]
+
+
+def _cut_row(table: Table, prefix: str) -> list[Problem]:
+    if not table.cut:
+        return []
+    return [Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")]
 
 
 def _unread_times(table: Table) -> list[Problem]:

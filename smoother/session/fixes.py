@@ -1,14 +1,13 @@
 """Columns of fixes, from whatever file, to GnssFixes: choose the usable rows, normalise the values, count the rest."""
 
-from dataclasses import dataclass, fields, replace
-
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
+from smoother.session.doppler import without_wrong_velocity
+from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.rows import RowFilter, put_in_time_order
-from smoother.units import KMH, KNOT, MPH
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
 ABSURD_CLIMB = 50.0  # m/s
@@ -22,42 +21,6 @@ STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no har
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
-UNITS = {"km/h": KMH, "mph": MPH, "knots": KNOT, "m/s divided by 3.6": 1.0 / KMH}  # m/s
-SAME_UNIT = 0.05  # share; the nearest two of them are 13 % apart
-BASELINE = 1.0  # s; over less, noise of the positions counts
-FASTER = 5.0  # m/s; and in slower motion
-FEWEST_STEPS, ENOUGH_STEPS = 20, 2000
-METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
-
-
-@dataclass(frozen=True, eq=False)
-class FixColumns:
-    """Raw columns of N rows, each (N,), NaN where unknown. Units as in GnssFixes; velocities in m/s.
-
-    fix : quality, 0 or less is no fix. is_blank : the row has a time but no position at all.
-    """
-
-    t: Array
-    lat_deg: Array
-    lon_deg: Array
-    alt_m: Array
-    speed: Array
-    course_deg: Array
-    velocity_north: Array
-    velocity_east: Array
-    velocity_up: Array
-    sigma_horizontal: Array
-    sigma_up: Array
-    sigma_velocity: Array
-    hdop: Array
-    num_sv: Array
-    fix: Array
-    unix_s: Array
-    is_blank: BoolArray
-
-    def take(self, index: IntArray) -> "FixColumns":
-        """Return the rows at `index`."""
-        return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
 
 
 def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Problem]]:
@@ -65,8 +28,8 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)
-    time, index = put_in_time_order(rows, columns.t)
-    ordered = _without_wrong_unit(rows, time, columns.take(index))
+    time, index = put_in_time_order(rows, columns.t, columns.lat_deg, columns.lon_deg)
+    ordered = without_wrong_velocity(rows, time, columns.take(index))
     for find, code, reason in (
         (_is_jump, "jump", "farther from the others than any vehicle moves"),
         (_is_stale, "repeated", "repeating the position before while moving"),
@@ -81,8 +44,10 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     with np.errstate(invalid="ignore"):
-        searching = (c.fix < 1.0) | c.is_blank | (c.sigma_horizontal > UNUSABLE_SIGMA)
-    rows.drop(searching & np.isfinite(c.t), "no_fix", "without a fix")
+        searching, unsure = (c.fix < 1.0) | c.is_blank, c.sigma_horizontal > UNUSABLE_SIGMA
+    if np.any(unsure & ~searching) and np.all(unsure | searching):  # then it is the column that is wrong
+        rows.drop(unsure & ~searching, "sigma_absurd", f"sure to more than {UNUSABLE_SIGMA:.0f} m (is hacc_m in m?)")
+    rows.drop((searching | unsure) & np.isfinite(c.t), "no_fix", "without a fix")
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 
@@ -103,52 +68,12 @@ def _too_fast(c: FixColumns) -> BoolArray:
     return np.asarray((c.speed > ABSURD_SPEED) | (np.hypot(c.velocity_north, c.velocity_east) > ABSURD_SPEED))
 
 
-def _metres(c: FixColumns) -> tuple[Array, Array]:
-    """North and east in metres, rough, relative to the first row; continuous across 180 degrees of longitude."""
-    east = np.mod(c.lon_deg - c.lon_deg[0] + 180.0, 360.0) - 180.0
-    return (c.lat_deg - c.lat_deg[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(c.lat_deg))
-
-
-def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without velocity where it contradicts the positions as another unit does, and say so.
-
-    Speeds that are 3.6 times too large would pass for fixes that are noisy and late.
-    """
-    share = _share_of_speed(t, c)
-    unit = next((name for name, size in UNITS.items() if abs(share * size - 1.0) < SAME_UNIT), None)
-    if unit is None:
-        return c
-    text = f"its speeds are {share:.2f} times those of its positions, as if in {unit}; not used. Is speed_mps in m/s?"
-    rows.say("speed_unit", text, 1)
-    unknown = np.full(t.size, np.nan)
-    return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
-
-
-def _share_of_speed(t: Array, c: FixColumns) -> float:
-    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it."""
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
-    north, east = _metres(c) if t.size else (t, t)
-    later = np.searchsorted(t, t + BASELINE)
-    first = np.flatnonzero((later < t.size) & np.isfinite(speed))
-    first = first[:: max(1, first.size // ENOUGH_STEPS)]
-    last = later[first]
-    run = t[last] - t[first]
-    travelled = np.hypot(north[last] - north[first], east[last] - east[first]) / run
-    within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
-    sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
-    told = (travelled > FASTER) & (run < 2.0 * BASELINE) & np.isfinite(sent)
-    if np.count_nonzero(told) < FEWEST_STEPS:
-        return float("nan")
-    low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0))
-    return float(share) if high < 1.25 * low else float("nan")
-
-
 def _is_jump(t: Array, c: FixColumns) -> BoolArray:
     """Mask of rows that cannot be reached at any speed from the longest run of rows that follow one another."""
     bad = np.zeros(t.size, dtype=np.bool_)
     if t.size < 3:
         return bad
-    north, east = _metres(c)
+    north, east = metres(c)
     cuts = np.flatnonzero(np.hypot(np.diff(north), np.diff(east)) > JUMP_DISTANCE + ABSURD_SPEED * np.diff(t)) + 1
     bounds = np.concatenate([[0], cuts, [t.size]])
     main = int(np.argmax(np.diff(bounds)))
@@ -175,7 +100,7 @@ def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     repeats[1:] = (np.diff(c.lat_deg) == 0.0) & (np.diff(c.lon_deg) == 0.0)
     if not np.any(repeats):
         return repeats
-    north, east = _metres(c)
+    north, east = metres(c)
     fresh = np.flatnonzero(~repeats)
     run = np.cumsum(~repeats) - 1  # which fresh row each row repeats
     speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))

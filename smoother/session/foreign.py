@@ -7,7 +7,8 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.fix_columns import FixColumns
+from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import LATEST
 from smoother.units import DEG, KMH, KNOT, MPH, STANDARD_GRAVITY

@@ -27,7 +27,7 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     rows.drop(unreadable, "invalid", "with an empty or unreadable value")
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, accel, gyro)
-    time, index = put_in_time_order(rows, t)
+    time, index = put_in_time_order(rows, t, accel, gyro)
     return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
 
 
@@ -49,6 +49,20 @@ def _constant(values: Array) -> list[int]:
         if not same:
             break
     return same
+
+
+def longest_constant(values: Array, axis: int) -> tuple[int, int]:
+    """First and last row of the longest stretch of (N, 3) samples, N > 0, in which one axis does not change."""
+    begin, longest = 0, (0, 0)
+    for part in pieces(len(values) - 1):
+        before, now = values[part.start : part.stop, axis], values[part.start + 1 : part.stop + 1, axis]
+        edges = np.append(begin, np.flatnonzero(now != before) + part.start + 1)
+        release(values)
+        begin = int(edges[-1])
+        if edges.size > 1:
+            k = int(np.argmax(np.diff(edges)))
+            longest = max(longest, (int(edges[k]), int(edges[k + 1]) - 1), key=lambda run: run[1] - run[0])
+    return max(longest, (begin, len(values) - 1), key=lambda run: run[1] - run[0])
 
 
 def _any_of_row(bad: BoolArray) -> BoolArray:

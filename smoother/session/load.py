@@ -20,10 +20,10 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import DEAD_AXES, SENSOR_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
-from smoother.session.inertial import dead_axes
+from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
@@ -42,8 +42,10 @@ PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for rad
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
+STUCK_TIME, STUCK_WAY = 10.0, 50.0  # s and m for which one noisy value does not change, however coarse its steps
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
+NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
@@ -152,6 +154,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     if imu is not None:
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
+        problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
     return RawSession(
@@ -169,11 +172,11 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
 
 def _require_fixes(recording: Recording) -> None:
     if len(recording.gnss) == 0:
-        reasons = "; ".join(p.text.partition(": ")[2] for p in recording.problems if p.code.startswith("gps_"))
-        raise SessionError(
-            f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; "
-            "the antenna needs a free view of the sky before the start"
-        )
+        against = [problem for problem in recording.problems if problem.code.startswith("gps_")]
+        reasons = "; ".join(problem.text.partition(": ")[2] for problem in against)
+        searched = all(problem.code in NO_RECEPTION for problem in against)
+        remedy = "the antenna needs a free view of the sky before the start" if searched else "mend those columns"
+        raise SessionError(f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; {remedy}")
 
 
 def _without_fillers(gnss: GnssFixes) -> GnssFixes:
@@ -238,6 +241,19 @@ def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
         axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
         text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
         yield Problem(DEAD_AXES, text)
+
+
+def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
+    """What to say of axes that stop, or start late, while others go on; a cable that came off, or a failing chip."""
+    dead = dead_axes(imu)
+    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
+        for axis, letter in enumerate("xyz"):
+            first, last = longest_constant(values, axis)
+            begin, end = float(imu.t[first]), float(imu.t[last])
+            if (sensor, letter) in dead or end - begin < STUCK_TIME or _way(gnss, begin, end) < STUCK_WAY:
+                continue
+            text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
+            yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
 
 
 def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
@@ -420,14 +436,15 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.csv_form import read_imu, read_mag
+    from smoother.session.csv_form import read_imu_and_unit, read_mag
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
-    gnss, gnss_file, problems = _read_any_fixes(files, imu_table is not None)
-    imu, mag = None, None
+    imu, mag, unit = None, None, None
+    problems: list[Problem] = []
     if imu_table is not None:
-        imu, imu_problems = read_imu(imu_table)
-        problems = imu_problems + problems
+        imu, problems, unit = read_imu_and_unit(imu_table)
+    gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    problems += gnss_problems
     if mag_table is not None:
         try:
             mag, mag_problems = read_mag(mag_table)
@@ -440,12 +457,12 @@ def _read_columns(files: SessionFiles) -> Recording:
     )
 
 
-def _read_any_fixes(files: SessionFiles, has_imu: bool) -> tuple[GnssFixes, Path, list[Problem]]:
+def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table)
+        gnss, problems = read_fixes(table, imu_unit)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems

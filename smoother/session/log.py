@@ -159,7 +159,7 @@ def imu_samples(records: LogRecords, file: str) -> tuple[RawImu | None, list[Pro
     setup = records.setup or Setup()
     rows = RowFilter(file, "imu", np.ones(records.imu_t.size, dtype=np.bool_))
     shift_us = setup.gyro_delay_us - setup.imu_period_us // 2
-    t, index = put_in_time_order(rows, seconds(records.imu_t, shift_us))
+    t, index = put_in_time_order(rows, seconds(records.imu_t, shift_us), records.imu)
     counts = records.imu if is_all(index, len(records.imu)) else records.imu[index]
     accel_full_scale, gyro_full_scale = setup.accel_range_g * STANDARD_GRAVITY, setup.gyro_range_dps * DEG
     imu = RawImu(
@@ -203,7 +203,7 @@ def mag_samples(records: LogRecords, file: str) -> tuple[RawMag | None, list[Pro
     """Return the magnetic field in uT and axes s, without readings that overflowed; None without any."""
     rows = RowFilter(file, "mag", np.ones(records.mag_t.size, dtype=np.bool_))
     rows.drop((records.mag_flags & MAG_OVERFLOW) != 0, "overflow", "of the magnetometer beyond its range")
-    t, index = put_in_time_order(rows, seconds(records.mag_t))
+    t, index = put_in_time_order(rows, seconds(records.mag_t), records.mag)
     if index.size == 0:
         return None, rows.problems
     return RawMag(t, magnetic_field(records.mag[index], records.setup or Setup())), rows.problems

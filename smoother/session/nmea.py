@@ -9,7 +9,7 @@ import math
 import re
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,10 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
-from smoother.session.fixes import FixColumns, screen_fixes
+from smoother.session.fix_columns import FixColumns
+from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
+from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.units import DAY, KMH, KNOT
 from smoother.words import counted
 
@@ -117,9 +119,11 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
         flaws = "; ".join(problem.text for problem in tally.problems(file))
         raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
     utc = over_midnight(sentences.time_of_day[timed])
-    columns, has_receive_times = _merge(sentences, timed, utc, tally)
+    unit = unit_by_utc(sentences.received[timed], utc)
+    received_s, said = in_seconds(sentences.received, unit, "gps", file)
+    columns, has_receive_times = _merge(replace(sentences, received=received_s), timed, utc, tally)
     gnss, problems = screen_fixes(columns, file)
-    return NmeaReading(gnss, [*tally.problems(file), *problems], has_receive_times)
+    return NmeaReading(gnss, [*said, *tally.problems(file), *problems], has_receive_times)
 
 
 def _parse_all(received: Iterable[tuple[float, bytes]], tally: _Tally) -> _Sentences:

@@ -1,9 +1,12 @@
 """Choosing the rows of a stream that can be used, and counting the others. Knows times, not files or units."""
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.disc import pieces, release, roomy
@@ -48,13 +51,15 @@ class RowFilter:
         self.problems.append(Problem(f"{self.prefix}_{code}", f"{self.file}: {sentence}", count))
 
 
-def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
+def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> tuple[Array, IntArray]:
     """Choose the rows in use that form one strictly increasing time axis.
 
-    t : (N,) s as written. Returns the times (K,) s, unwrapped, and the indices (K,) of their rows in the file.
+    t : (N,) s as written; values : each (N,) or (N, M), by which rows written twice are told from others of that time.
+    Returns the times (K,) s, unwrapped, and the indices (K,) of their rows in the file.
     Rows out of order or repeated are dropped (the first of a repeated time stays); a stray far-future stamp costs
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
-    cost a large part of it. After a restart of the clock only the longest piece is kept.
+    cost a large part of it, and so are blocks that were written twice or in another order. After a restart of the clock
+    only the longest piece is kept.
     """
     if _is_flawless(rows, t):
         time = t.view()
@@ -68,7 +73,7 @@ def put_in_time_order(rows: RowFilter, t: Array) -> tuple[Array, IntArray]:
     time, wraps = unwrap(t[index])
     if wraps:
         rows.say("clock_wrapped", f"the 32-bit clock wrapped {wraps} times; unwrapped", wraps)
-    index, time = _resolve_disorder(rows, index, time)
+    index, time = _resolve_disorder(rows, index, time, values)
     keep = longest_increasing(time)
     _drop_disorder(rows, index, time, keep)
     index, time = index[keep], time[keep]
@@ -203,7 +208,9 @@ def _patience(t: Array) -> IntArray:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
+def _resolve_disorder(
+    rows: RowFilter, index: IntArray, t: Array, values: Sequence[npt.NDArray[Any]]
+) -> tuple[IntArray, Array]:
     """Give back rows (indices and times) in which whatever is still out of order is a flaw of single rows."""
     tolerated = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
     if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= tolerated:
@@ -213,7 +220,45 @@ def _resolve_disorder(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntAr
         moved = int(np.count_nonzero(order != np.arange(t.size)))
         rows.say("reordered", f"{counted(moved, 'row')} slightly out of order; sorted by time", moved)
         return index[order], t[order]
+    calm = _is_calm(t)
+    if _are_moved_blocks(t[calm], [value[index[calm]] for value in values]):
+        falls = int(np.count_nonzero(np.diff(t[calm]) < 0.0))
+        rows.say(
+            "blocks_moved", f"{counted(falls, 'step')} back in time, of rows in another order; sorted by time", falls
+        )
+        rows.drop(_mask(rows, index[~calm]), "out_of_order", "out of time order")
+        order = np.argsort(t[calm], kind="stable")
+        return index[calm][order], t[calm][order]
     return _longest_piece(rows, index, t)
+
+
+def _is_calm(t: Array) -> BoolArray:
+    """Mask (N,) of the rows that are not single stray stamps between two in order."""
+    calm = np.ones(t.size, dtype=np.bool_)
+    calm[1:-1] = ~((t[2:] > t[:-2]) & ((t[1:-1] > t[2:]) | (t[1:-1] < t[:-2])))
+    return calm
+
+
+def _are_moved_blocks(t: Array, values: Sequence[npt.NDArray[Any]]) -> bool:
+    """Whether sorting makes one recording of t (N,): rows of one time are the same row, and blocks join without a hole.
+
+    After a restart of the clock times come again with other rows, or two recordings mix, or there is time between them.
+    """
+    order = np.argsort(t, kind="stable")
+    again = np.diff(t[order]) == 0.0
+    differs = np.full(order.size - 1, fill_value=not values)
+    for value in values:
+        pairs = value[order[1:]], value[order[:-1]]
+        same = (pairs[0] == pairs[1]) | (np.isnan(pairs[0]) & np.isnan(pairs[1]))
+        differs |= ~(same if same.ndim == 1 else np.all(same, axis=1))
+    if np.count_nonzero(again & differs) > GLITCH_SHARE * np.count_nonzero(again):
+        return False
+    block = np.cumsum(np.diff(t, prepend=t[:1]) < 0.0)
+    kept = order[np.append(True, ~again)]
+    step, joins = np.diff(t[kept]), np.diff(block[kept]) != 0
+    longest = max(RESTART_STEP, 4.0 * float(np.median(step))) if step.size else 0.0
+    holes, joined = np.count_nonzero(step[joins] > longest), np.count_nonzero(joins)
+    return bool(joined <= 2 * (int(block[-1]) + 1) and holes <= GLITCH_SHARE * joined)
 
 
 def _without_repeats(t: Array) -> Array:
@@ -222,8 +267,7 @@ def _without_repeats(t: Array) -> Array:
 
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
     """Cut where the clock was set back for good; keep the piece with most rows."""
-    calm = np.ones(t.size, dtype=np.bool_)
-    calm[1:-1] = ~((t[2:] > t[:-2]) & ((t[1:-1] > t[2:]) | (t[1:-1] < t[:-2])))  # not a single stray stamp
+    calm = _is_calm(t)
     steps = np.diff(t[calm])
     piece = np.zeros(t.size, dtype=np.int64)
     piece[np.flatnonzero(calm)[1:]] = steps < -RESTART_STEP

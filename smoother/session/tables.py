@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import polars as pl
@@ -59,6 +60,7 @@ class Table:
 
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
     `unread` counts, for each column of times, the cells that hold something which is no time.
+    `cut` : the last row was cut short, as by a loss of power, and is left out.
     """
 
     file: str
@@ -66,6 +68,7 @@ class Table:
     empty: dict[str, BoolArray]
     length: int
     unread: dict[str, int]
+    cut: bool = False
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -113,47 +116,99 @@ def read_table(
     numbers = tuple(name for name in (*required, *optional) if name in header)
     times = tuple(name for name in iso_times if name in header)
     separator = _separator(_header_line(path))
-    columns, flags = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
+    columns, flags, cut = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
     length = len(columns[required[0]])
     if length == 0:
         raise SessionError(f"{path.name}: a header line, but no rows; was the recording started?")
     empty = {name: flags[f"empty {name}"] for name in required}
-    return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times})
+    return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times}, cut)
 
 
-def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray]]:
-    """The columns by name, and those of true and false; of a long file from all its parts."""
+def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray], bool]:
+    """The columns by name, those of true and false, and whether a last row was cut; of a long file from all parts."""
     names = (*wanted.numbers, *wanted.times)
     try:
         source, is_quoted = _source(path), '"' in _text_head(path)
+        end, cut = _end_of_rows(source, wanted.separator.encode())
+        if isinstance(source, bytes):
+            source = source[:end]
+        elif path.stat().st_size <= LONG_FILE and end < path.stat().st_size:
+            source = source.read_bytes()[:end]
         if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
             if is_quoted:
                 source = _unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
             frame = _read_cells(source, wanted)
-            return {name: _column(frame, name) for name in names}, {n: frame[n].to_numpy() for n in wanted.flags}
+            flagged = {name: frame[name].to_numpy() for name in wanted.flags}
+            return {name: _column(frame, name) for name in names}, flagged, cut
         growing = {name: Growing() for name in names}
         flags = {name: Growing(dtype=np.bool_) for name in wanted.flags}
-        for part in _parts(path):
+        for part in _parts(path, end):
             frame = _read_cells(_unquoted(part, wanted.separator) if is_quoted else part, wanted)
             for name, column in growing.items():
                 column.add(_column(frame, name))
             for name, column in flags.items():
                 column.add(frame[name].to_numpy())
-        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in flags.items()}
+        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in flags.items()}, cut
     except pl.exceptions.PolarsError as error:
         raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
 
 
-def _parts(path: Path) -> Iterator[bytes]:
-    """A file as tables of whole lines, each with the header."""
+def _parts(path: Path, end: int) -> Iterator[bytes]:
+    """The first `end` bytes of a file as tables of whole lines, each with the header."""
     with path.open("rb") as file:
         header = file.readline(LONGEST_LINE)
         while not header.strip() and (more := file.readline(LONGEST_LINE)):
             header = more
-        while lines := file.read(PART_BYTES):
-            yield header + lines + file.readline(LONGEST_LINE)
+        while lines := file.read(min(PART_BYTES, end - file.tell())):
+            yield header + lines + file.readline(min(LONGEST_LINE, end - file.tell()))
+
+
+def _end_of_rows(source: Path | bytes, separator: bytes) -> tuple[int, bool]:
+    """Where the whole rows of a file end, and whether a row that was cut short stands behind them.
+
+    A card has room reserved for a file that grows: after a loss of power zeros may follow the last row.
+    """
+    if isinstance(source, bytes):
+        end = len(source.rstrip(b"\0"))
+        begin = max(0, end - HEAD_BYTES)
+        tail = source[begin:end]
+    else:
+        with source.open("rb") as file:
+            end = _end_of_text(file, source.stat().st_size)
+            begin = max(0, end - HEAD_BYTES)
+            file.seek(begin)
+            tail = file.read(end - begin)
+    cut = _length_cut(tail, separator)
+    return end - cut, cut > 0
+
+
+def _end_of_text(file: BinaryIO, end: int) -> int:
+    """Where the zeros begin that a file ends with."""
+    while end > 0:
+        begin = max(0, end - LONGEST_LINE)
+        file.seek(begin)
+        if text := file.read(end - begin).rstrip(b"\0"):
+            return begin + len(text)
+        end = begin
+    return 0
+
+
+def _length_cut(tail: bytes, separator: bytes) -> int:
+    """How many bytes at the end are a row without end that has fewer cells, or a shorter last cell, than all others.
+
+    A number that lost its last digits is a number still: of a longitude of 11.23456 the cut 11.2 is as good a place.
+    """
+    *before, last = tail.splitlines() or [b""]
+    others = [line for line in before[1:] if line.strip()]  # the first is the header, or cut itself
+    if tail.endswith((b"\n", b"\r")) or not last.strip() or not others:
+        return 0
+    fewest = min(line.count(separator) for line in others)
+    shortest = min(len(line.rpartition(separator)[2].rstrip()) for line in others)
+    cells = last.count(separator)
+    is_cut = cells < fewest or (cells == fewest and len(last.rpartition(separator)[2]) < shortest)
+    return len(last) if is_cut else 0
 
 
 def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
@@ -255,7 +310,7 @@ def _source(path: Path) -> Path | bytes:
 def _require_lines(path: Path) -> None:
     """Raise SessionError where a megabyte holds no end of a line; looks at a few bytes of each."""
     with path.open("rb") as file:
-        for start in range(0, path.stat().st_size, LONGEST_LINE):
+        for start in range(0, _end_of_text(file, path.stat().st_size), LONGEST_LINE):
             file.seek(start)
             if b"\n" not in file.read(ROW_BYTES):
                 rest = file.read(LONGEST_LINE - ROW_BYTES)

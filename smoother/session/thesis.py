@@ -94,7 +94,7 @@ def read_out(path: Path) -> ThesisRecording:
         )
     start_ms, counts = _imu_values(data, records.position)
     rows = RowFilter(path.name, "imu", np.ones(start_ms.size, dtype=np.bool_))
-    t, index = put_in_time_order(rows, start_ms * MILLISECOND)
+    t, index = put_in_time_order(rows, start_ms * MILLISECOND, counts)
     imu = RawImu(t, counts[index, :3], counts[index, 3:], ACCEL_SCALE, GYRO_SCALE, ACCEL_FULL_SCALE, GYRO_FULL_SCALE)
     with_gps = records.has_gps[index]
     position = records.position[index][with_gps]

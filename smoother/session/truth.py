@@ -31,7 +31,7 @@ def load_truth(directory: Path, origin: Origin) -> Trajectory:
     position_n = _position_n(table, origin)
     t = table.column("t_s")
     rows = RowFilter(path.name, "truth", np.isfinite(t) & np.all(np.isfinite(position_n[:, :2]), axis=1))
-    t, index = put_in_time_order(rows, t)
+    t, index = put_in_time_order(rows, t, position_n)
     if t.size == 0:
         raise SessionError(f"{path.name}: no usable row; wanted t_s with lat_deg, lon_deg or north_m, west_m")
     unknown = np.full((t.size, 3), np.nan)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from smoother.errors import SessionError
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.load import load_raw
 from smoother.session.tables import read_header, read_table
 
 IMU_HEADER = "t_s,ax,ay,az,gx,gy,gz"
@@ -220,9 +221,32 @@ def test_rows_that_are_no_fix_are_dropped_and_counted_by_kind(tmp_path: Path) ->
 
 
 def test_a_column_of_speeds_that_is_wrong_throughout_costs_the_column_and_not_the_fixes(tmp_path: Path) -> None:
-    rows = [row.replace(",10.0,", ",10000.0,") for row in gps_rows(100)]
+    rows = [row.replace(",10.0,", f",{10000 + k}.0,") for k, row in enumerate(gps_rows(100))]
     fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
     assert len(fixes) == 100 and np.all(np.isnan(fixes.speed)) and codes(problems) == {"gps_speed_absurd": 100}
+
+
+@pytest.mark.parametrize("left", [",12.000", ",12", ",12.0,8", ",12.0,8.5,10.0,0.0,1.5,9,"])
+@pytest.mark.parametrize("zeros", [0, 3 << 20])
+def test_a_last_row_cut_by_a_loss_of_power_is_no_fix(tmp_path: Path, left: str, zeros: int) -> None:
+    rows = [row.replace(",12.0,", f",12.0{k:05d},") for k, row in enumerate(gps_rows(100))]
+    rows[-1] = ",".join(rows[-1].split(",")[:2]) + left
+    fixes, problems = read_fixes(save(tmp_path, gps_table(rows).rstrip("\n").encode() + bytes(zeros), "gps.csv"))
+    assert len(fixes) == 99 and codes(problems) == {"gps_row_cut": 1}
+
+
+def test_a_last_row_without_end_that_is_whole_is_kept(tmp_path: Path) -> None:
+    for text in (gps_table(gps_rows(100)).rstrip("\n"), gps_table(gps_rows(100)) + "\0" * 5000):
+        fixes, problems = read_fixes(save(tmp_path, text, "gps.csv"))
+        assert len(fixes) == 100 and problems == []
+
+
+def test_an_accuracy_that_is_in_millimetres_is_named_and_not_the_sky(tmp_path: Path) -> None:
+    rows = [row.replace(",1.5,9,3", ",1500,9,3") for row in gps_rows(100)]
+    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
+    assert len(fixes) == 0 and codes(problems) == {"gps_sigma_absurd": 100}
+    with pytest.raises(SessionError, match=r"is hacc_m in m.*mend those columns"):
+        load_raw(tmp_path)
 
 
 def test_jumps_of_50_m_are_left_to_the_estimator(tmp_path: Path) -> None:

@@ -37,7 +37,11 @@ def imu_csv(count: int = 1000, rate: float = 100.0, start: float = 0.0) -> str:
 
 
 def gps_csv(count: int = 50, rate: float = 5.0, start: float = 0.0) -> str:
-    rows = [f"{start + k / rate:.2f},{45 + 1e-4 * k + 1e-8 * k * k:.9f},12.0,8.0,50.0,0.0" for k in range(count)]
+    speeds = [111_195 * rate * (1e-4 + 2e-8 * k) for k in range(count)]
+    rows = [
+        f"{start + k / rate:.2f},{45 + 1e-4 * k + 1e-8 * k * k:.9f},12.0,8.0,{speed:.2f},0.0"
+        for k, speed in enumerate(speeds)
+    ]
     return "\n".join(["t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg", *rows]) + "\n"
 
 
@@ -259,11 +263,39 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
-def test_milliseconds_for_seconds_are_asked_about(folder: Folder) -> None:
-    imu, gps = imu_csv(1000, rate=0.1), gps_csv(50, rate=0.005)
-    told = {problem.code: problem.text for problem in folder.write(imu__csv=imu, gps__csv=gps).load().problems}
-    assert "0.1 samples a second are too few (at least 20); is t_s in seconds?" in told["imu_too_slow"]
-    assert told["gps_too_slow"] == "gps.csv: a fix only every 200 s; is t_s in seconds?"
+def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: Folder) -> None:
+    right = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv()).load()
+    read = folder.write(imu__csv=imu_csv(1000, rate=0.1), gps__csv=gps_csv(50, rate=0.005)).load()
+    told = {problem.code: problem.text for problem in read.problems}
+    assert told["imu_time_unit"] == "imu.csv: its times are in milliseconds; taken as such"
+    assert told["gps_time_unit"] == "gps.csv: its times are in milliseconds; taken as such"
+    assert read.imu is not None and right.imu is not None
+    np.testing.assert_allclose(read.imu.t, right.imu.t, atol=1e-9)
+    np.testing.assert_allclose(read.gnss.t, right.gnss.t, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
+def test_the_unit_of_fixes_is_told_by_their_utc(folder: Folder, size: float) -> None:
+    header, *rows = gps_csv().replace("\n", ",\n").splitlines()
+    rows = [f"{size * k / 5:.0f},{row.partition(',')[2]}{1.7e9 + k / 5:.1f}" for k, row in enumerate(rows)]
+    read = folder.write(gps__csv="\n".join([header + "unix_s", *rows]) + "\n").load()
+    assert "gps_time_unit" in {problem.code for problem in read.problems}
+    np.testing.assert_allclose(read.gnss.t, np.arange(50) / 5, atol=1e-6)
+
+
+@pytest.mark.parametrize("imu", [None, imu_csv()])
+def test_fixes_of_an_unknown_unit_end_in_one_line_with_the_remedy(folder: Folder, imu: str | None) -> None:
+    folder.write(gps__csv=gps_csv(50, rate=0.005), **({} if imu is None else {"imu__csv": imu}))
+    with pytest.raises(SessionError, match=r"^gps.csv: by t_s a fix only every 200 s, .* divide milliseconds by 1000"):
+        folder.load()
+
+
+def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> None:
+    rows = imu_csv(4000).splitlines()
+    rows[2000:] = [row.rpartition(",")[0] + ",0.006" for row in rows[2000:]]
+    problems = folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=gps_csv(200)).load().problems
+    (text,) = [problem.text for problem in problems if problem.code == "imu_axis_stuck"]
+    assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
 
 
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:

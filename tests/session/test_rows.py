@@ -130,6 +130,42 @@ def test_a_restart_is_found_among_stray_stamps() -> None:
     assert set(index) == set(range(600, 1500)) - {700, 1200}
 
 
+def blocks(*parts: slice) -> tuple[np.ndarray, np.ndarray, RowFilter]:
+    """What is left of parts of 1000 rows at 10 Hz, written one behind the other, with values that tell them apart."""
+    which = np.concatenate([np.arange(1000)[part] for part in parts])
+    rows = rows_of(which.size)
+    time, index = put_in_time_order(rows, which * 0.1, np.sin(which)[:, None])
+    np.testing.assert_allclose(time, which[index] * 0.1)
+    return time, which[index], rows
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ((slice(0, 600), slice(400, 500), slice(600, 1000)), {"imu_blocks_moved": 1, "imu_repeated_time": 100}),
+        ((slice(0, 200), slice(300, 700), slice(200, 300), slice(700, 1000)), {"imu_blocks_moved": 1}),
+        ((slice(500, 1000), slice(0, 500)), {"imu_blocks_moved": 1}),
+        ((slice(0, 1000), slice(0, 1000)), {"imu_blocks_moved": 1, "imu_repeated_time": 1000}),
+        ((slice(None, None, -1),), {"imu_blocks_moved": 999}),
+    ],
+)
+def test_blocks_written_twice_or_in_another_order_cost_nothing(parts: tuple[slice, ...], said: dict[str, int]) -> None:
+    _, which, rows = blocks(*parts)
+    assert which.tolist() == list(range(1000)) and codes(rows) == said
+
+
+def test_blocks_with_time_between_them_are_a_restart_of_the_clock() -> None:
+    _, which, rows = blocks(slice(400, 1000), slice(0, 350))
+    assert which.tolist() == list(range(400, 1000)) and codes(rows) == {"imu_clock_restart": 350}
+
+
+def test_other_rows_of_the_same_times_are_a_restart_of_the_clock() -> None:
+    t = np.concatenate([np.arange(600), np.arange(900)]) * 0.1
+    rows = rows_of(t.size)
+    _, index = put_in_time_order(rows, t, np.arange(1500.0))
+    assert index[0] == 600 and codes(rows) == {"imu_clock_restart": 600}
+
+
 @pytest.mark.parametrize("counts_per_second, limit", [(1e6, 2.0**32), (1e3, 2.0**32)])
 def test_a_32_bit_counter_may_wrap(counts_per_second: float, limit: float) -> None:
     true = limit / counts_per_second - 5.0 + np.arange(1000) * 0.01

@@ -1,0 +1,47 @@
+"""The columns every reader of fixes fills, before they are screened, and their places in rough metres."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+
+METRES_PER_DEGREE = 111_195.0  # of latitude; good to 0.5 %, enough for screening
+
+
+@dataclass(frozen=True, eq=False)
+class FixColumns:
+    """Raw columns of N rows, each (N,), NaN where unknown. Units as in GnssFixes; velocities in m/s.
+
+    fix : quality, 0 or less is no fix. is_blank : the row has a time but no position at all.
+    """
+
+    t: Array
+    lat_deg: Array
+    lon_deg: Array
+    alt_m: Array
+    speed: Array
+    course_deg: Array
+    velocity_north: Array
+    velocity_east: Array
+    velocity_up: Array
+    sigma_horizontal: Array
+    sigma_up: Array
+    sigma_velocity: Array
+    hdop: Array
+    num_sv: Array
+    fix: Array
+    unix_s: Array
+    is_blank: BoolArray
+
+    def take(self, index: IntArray) -> "FixColumns":
+        """Return the rows at `index`."""
+        return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
+
+
+def metres(c: FixColumns) -> tuple[Array, Array]:
+    """North and east (N,) in metres, rough, relative to the first row; continuous across 180 degrees of longitude."""
+    if c.t.size == 0:
+        return c.t, c.t
+    east = np.mod(c.lon_deg - c.lon_deg[0] + 180.0, 360.0) - 180.0
+    return (c.lat_deg - c.lat_deg[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(c.lat_deg))

@@ -1,0 +1,67 @@
+"""Times in another unit than seconds, recognised where it is certain: by UTC, or by a rate nothing else explains."""
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.disc import pieces
+from smoother.errors import SessionError
+from smoother.samples import Problem
+
+UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in a second
+SAME_UNIT = 0.05  # share; a clock is better by far
+LONGEST_PERIOD = 1.0  # s; no inertial or magnetic sensor of a vehicle is as slow
+SENSOR_RATES = (4.0, 4000.0)  # Hz; a factor of 1000, so that one unit at most explains a period
+SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
+FEWEST_ROWS = 8
+ENOUGH_ROWS = 1 << 20  # to know the usual period
+
+
+def unit_by_utc(t: Array, unix_s: Array) -> str | None:
+    """The unit of t (N,) by the UTC (N,) s of the same rows, NaN where unknown; None for seconds, or where unknown."""
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(unix_s))
+    if known.size < FEWEST_ROWS:
+        return None
+    early, late = known[: known.size // 4], known[-(known.size // 4) :]  # medians: single rows may be damaged
+    run, utc_run = (float(np.median(x[late]) - np.median(x[early])) for x in (t, unix_s))
+    fits = (name for name, size in UNITS.items() if utc_run > 0.0 and abs(run / utc_run / size - 1.0) < SAME_UNIT)
+    return next(fits, None)
+
+
+def unit_by_rate(t: Array) -> str | None:
+    """The unit of the times t (N,) of a sensor's samples, None for seconds: a period of 5 is 5 ms, and never 5 s."""
+    period = _usual_step(t)
+    if not period > LONGEST_PERIOD:
+        return None
+    low, high = SENSOR_RATES
+    return next((name for name, size in UNITS.items() if low < size / period <= high), None)
+
+
+def unit_of_fixes(file: str, t: Array, unix_s: Array, imu_unit: str | None) -> str | None:
+    """The unit of the times t (N,) of fixes, None for seconds: by UTC, else that of the inertial samples beside them.
+
+    Raises SessionError where fixes without UTC come so rarely that another unit is likely, and nothing tells which.
+    """
+    step = _usual_step(t)
+    if (unit := unit_by_utc(t, unix_s)) is not None or not step > SLOWEST_FIXES or np.any(np.isfinite(unix_s)):
+        return unit
+    if imu_unit is not None and step / UNITS[imu_unit] < SLOWEST_FIXES:
+        return imu_unit
+    raise SessionError(
+        f"{file}: by t_s a fix only every {step:.3g} s, which is no kart's track; "
+        "t_s has to be in seconds: divide milliseconds by 1000, microseconds by 1000000"
+    )
+
+
+def in_seconds(t: Array, unit: str | None, prefix: str, file: str) -> tuple[Array, list[Problem]]:
+    """Times t (N,) in seconds, and what to say of it."""
+    if unit is None:
+        return t, []
+    return t / UNITS[unit], [Problem(f"{prefix}_time_unit", f"{file}: its times are in {unit}; taken as such")]
+
+
+def _usual_step(t: Array) -> float:
+    """Median of the steps that are forward, NaN without any."""
+    part = t[next(iter(pieces(t.size, ENOUGH_ROWS)))] if t.size else t
+    steps = np.diff(part[np.isfinite(part)])
+    steps = steps[steps > 0.0]
+    return float(np.median(steps)) if steps.size >= FEWEST_ROWS else float("nan")

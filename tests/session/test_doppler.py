@@ -1,0 +1,103 @@
+"""A velocity that its positions contradict: not used, and said so; one that agrees stays as it is."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.samples import GnssFixes
+from smoother.session.csv_form import read_fixes
+
+SPEED = 14.0  # m/s
+STUCK = slice(100, 500)
+
+
+def lap(directory: Path, **columns: np.ndarray | None) -> tuple[GnssFixes, dict[str, str]]:
+    """Fixes of two minutes round an oval at 5 Hz, 0.2 m noisy, with the columns changed, or left out for None."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 120.0, 0.2)
+    course, speed = t / 5.0 + 0.3 * np.sin(t), SPEED + 4.0 * np.sin(t / 4.0)
+    velocity = speed[:, None] * np.column_stack([np.cos(course), np.sin(course)])
+    north, east = np.cumsum(velocity, axis=0).T * 0.2 + 0.2 * rng.standard_normal((2, t.size))
+    table = {
+        "t_s": t,
+        "lat_deg": 45 + north / 111_195,
+        "lon_deg": 12 + east / 111_195 / np.cos(np.pi / 4),
+        "speed_mps": speed,
+        "course_deg": np.degrees(course) % 360.0,
+    } | columns
+    names = [name for name, values in table.items() if values is not None]
+    rows = np.column_stack([table[name] for name in names])
+    path = directory / "gps.csv"
+    np.savetxt(path, rows, fmt="%.8f", delimiter=",", header=",".join(names), comments="")
+    fixes, problems = read_fixes(path)
+    return fixes, {problem.code: problem.text for problem in problems}
+
+
+def sound(directory: Path) -> GnssFixes:
+    fixes, said = lap(directory)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()
+    return fixes
+
+
+def test_a_course_that_stands_still_while_the_kart_turns_is_not_used(tmp_path: Path) -> None:
+    fixes, said = lap(tmp_path, course_deg=np.full(600, 90.0))
+    assert np.isnan(fixes.velocity_n[:, 0]).all() and np.isfinite(fixes.speed).all()
+    told = "gps.csv: course stands at 90 in 600 rows while the positions move otherwise; not used there"
+    assert said == {"gps_course_stuck": told}
+
+
+@pytest.mark.parametrize("stands_at", [0.0, SPEED])
+def test_a_speed_that_stands_still_while_the_positions_move_is_not_used(tmp_path: Path, stands_at: float) -> None:
+    fixes, said = lap(tmp_path, speed_mps=np.full(600, stands_at))
+    assert np.isnan(fixes.velocity_n[:, 0]).all()
+    assert f"speed stands at {stands_at:g} in 600 rows" in said["gps_speed_stuck"]
+
+
+@pytest.mark.parametrize("name", ["speed_mps", "course_deg"])
+def test_a_column_that_stops_half_way_is_used_as_far_as_it_goes(tmp_path: Path, name: str) -> None:
+    whole = sound(tmp_path)
+    values = np.array(whole.speed if name == "speed_mps" else whole.course_deg)
+    values[STUCK] = values[STUCK.start]
+    fixes, said = lap(tmp_path, **{name: values})
+    known = np.isfinite(fixes.velocity_n[:, 0])
+    assert not known[STUCK].any() and np.count_nonzero(known) == 200
+    assert [code.endswith("_stuck") for code in said] == [True]
+
+
+def test_components_that_stand_still_are_not_used(tmp_path: Path) -> None:
+    fixes, said = lap(tmp_path, speed_mps=None, course_deg=None, vel_n_mps=np.zeros(600), vel_e_mps=np.zeros(600))
+    assert np.isnan(fixes.velocity_n).all() and "velocity stands at 0, 0 in 600 rows" in said["gps_velocity_stuck"]
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        (np.radians, "in radians"),
+        (lambda c: (c + 180.0) % 360.0, "it pointed backwards"),
+        (lambda c: (-c) % 360.0, "anticlockwise from north"),
+        (lambda c: (90.0 - c) % 360.0, "anticlockwise from east, or latitude and longitude exchanged"),
+    ],
+)
+def test_a_course_that_is_written_otherwise_is_not_used_and_named(tmp_path: Path, change, hint: str) -> None:
+    course = np.array(sound(tmp_path).course_deg)
+    fixes, said = lap(tmp_path, course_deg=change(course))
+    assert np.isnan(fixes.velocity_n[:, 0]).all()
+    assert said["gps_course_wrong"].endswith(f", as if {hint}; not used")
+
+
+def test_a_missing_course_is_told(tmp_path: Path) -> None:
+    _, said = lap(tmp_path, course_deg=None)
+    assert said == {"gps_no_course": "gps.csv: 600 moving fixes with a speed but no course; smoothed without both"}
+
+
+def test_a_kart_that_stands_and_one_that_runs_straight_are_believed(tmp_path: Path) -> None:
+    t = np.arange(600) * 0.2
+    still = np.zeros(600)
+    noise = 0.3 * np.random.default_rng(1).standard_normal(600) / 111_195
+    _, said = lap(tmp_path, speed_mps=still, course_deg=still, lat_deg=45 + noise, lon_deg=12 + noise)
+    assert said == {}
+    fixes, said = lap(
+        tmp_path, speed_mps=still + 20.0, course_deg=still, lat_deg=45 + 20.0 * t / 111_195 + noise, lon_deg=12 + noise
+    )
+    assert said == {} and np.isfinite(fixes.velocity_n[:, 0]).all()
