@@ -319,11 +319,22 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
             seen[:] = True
         difference = course[seen] - np.interp(times[seen], imu.t, gyro_yaw)
         straight = ~_spinning(times[seen], difference)
-        known = times[seen][straight], np.unwrap(difference[straight])
+        known = times[seen][straight], _unwrapped(times[seen][straight], difference[straight])
         yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, *known, 3.0)
         yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _unwrapped(t: Array, angle: Array) -> Array:
+    """Angles (N,) rad at t (N,) s, N at least 1, without steps of a whole turn, those of a steady drift among them.
+
+    Over an outage of some seconds a bias of the gyro by some degrees a second adds up to more than half a turn.
+    """
+    if len(t) < 2:
+        return angle
+    drift = float(np.median(np.diff(np.unwrap(angle)) / np.diff(t))) * t
+    return np.asarray(np.unwrap(angle - drift) + drift)
 
 
 def _spinning(t: Array, difference: Array) -> BoolArray:

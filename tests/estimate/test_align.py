@@ -232,6 +232,20 @@ def test_holes_in_the_samples_are_left_out(truth: Truth) -> None:
     assert found.share_explained > 0.8
 
 
+def test_no_turn_is_lost_in_an_outage_that_the_gyro_drifts_through() -> None:
+    """A skid pad, always round to one side, on which the alignment has the gyro's bias wrong by 13 degrees a second."""
+    turning, bias = 0.8, 13.0 * DEG
+    t = np.arange(0.0, 60.0, 0.01)
+    rate_s = np.tile([0.0, 0.0, turning + bias], (len(t), 1))
+    imu = ImuSamples(t, np.tile([0.0, 9.0, 9.81], (len(t), 1)), rate_s)
+    fixes_t = np.concatenate([np.arange(0.0, 20.0, 0.2), np.arange(40.0, 60.0, 0.2)])  # 260 degrees of drift in between
+    course = turning * fixes_t
+    path = PathMotion(fixes_t, 10.0 * np.column_stack([np.cos(course), np.sin(course), np.nan * course]))
+    found = initial_attitude(t, imu, path, Alignment(np.eye(3), np.zeros(3), 0.0, 1.0, False))
+    off = wrap_angle(euler_from_rotation(found)[2] - turning * t)
+    assert np.max(np.abs(off)) < 25.0 * DEG
+
+
 def test_turns_in_a_hole_of_the_samples_are_those_of_the_course(truth: Truth) -> None:
     whole = box(truth, np.eye(3), np.zeros(3))
     keep = (whole.t < 30.0) | (whole.t > 50.0)

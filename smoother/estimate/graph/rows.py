@@ -161,7 +161,8 @@ def velocity_rows(
 
     felt as in :func:`position_rows`; the slope by the latency is along it. (The noise of the path's own acceleration
     would make the latency seem better known than it is, and draw it away.) The second derivative of velocity, level,
-    which the receiver's response multiplies, is of it too.
+    which the receiver's response multiplies, is of it too. Upwards there is no slope by the latency: a kart on its
+    tyres bounces ten times a second, and fixes that see little of it would be moved in time until they fit.
     """
     session = state.constants
     at = t - session.velocity_latency
@@ -179,7 +180,7 @@ def velocity_rows(
     left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
     acceleration_n = _along(state, path, felt, b, weights)
-    constants[:, :, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :, None]
+    constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :2, None]
     constants[:, :, LEVER_ARM] = turning @ R_ns
     constants[:, :, VELOCITY_RESPONSE] = jerk_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)

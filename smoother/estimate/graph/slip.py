@@ -41,6 +41,7 @@ HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
 FIRST = 0.6 * DEG
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
 DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
+ROUND_IT, OUT_OF_IT = 0.6, 0.3  # of a hard corner's lateral acceleration, between which one corner becomes another
 # s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
 # unsure by. Simulated karts and drivers 0 to 0.3 deg, boxes that move on their mount or swing to and fro 0.8 to 4.
 BLOCK, APART = 10.0, 0.7 * DEG
@@ -226,8 +227,17 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
         return None
     surely = by_all - BEYOND_DOUBT * spread * math.sqrt(MEMORY / interval)  # squares are alike for half as long
     moments = slip.by_constants[k].T @ slip.by_constants[k] / len(k)
-    different = min(DIFFERENT, len(k) * interval / (2.0 * MEMORY))
+    lateral = slip.by_constants[k, 1] / slip.by_constants[k, 0]
+    different = min(DIFFERENT, len(k) * interval / (2.0 * MEMORY), _corners(lateral))
     return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure, moments, different)
+
+
+def _corners(lateral: Array) -> int:
+    """How often a kart went into a corner, by its lateral accelerations (N,) m/s^2; a steady circle is one."""
+    part = lateral / max(float(np.percentile(np.abs(lateral), 90)), 1e-9)
+    turns = np.where(np.abs(part) > ROUND_IT, np.sign(part), 0.0)
+    turns = turns[(turns != 0.0) | (np.abs(part) < OUT_OF_IT)]
+    return max(1, int(np.count_nonzero((np.diff(turns, prepend=0.0) != 0.0) & (turns != 0.0))))
 
 
 def with_nose(slip: Slip, noise: SlipNoise) -> SlipNoise:

@@ -106,7 +106,10 @@ def numerical(make: Callable[[ChainState], Rows], state: ChainState) -> list[np.
     for i in range(2):
         others[row, :, rows.interval + i] = 0.0
     np.testing.assert_allclose(others, 0.0, atol=1e-8)  # nothing but the keyframes around it moves a row; rounding does
-    return [*ends, J[:, :, size:]]
+    by_constants = J[:, :, size:]
+    if rows.name == "gps_velocity":
+        by_constants[:, 2, VELOCITY_LATENCY] = 0.0  # left out on purpose: a bounce is not to be fitted by a delay
+    return [*ends, by_constants]
 
 
 def assert_jacobians(make: Callable[[ChainState], Rows], state: ChainState, tolerance: float = 1e-7) -> None:
@@ -208,6 +211,8 @@ class TestReceiverJacobians:
         step[:, TRANSLATION] = np.einsum("kji,kj->ki", state.R_ns, felt.velocity_n[::N_BINS])
         step[:, VELOCITY] = felt.acceleration_n[::N_BINS]
         moved = after_step(rows, step, np.zeros(CONSTANTS_SIZE)).residual - rows.residual
+        if make is velocity_maker:
+            moved[:, 2] = 0.0  # see :func:`numerical`
         np.testing.assert_allclose(rows.constants[:, :, column.start], -moved, atol=1e-9)
 
     def test_at_the_ends_of_the_chain_and_beyond_they_stay_finite(self, make) -> None:

@@ -179,6 +179,19 @@ def test_corners_to_one_side_tell_the_nose_by_drawing_on_to_none() -> None:
     assert replace(both, apart=0.02).nose_variance == pytest.approx(both.nose_variance + 0.02**2)
 
 
+@pytest.mark.parametrize(
+    ("lateral", "corners"),
+    [
+        (9.0 + 1.0 * np.sin(np.arange(400.0)), 1),  # a skid pad
+        (9.0 * np.sin(0.05 * np.arange(400.0)), 7),  # half waves of 63 keyframes, the last one begun
+        (4.5 - 4.5 * np.cos(0.05 * np.arange(400.0)), 3),  # an oval, gone round three times
+        (np.zeros(400), 1),
+    ],
+)
+def test_corners_are_told_from_one_another_by_what_lies_between_them(lateral: Array, corners: int) -> None:
+    assert slip_module._corners(lateral) == corners
+
+
 def test_what_the_mean_of_the_slip_says_of_the_nose_otherwise_is_found() -> None:
     n = 2000
     slip, rng = some_slip(np.ones(n, dtype=np.bool_)), np.random.default_rng(1)

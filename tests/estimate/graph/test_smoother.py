@@ -549,6 +549,25 @@ def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_awa
     assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency, abs=3.0 * delay.sigma)
 
 
+def test_a_bounce_on_the_tyres_draws_no_delay() -> None:
+    """Eleven times a second, and the receiver says how fast it goes up: half a wave is 45 ms."""
+    simulation = simulate_preset("kart", 1, duration=120.0, gnss_has_vertical_velocity=True, gnss_outages=())
+    session, pace, speed = prepare(simulation.raw), 2.0 * np.pi * 11.0, 0.27
+    imu, fixes, receiver = session.imu, session.gnss, simulation.scenario.gnss
+    assert imu is not None
+    bounce = speed * pace * np.cos(pace * imu.t)[:, None] * simulation.scenario.R_bs[2]
+    velocity_n = fixes.velocity_n.copy()
+    velocity_n[:, 2] += speed * np.sin(pace * (fixes.t - receiver.velocity_latency))
+    shaken = replace(
+        session,
+        imu=replace(imu, specific_force_s=imu.specific_force_s + bounce),
+        gnss=replace(fixes, velocity_n=velocity_n),
+    )
+    identified = GraphSmoother().estimate(shaken).report.identified
+    assert identified["gps_position_latency"].value == pytest.approx(receiver.position_latency, abs=0.015)
+    assert identified["gps_velocity_latency"].value == pytest.approx(receiver.velocity_latency, abs=0.012)
+
+
 def test_where_no_vibration_pushes_none_is_claimed() -> None:
     value = kart().trajectory.report.identified["accel_rectification"]
     assert not value.observable
