@@ -5,6 +5,9 @@
 Nobody knows the delay of a reference receiver, so every comparison takes out one constant lag of its own, the one that
 suits it best; and it is over the same times for the fixes as they came and for the smoothed path. Between two modules
 the difference also holds the distance of their antennas, alike for both.
+
+Last comes how far the smoothed path wanders from the reference over some time, beside what its joint covariance says:
+on that the sigmas of lap times count. There the distance of two antennas, which turns with the car, is taken out.
 """
 
 import argparse
@@ -37,6 +40,8 @@ LONGEST_LAG = 1.0  # s
 LONGEST_GAP = 1.5  # s between fixes of either, beyond which nothing is compared
 SPACING = 0.1  # s
 SECOND = 1.0  # s
+WANDERED = (10.0, 30.0, 60.0)  # s
+PAIRS = 400  # of times, at most, whose covariance is asked for
 RTK_FIXED = 4  # of GGA; the float solutions of the same receiver are no reference
 MOVING = 2.0  # m/s; slower there is no direction to be across of
 
@@ -96,7 +101,73 @@ def _is_covered(rows: Array, t: Array) -> BoolArray:
     return np.asarray(inside & (rows[after] - rows[after - 1] < LONGEST_GAP))
 
 
-def beside_rtk(data: Path) -> tuple[Difference, Difference]:
+@dataclass(frozen=True)
+class Wander:
+    """How the difference of two paths changes over some time, s, per axis of n: rms, and what is expected, m.
+
+    ratio: rms over pairs of times of one over the other; usual: 1.48 times the median, which a reference that jumps at
+    times does not move.
+    """
+
+    over: float
+    rms: float
+    sigma: float
+    ratio: float
+    usual: float
+
+
+def wander(one: Trajectory, other: Trajectory, t: Array) -> list[Wander]:
+    """Return how the difference of `one` from `other` at t (N,) changes, where the car moves.
+
+    At the lag that suits the changes best: it is metres of slow offset that the other lag is judged by, too. What
+    `other` has no joint covariance of is taken to be exact.
+    """
+
+    def apart(lag: float) -> Array:
+        return _without_antennas(one, position_at(one, t + lag)[:, :2] - position_at(other, t)[:, :2], t + lag)
+
+    def changes(lag: float) -> float:
+        later = np.minimum(np.searchsorted(t, t + WANDERED[0] - 1e-3), len(t) - 1)
+        return float(np.median(np.abs(apart(lag)[later] - apart(lag))))
+
+    lag = float(minimize_scalar(changes, bounds=(-LONGEST_LAG, LONGEST_LAG), method="bounded").x)
+    return [_wander(one, other, lag, t, apart(lag), over) for over in WANDERED]
+
+
+def _without_antennas(one: Trajectory, apart: Array, t: Array) -> Array:
+    """Return apart (N, 2) m without what is constant in the car, by its changes over a second."""
+    yaw = np.unwrap(np.arctan2(one.R_nb[:, 1, 0], one.R_nb[:, 0, 0]))
+    cos, sin = np.cos(at := np.interp(t, one.t, yaw)), np.sin(at)
+    turned = np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+    step = np.flatnonzero(np.diff(t) < 1.5 * SECOND)
+    change, by = np.diff(apart, axis=0)[step].ravel(), np.diff(turned, axis=0)[step].reshape(-1, 2)
+    few = np.abs(change) < 4.0 * np.median(np.abs(change))
+    return np.asarray(apart - turned @ np.linalg.lstsq(by[few], change[few], rcond=None)[0])
+
+
+def _wander(one: Trajectory, other: Trajectory, lag: float, t: Array, apart: Array, over: float) -> Wander:
+    later = np.minimum(np.searchsorted(t, t + over - 1e-3), len(t) - 1)
+    speed = np.linalg.norm(position_at(one, t + lag + 0.5) - position_at(one, t + lag - 0.5), axis=1)
+    pairs = np.flatnonzero((np.abs(t[later] - t - over) < 0.1) & (speed > MOVING) & (speed[later] > MOVING))
+    pairs = pairs[:: max(1, len(pairs) // PAIRS)]
+    change = apart[later[pairs]] - apart[pairs]
+    variance = np.array(
+        [[_change(one, t[i] + lag, over, k) + _change(other, t[i], over, k) for k in range(2)] for i in pairs]
+    )
+    ratio = change / np.sqrt(variance)
+    usual = 1.48 * float(np.median(np.abs(ratio)))
+    return Wander(over, _rms(change), float(np.sqrt(np.mean(variance))), _rms(ratio), usual)
+
+
+def _change(path: Trajectory, t: float, over: float, axis: int) -> float:
+    """Variance, m^2, of the change of the error of `path` along an axis of n from t to t + over s."""
+    if path.joint is None:
+        return 0.0
+    P = path.joint.covariance(np.array([t, t + over]), np.tile(np.eye(3)[axis], (2, 1)))
+    return float(P[0, 0] + P[1, 1] - 2.0 * P[0, 1])
+
+
+def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander]]:
     """Fixes and smoothed path of the car against RTK, at the epochs of RTK."""
     session = prepare(load_raw(data / BESIDE_RTK))
     truth = load_truth(data / BESIDE_RTK, session.origin)
@@ -104,7 +175,8 @@ def beside_rtk(data: Path) -> tuple[Difference, Difference]:
     fixed = rows.filter(pl.col("fix") == RTK_FIXED)["t_s"].to_numpy()
     t = common_times([session.gnss.t, truth.t], fixed)
     smoothed = GraphSmoother().estimate(session)
-    return differ("fixes", fixes_as_trajectory(session), truth, t), differ("smoothed", smoothed, truth, t)
+    found = differ("smoothed", smoothed, truth, t)
+    return differ("fixes", fixes_as_trajectory(session), truth, t), found, wander(smoothed, truth, t)
 
 
 def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
@@ -115,12 +187,13 @@ def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
     return (first, _with_origin_of(second, first)), t
 
 
-def between_twins(data: Path) -> tuple[Difference, Difference]:
+def between_twins(data: Path) -> tuple[Difference, Difference, list[Wander]]:
     """Difference of module b from module a: of their fixes, and of their smoothed paths."""
     (first, second), t = twin_sessions(data)
     raw = differ("fixes", fixes_as_trajectory(second), fixes_as_trajectory(first), t)
     path, other = (GraphSmoother().estimate(session) for session in (second, first))
-    return raw, differ("smoothed", path, other, t)
+    found = differ("smoothed", path, other, t)
+    return raw, found, wander(path, other, t)
 
 
 def _with_origin_of(session: Session, other: Session) -> Session:
@@ -132,8 +205,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def table(pair: tuple[Difference, Difference]) -> str:
-    """Return both differences as a Markdown table."""
+def table(pair: tuple[Difference, Difference], wanders: list[Wander]) -> str:
+    """Return both differences, and how the smoothed path wanders, as Markdown tables."""
     lines = [
         "| | lag taken out, s | horizontal, m | moving: along, m | across, m | over 1 s, m |",
         "|---|---:|---:|---:|---:|---:|",
@@ -142,6 +215,12 @@ def table(pair: tuple[Difference, Difference]) -> str:
         f"| {d.name} | {d.lag:+.3f} | {d.horizontal:.3f} | {d.along:.3f} | {d.across:.3f} | {d.relative:.3f} |"
         for d in pair
     ]
+    lines += [
+        "",
+        "| smoothed, change over | m per axis | expected, m | ratio | usual ratio |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    lines += [f"| {w.over:.0f} s | {w.rms:.3f} | {w.sigma:.3f} | {w.ratio:.2f} | {w.usual:.2f} |" for w in wanders]
     return "\n".join(lines)
 
 
@@ -153,9 +232,10 @@ def main() -> None:
         parser.exit(0, f"no real recordings at {DATA}; set SMOOTH_DATA\n")
     for heading, comparison in (("against RTK", beside_rtk), ("two modules in one car", between_twins)):
         since = time.process_time()
-        pair = comparison(DATA)
+        *pair, wanders = comparison(DATA)
+        spent = time.process_time() - since
         print(
-            f"\n{heading}: {pair[0].count} times ({time.process_time() - since:.0f} s of one core)\n\n{table(pair)}",
+            f"\n{heading}: {pair[0].count} times ({spent:.0f} s of one core)\n\n{table(tuple(pair), wanders)}",
             flush=True,
         )
 

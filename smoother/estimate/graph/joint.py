@@ -1,4 +1,10 @@
-"""How the errors of the antenna's position at several times hang together, of one chain and of windows of one."""
+"""How the errors of the antenna's position at several times hang together, of one chain and of windows of one.
+
+A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: two modules
+in one car are 0.33 m apart from each other's course after a minute, each, where 0.09 m would be expected
+(`benchmarks/twins.py`). No session shows that by itself, since neither fixes nor samples judge it; so what receivers are
+known to do is added to what a chain says (:class:`Wandering`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +16,44 @@ from smoother.disc import Shelf, release
 from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.rows import antenna_jacobian
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE, ChainState
+from smoother.trajectory import JointPosition
 
 COARSER = 2  # times that every second keyframe is left out: at 0.8 s a position's error is still a straight line
+
+
+# Slow error of Doppler velocities, a first-order Gauss-Markov process: sigma m/s per axis, and s after which it is
+# forgotten. Two modules in one car: 0.0065 and 30; a better receiver beside RTK: too little to be seen.
+DOPPLER_SIGMA, DOPPLER_TAU = 0.005, 30.0
+PLACE_TAU = 300.0  # s after which fixes have taken out of the place what it had added up to
+
+
+@dataclass(frozen=True, eq=False)
+class Wandering:
+    """The JointPosition of a path that followed Doppler velocities, whose slow error makes it wander.
+
+    offset_variance m^2: of the fixes' slow offset along one level direction. Neither is a place surer nor less sure
+    for wandering; what changes with time is, at most, that.
+    """
+
+    joint: JointPosition
+    offset_variance: float
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        level = direction_n[:, :2]
+        wandered = wander(np.abs(t[:, None] - t[None, :]))
+        most = 1.0 / (1.0 + wander(np.inf) / max(self.offset_variance, 1e-12))
+        return self.joint.covariance(t, direction_n) - 0.5 * most * wandered * (level @ level.T)
+
+
+def wander(apart: Array | float) -> Array:
+    """Variance, m^2 per axis, of the change of a place over `apart` s by the slow error of Doppler velocities.
+
+    Velocity forgets with rate c and place with rate a: p' = -a p + b. Source: two first-order lags in a row, Gelb 1974, 3.8.
+    """
+    c, a = 1.0 / DOPPLER_TAU, 1.0 / PLACE_TAU
+    scale = DOPPLER_SIGMA**2 * c / (c**2 - a**2)
+    return np.asarray(2.0 * scale * (-np.expm1(-a * np.asarray(apart)) / a + np.expm1(-c * np.asarray(apart)) / c))
 
 
 @dataclass(frozen=True, eq=False)

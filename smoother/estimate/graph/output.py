@@ -23,7 +23,7 @@ from smoother.estimate.graph.imu import (
     interval_noise,
     motion_at,
 )
-from smoother.estimate.graph.joint import ChainJoint
+from smoother.estimate.graph.joint import ChainJoint, Wandering
 from smoother.estimate.graph.mounting import (
     MIN_KEYFRAMES,
     FittedMounting,
@@ -175,6 +175,8 @@ def build_trajectory(
         mode="full",
     )
     joint = None if found.joint is None else found.joint(unsure)
+    if joint is not None and level is not None:
+        joint = Wandering(joint, float(noise.offset_sigma[0] ** 2 + unseen[0]))
     first, last = pauses.opened(session.gnss.t[[0, -1]])
     t = row_times(first, last, rate)
     t = pauses.closed(t[~pauses.hold(t)]) if len(pauses) else t
