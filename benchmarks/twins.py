@@ -232,10 +232,10 @@ def main() -> None:
         parser.exit(0, f"no real recordings at {DATA}; set SMOOTH_DATA\n")
     for heading, comparison in (("against RTK", beside_rtk), ("two modules in one car", between_twins)):
         since = time.process_time()
-        *pair, wanders = comparison(DATA)
+        fixes, smoothed, wanders = comparison(DATA)
         spent = time.process_time() - since
         print(
-            f"\n{heading}: {pair[0].count} times ({spent:.0f} s of one core)\n\n{table(tuple(pair), wanders)}",
+            f"\n{heading}: {fixes.count} times ({spent:.0f} s of one core)\n\n{table((fixes, smoothed), wanders)}",
             flush=True,
         )
 

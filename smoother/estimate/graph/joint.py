@@ -1,7 +1,7 @@
 """How the errors of the antenna's position at several times hang together, of one chain and of windows of one.
 
-A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: two modules
-in one car are 0.33 m apart from each other's course after a minute, each, where 0.09 m would be expected
+A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: of two modules
+in one car each wanders by 0.35 m from the other's course in a minute, where 0.1 m would be expected
 (`benchmarks/twins.py`). No session shows that by itself, since neither fixes nor samples judge it; so what receivers are
 known to do is added to what a chain says (:class:`Wandering`).
 """
@@ -49,7 +49,7 @@ class Wandering:
 def wander(apart: Array | float) -> Array:
     """Variance, m^2 per axis, of the change of a place over `apart` s by the slow error of Doppler velocities.
 
-    Velocity forgets with rate c and place with rate a: p' = -a p + b. Source: two first-order lags in a row, Gelb 1974, 3.8.
+    Velocity forgets with rate c and place with rate a: p' = -a p + b, two first-order lags in a row (Gelb 1974, 3.8).
     """
     c, a = 1.0 / DOPPLER_TAU, 1.0 / PLACE_TAU
     scale = DOPPLER_SIGMA**2 * c / (c**2 - a**2)

@@ -35,7 +35,7 @@ def test_over_seconds_it_is_the_error_of_the_velocity_times_the_time() -> None:
 
 def test_what_changes_is_less_sure_and_a_place_alone_as_sure_as_it_was() -> None:
     t = np.array([0.0, 60.0, 300.0, 60.0])
-    north, west, up = np.eye(3)
+    north, _, up = np.eye(3)
     directions = np.array([north, north, north, up])
     P = Wandering(Known(2.0), 4.0).covariance(t, directions)
     np.testing.assert_allclose(np.diag(P), 4.0)
