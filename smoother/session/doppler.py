@@ -81,17 +81,16 @@ def _share_of_speed(t: Array, c: FixColumns) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Displacement over about BASELINE from each row (N,): m/s north and east; `told` where it says something."""
+    """Displacement over about BASELINE from each row (N,): m/s north and east; `told` where it says something.
+
+    speed (N,) m/s: of the way by the row in the middle; round a tight bend that is longer than straight across.
+    """
 
     north: Array
     east: Array
+    speed: Array
     told: BoolArray
     middle: IntArray  # the row in the middle of each
-
-    @property
-    def speed(self) -> Array:
-        """Size (N,) m/s."""
-        return np.hypot(self.north, self.east)
 
     def angle_from(self, course_deg: Array) -> Array:
         """How far (N,) deg, 0 to 180, the displacement points from the course (N,) half way."""
@@ -110,7 +109,9 @@ def _steps_of(t: Array, c: FixColumns) -> _Steps:
     whole = (run > 0.5 * BASELINE) & (run < 2.0 * BASELINE)
     size = np.where(whole, run, 1.0)
     v_north, v_east = (north[last] - north) / size, (east[last] - east) / size
-    return _Steps(v_north, v_east, whole & (np.hypot(v_north, v_east) > FASTER), (row + last) // 2)
+    middle = (row + last) // 2
+    halves = (np.hypot(north[two] - north[one], east[two] - east[one]) for one, two in ((row, middle), (middle, last)))
+    return _Steps(v_north, v_east, sum(halves) / size, whole & (np.hypot(v_north, v_east) > FASTER), middle)
 
 
 def _without_stuck(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

@@ -46,7 +46,8 @@ class Scene:
         sign = 1.0 if self.turns_left else -1.0
         angle = sign * self.speed / self.radius * (t - self.start)
         height = 0.5 * np.sin(0.5 * angle)
-        position = np.stack([self.radius * np.sin(angle), sign * self.radius * (1.0 - np.cos(angle)), height], axis=-1)
+        around = sign * self.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=-1)
+        position = np.column_stack([around, height])
         climb = 0.25 * sign * self.speed / self.radius * np.cos(0.5 * angle)
         velocity = np.stack([self.speed * np.cos(angle), sign * self.speed * np.sin(sign * angle), climb], axis=-1)
         n, unknown = t.size, np.full((t.size, 3), np.nan)

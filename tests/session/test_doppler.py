@@ -54,6 +54,15 @@ def test_a_speed_that_stands_still_while_the_positions_move_is_not_used(tmp_path
     assert f"speed stands at {stands_at:g} in 600 rows" in said["gps_speed_stuck"]
 
 
+def test_a_steady_speed_round_a_small_circle_is_no_standing_column(tmp_path: Path) -> None:
+    """In a second a kart turns by most of half a circle, and is nearer to where it was than it has gone."""
+    turned = 2.5 * np.arange(0.0, 120.0, 0.2)
+    lat, lon = 45 + 4.0 * np.sin(turned) / 111_195, 12 - 4.0 * np.cos(turned) / 111_195 / np.cos(np.pi / 4)
+    course = np.degrees(turned) % 360.0
+    fixes, said = lap(tmp_path, lat_deg=lat, lon_deg=lon, speed_mps=np.full(600, 10.0), course_deg=course)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()
+
+
 @pytest.mark.parametrize("name", ["speed_mps", "course_deg"])
 def test_a_column_that_stops_half_way_is_used_as_far_as_it_goes(tmp_path: Path, name: str) -> None:
     whole = sound(tmp_path)

@@ -1,9 +1,9 @@
 """How the errors of the antenna's position at several times hang together, of one chain and of windows of one.
 
-A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: of two modules
-in one car each wanders by 0.35 m from the other's course in a minute, where 0.1 m would be expected
-(`benchmarks/twins.py`). No session shows that by itself, since neither fixes nor samples judge it; so what receivers are
-known to do is added to what a chain says (:class:`Wandering`).
+A graph takes Doppler velocities for independent of one another. They nearly are, but what is left adds up: of two
+modules in one car each wanders by 0.35 m from the other's course in a minute, where 0.1 m would be expected
+(`benchmarks/twins.py`). No session shows that by itself, since neither fixes nor samples judge it; so what receivers
+are known to do is added to what a chain says (:class:`Wandering`).
 """
 
 from collections.abc import Sequence
@@ -31,19 +31,19 @@ PLACE_TAU = 300.0  # s after which fixes have taken out of the place what it had
 class Wandering:
     """The JointPosition of a path that followed Doppler velocities, whose slow error makes it wander.
 
-    offset_variance m^2: of the fixes' slow offset along one level direction. Neither is a place surer nor less sure
-    for wandering; what changes with time is, at most, that.
+    variance m^2: the usual one of a place along one level direction. A place is neither surer nor less sure for
+    wandering, but shares less of its error with another one: where they share all, what changes between them is
+    :func:`wander`, and where nothing, nothing is changed. (A product with a correlation stays a covariance: Schur.)
     """
 
     joint: JointPosition
-    offset_variance: float
+    variance: float
 
     def covariance(self, t: Array, direction_n: Array) -> Array:
         """See :class:`smoother.trajectory.JointPosition`."""
-        level = direction_n[:, :2]
-        wandered = wander(np.abs(t[:, None] - t[None, :]))
-        most = 1.0 / (1.0 + wander(np.inf) / max(self.offset_variance, 1e-12))
-        return self.joint.covariance(t, direction_n) - 0.5 * most * wandered * (level @ level.T)
+        most = 0.5 * float(wander(np.inf))
+        lost = 0.5 * wander(np.abs(t[:, None] - t[None, :])) / (self.variance + most)
+        return np.asarray(self.joint.covariance(t, direction_n) * (1.0 - lost))
 
 
 def wander(apart: Array | float) -> Array:

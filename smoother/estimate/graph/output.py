@@ -176,7 +176,7 @@ def build_trajectory(
     )
     joint = None if found.joint is None else found.joint(unsure)
     if joint is not None and level is not None:
-        joint = Wandering(joint, float(noise.offset_sigma[0] ** 2 + unseen[0]))
+        joint = Wandering(joint, median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()))
     first, last = pauses.opened(session.gnss.t[[0, -1]])
     t = row_times(first, last, rate)
     t = pauses.closed(t[~pauses.hold(t)]) if len(pauses) else t
