@@ -60,11 +60,19 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as w
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
+LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
 STRANGE = (
     0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
+)
+
+
+FAR_APART = (
+    "the inertial samples fit the fixes only with the antenna {:.1f} m from the box, which this motion can not tell from "
+    "a delay; smoothed from the fixes alone. Where they are that far apart, state it: [mounting] lever_arm_b in "
+    "session.toml"
 )
 
 
@@ -126,6 +134,8 @@ class GraphSmoother:
             if np.any(again != doubted):
                 start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
+        if session.config.mounting.lever_arm_b is None and (arm := _level_arm(found)) > LONGEST_ARM:
+            return (*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm)))
         with watch("output"):
             mounting = _mounting(session, found, solution.noise, start)
             trajectory = build_trajectory(
@@ -185,6 +195,12 @@ def _start_in_step(session: Session, options: GraphOptions, pauses: Pauses) -> t
         if as_given > start.alignment.share_explained + LESS_EXPLAINED:
             return given, make_start(given, options, options.identification_span, pauses=pauses), UNSEEN
     return session, start, delay
+
+
+def _level_arm(found: Estimated) -> float:
+    """How far, m, the antenna is found from the box, seen from above."""
+    constants = found.state.constants
+    return float(np.linalg.norm(constants.level_axes_s[:2] @ constants.lever_arm_s))
 
 
 def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:

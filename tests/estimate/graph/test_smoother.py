@@ -568,6 +568,17 @@ def test_a_bounce_on_the_tyres_draws_no_delay() -> None:
     assert identified["gps_velocity_latency"].value == pytest.approx(receiver.velocity_latency, abs=0.012)
 
 
+def test_an_antenna_farther_from_the_box_than_a_kart_is_long_is_believed_only_where_it_is_stated() -> None:
+    arm_b = np.array([3.5, 0.0, 0.0])
+    session = prepare(simulate_preset("kart", 2, duration=100.0, gnss_outages=(), lever_arm_b=arm_b).raw)
+    found = GraphSmoother().estimate(session).report
+    assert found.mode == "gps-only"
+    assert [p.text for p in found.problems if p.code == "arm_too_long"] != []
+    mounting = replace(session.config.mounting, lever_arm_b=arm_b)
+    stated = GraphSmoother().estimate(replace(session, config=replace(session.config, mounting=mounting))).report
+    assert stated.mode == "full"
+
+
 def test_where_no_vibration_pushes_none_is_claimed() -> None:
     value = kart().trajectory.report.identified["accel_rectification"]
     assert not value.observable
