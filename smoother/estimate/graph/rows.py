@@ -6,10 +6,12 @@ keyframes around it and the session's constants, and a latency is only a shift o
 Residuals are prediction minus measurement, in the unit of the measurement; `sigma` whitens them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
@@ -32,11 +34,14 @@ from smoother.estimate.graph.state import (
     VELOCITY_LATENCY,
     VELOCITY_RESPONSE,
     ChainState,
+    Constants,
 )
 from smoother.frames import wrap_angle
 
 DENSE = 0.25  # share of intervals from which on rows are added to all of them
 PIECE = 128  # intervals whose products stay in the processor's cache
+# s^2: a response below the first is as much noise as not, above the second a receiver's low-pass (tau of 0.09 s)
+LOW_PASS = (1e-3, 4e-3)
 UP_N = np.array([0.0, 0.0, 1.0])
 _LEFT, _RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
 _RESIDUAL = 2 * KEYFRAME_SIZE + ROW_CONSTANTS_SIZE
@@ -168,9 +173,9 @@ def velocity_rows(
     at = t - session.velocity_latency
     b, R_ns = bracket(state, at), attitude_at(path, at)
     rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, session.lever_arm_s)
-    swing_n, jerk_n = np.cross(rate_n, arm_n), _level_jerk(path, felt, at)
+    swing_n, answer = np.cross(rate_n, arm_n), _response(path, felt, session, at)
     weights = hermite_velocity(b)
-    seen_n = _on_curve(state, b, weights) + swing_n + session.velocity_response * jerk_n + session.doppler_bias_n
+    seen_n = _on_curve(state, b, weights) + swing_n + answer.beyond_n + session.doppler_bias_n
     left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
     # a tilt turns the arm, but not the axis it swings about, which is up
@@ -182,7 +187,7 @@ def velocity_rows(
     acceleration_n = _along(state, path, felt, b, weights)
     constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :2, None]
     constants[:, :, LEVER_ARM] = turning @ R_ns
-    constants[:, :, VELOCITY_RESPONSE] = jerk_n[:, :, None]
+    constants[:, :, VELOCITY_RESPONSE] = answer.slope_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)
 
 
@@ -427,11 +432,52 @@ def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket,
     return _weighed(b, weights, velocity_n, acceleration_n)
 
 
-def _level_jerk(path: DensePath, felt: ExpectedMotion, t: Array) -> Array:
-    """Second derivative (N, 3) m/s^3 of the velocity that the antenna is expected to have had at t (N,), without up."""
-    jerk_n = np.gradient(felt.acceleration_n, path.t[1] - path.t[0], axis=0)
-    jerk_n[:, 2] = 0.0
-    return at_times(path, jerk_n, t)
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """What a receiver shows of a velocity beyond a delay, m/s in n (N, 3), and its slope by velocity_response."""
+
+    beyond_n: Array
+    slope_n: Array
+
+
+def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Array) -> _Response:
+    """Response at t (N,) s to the motion that the antenna is expected to have had, without up.
+
+    The second derivative; of a response that is more than its own noise it is that of a low-pass of first order, late
+    by its time constant tau: tau^2 / 2 is left beyond that delay in slow motion, less in quick.
+    """
+    dt, response = float(path.t[1] - path.t[0]), session.velocity_response
+    jerk_n = np.gradient(felt.acceleration_n[:, :2], dt, axis=0)
+    slope = at_times(path, _level(jerk_n), t)
+    simple = _Response(response * slope, slope)
+    u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
+    share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
+    if share == 0.0:
+        return simple
+    tau = math.sqrt(2.0 * response)
+    arm_n = path.R_ns[:, :2] @ session.lever_arm_s
+    swing_n = felt.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
+    antenna_n = felt.velocity_n[:, :2] + swing_n
+    shown = at_times(path, _level(low_passed(antenna_n, dt, tau)), t + tau)
+    shown = shown - at_times(path, _level(antenna_n), t)
+    quick = at_times(path, _level(low_passed(low_passed(jerk_n, dt, tau), dt, tau)), t + tau)
+    return _Response(
+        simple.beyond_n + share * (shown - simple.beyond_n),
+        slope + share * (quick - slope) + rise * (shown - simple.beyond_n),
+    )
+
+
+def _level(values: Array) -> Array:
+    return np.column_stack([values, np.zeros(len(values))])
+
+
+def low_passed(values: Array, dt: float, tau: float) -> Array:
+    """Values (M, c), dt s apart and straight lines in between, after a low-pass of first order that began at rest."""
+    left = math.exp(-dt / tau)
+    gone = tau / dt * (1.0 - left)
+    numerator, denominator = np.array([1.0 - gone, gone - left]), np.array([1.0, -left])
+    begin = values[:1] * (1.0 - numerator[0])
+    return np.asarray(lfilter(numerator, denominator, values, axis=0, zi=begin)[0])
 
 
 def _on_curve(state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> Array:

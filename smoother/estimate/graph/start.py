@@ -42,8 +42,8 @@ class GraphOptions:
 
     keyframe_interval: 0.2 s is one keyframe to a fix of a 5 Hz receiver; less beyond 10 Hz (:meth:`for_fixes`).
     bin_interval: of the averaged inertial samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment
-    leaves of the gyro's bias. doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: a mean over 0.2 s
-    has 1.7e-3, an antenna half a metre up that leans by 1.5 mrad to a m/s^2 -0.8e-3, recordings -6e-3 to 13e-3.
+    leaves of the gyro's bias. doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: a low-pass
+    of 0.1 s has 5e-3, an antenna half a metre up that leans by 1.5 mrad to a m/s^2 -0.8e-3, recordings -6e-3 to 13e-3.
     sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of
     vibration, m/s^2, to begin with. Walks: temperature drift of the same part while it warms up. Lever arm and latency
     priors: what fits on a kart, and what receivers do. in_step: a force that is late behind the rate is taken to its

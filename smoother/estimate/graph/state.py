@@ -48,10 +48,10 @@ class Constants:
     """Constants of the session: latencies, s (a row stamped t was true at t - latency); lever_arm_s (3,) m, from the
     IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
     receiver's velocity; velocity_response s^2, by which that velocity contains the second derivative of the true one,
-    beyond what its latency does: the mean over a time W has W^2 / 24, an antenna that leans outwards in bends less than
-    nothing; slip (4,), where the path points beside level_axes_s: rad, always; rad per m/s^2 of lateral acceleration,
-    and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box is ahead of the rear axle;
-    accel_error (3, 2), scale and misalignment: by which the measured force grows per force along each of the two level
+    beyond what its latency does: a low-pass of first order has half the square of its time constant, an antenna that
+    leans outwards in bends less than nothing; slip (4,), where the path points beside level_axes_s: rad, always; rad
+    per m/s^2 of lateral acceleration, and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box
+    is ahead of the rear axle; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along each of the two level
     axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by which force grows where the
     vibration of force or of rate has twice its usual power.
 

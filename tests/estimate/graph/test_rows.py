@@ -109,6 +109,10 @@ def numerical(make: Callable[[ChainState], Rows], state: ChainState) -> list[np.
     by_constants = J[:, :, size:]
     if rows.name == "gps_velocity":
         by_constants[:, 2, VELOCITY_LATENCY] = 0.0  # left out on purpose: a bounce is not to be fitted by a delay
+        less = replace(
+            state, constants=replace(state.constants, velocity_response=-1e-5)
+        )  # above 0 it bends, as a root
+        by_constants[:, :, VELOCITY_RESPONSE.start] = (rows.residual - make(less).residual) / 1e-5
     return [*ends, by_constants]
 
 
@@ -307,16 +311,33 @@ class TestResiduals:
         rows = velocity_rows(state, path, felt_on(path, state, rates), ask, doppler, ones)
         np.testing.assert_allclose(rows.residual, 0.0, atol=1e-3)
 
-    def test_a_mean_over_a_time_is_a_response_of_its_square_over_24(self) -> None:
-        span = 0.2
-        state, path, felt, swing = swinging(Constants(0.0, 0.0, np.zeros(3), velocity_response=span**2 / 24.0))
-        t = state.t[1:-1]
-        mean = (swing(t + 0.5 * span, 0) - swing(t - 0.5 * span, 0)) / span
-        rows = velocity_rows(state, path, felt, t, mean, np.ones((len(t), 3)))
-        missed = mean - swing(t, 1)
+    # of a quick one, the second derivative is enough
+    @pytest.mark.parametrize(("tau", "share"), [(0.05, 0.25), (0.15, 0.05)])
+    def test_a_low_pass_is_a_delay_and_a_response_of_half_its_square(self, tau: float, share: float) -> None:
+        state, path, felt, swing = swinging(Constants(0.0, tau, np.zeros(3), velocity_response=0.5 * tau**2))
+        t, pace = state.t[2:-1] + tau, 2.0 * np.pi
+        angle, gain = np.arctan(pace * tau), np.cos(np.arctan(pace * tau))
+        late = gain * swing(t - angle / pace, 1)
+        rows = velocity_rows(state, path, felt, t, late, np.ones((len(t), 3)))
+        begun = (
+            np.exp(-(t - tau - path.t[0]) / tau) < 0.01
+        )  # the motion began at the path's first time, for all it says
+        missed = late - swing(t - tau, 1)
         assert np.max(np.abs(missed)) > 0.1
-        assert np.max(np.abs(rows.residual)) < 0.15 * np.max(np.abs(missed))
+        assert np.max(np.abs(rows.residual[begun])) < share * np.max(np.abs(missed))
         np.testing.assert_array_equal(rows.constants[:, 2, VELOCITY_RESPONSE], 0.0)  # up is left to the samples
+
+    def test_the_slope_by_the_response_is_that_of_the_low_pass(self) -> None:
+        def residual(response: float) -> tuple[np.ndarray, np.ndarray]:
+            state, path, felt, _ = swinging(Constants(0.0, 0.0, np.zeros(3), velocity_response=response))
+            t = state.t[4:-1]  # by then, what was before the path is forgotten
+            rows = velocity_rows(state, path, felt, t, np.zeros((len(t), 3)), np.ones((len(t), 3)))
+            return rows.residual, rows.constants[:, :, VELOCITY_RESPONSE.start]
+
+        step = 1e-4
+        for response in (-0.002, 0.002, 0.005):
+            slope = (residual(response + step)[0] - residual(response - step)[0]) / (2.0 * step)
+            np.testing.assert_allclose(residual(response)[1], slope, atol=0.03 * np.max(np.abs(slope)))
 
     def test_a_component_that_is_not_known_has_no_weight_and_spoils_nothing(self) -> None:
         state, binned = random_state(0, turning=1.0)

@@ -10,6 +10,7 @@ from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
 from smoother.estimate.baseline.baseline import ThesisBaseline
 from smoother.estimate.graph import components
+from smoother.estimate.graph.rows import low_passed
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
@@ -533,20 +534,22 @@ def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: p
 
 
 def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_away() -> None:
-    """Doppler with a part of the second derivative of velocity, like that of a receiver that averages over 0.5 s."""
-    response, h = 0.01, 0.02
+    """Doppler behind a low-pass of first order, whose time constant is a part of its delay."""
+    tau, dt = 0.15, 0.005
     simulation = simulate_preset("kart", 6, duration=150.0, gnss_velocity_sigma=0.03, imu_accel_noise=0.05)
-    session, timing = prepare(simulation.raw), simulation.gnss.velocity_time
+    session, timing, truth = prepare(simulation.raw), simulation.gnss.velocity_time, simulation.truth
     assert len(session.gnss.t) == len(timing)
-    before, after = (simulation.truth.at(timing + d).acceleration_n for d in (-h, h))
-    jerk_n = (after - before) / (2.0 * h)
-    jerk_n[:, 2] = 0.0
-    slow = replace(session, gnss=replace(session.gnss, velocity_n=session.gnss.velocity_n + response * jerk_n))
+    t = np.arange(truth.first, timing[-1], dt)
+    true_n = truth.antenna_velocity_n(t, simulation.scenario.lever_arm_b)
+    late_n = low_passed(true_n, dt, tau) - true_n
+    late_n[:, 2] = 0.0
+    added = np.column_stack([np.interp(timing, t, late_n[:, i]) for i in range(3)])
+    slow = replace(session, gnss=replace(session.gnss, velocity_n=session.gnss.velocity_n + added))
     found = smoothed(simulation, slow).trajectory.report.identified
     value, delay = found["gps_velocity_response"], found["gps_velocity_latency"]
     assert value.observable
-    assert value.value == pytest.approx(response, abs=0.002)
-    assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency, abs=3.0 * delay.sigma)
+    assert value.value == pytest.approx(0.5 * tau**2, rel=0.3)
+    assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency + tau, abs=3.0 * delay.sigma)
 
 
 def test_a_bounce_on_the_tyres_draws_no_delay() -> None:
