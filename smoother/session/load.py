@@ -25,6 +25,7 @@ from smoother.session.clock import describe_time_base, regularize, true_fix_time
 from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
+from smoother.session.spikes import without_spikes
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -152,6 +153,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
+        imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
