@@ -6,12 +6,13 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
-from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import in_seconds, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -38,6 +39,7 @@ def read_imu_and_unit(path: Path) -> tuple[RawImu, list[Problem], str | None]:
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
+    require_seconds(path.name, t, "samples")
     unit = unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
     imu, problems = screen_imu(path.name, t, accel, gyro)
@@ -85,6 +87,7 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
+    require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
     return fixes, [*_cut_row(table, "gps"), *said, *problems, *_unread_times(table)]
 
