@@ -46,6 +46,11 @@ class SessionFiles:
                     return self.directory / name
         return None
 
+    def folder(self, *wanted: str) -> str | None:
+        """Return the name of a folder that is called as a wanted file, if there is one."""
+        found = (entry.name for entry in self.directory.iterdir() if entry.name.lower() in wanted and entry.is_dir())
+        return next(found, None)
+
     def _chosen_as(self, role: Role) -> Path | None:
         return self.chosen[0] if self.chosen is not None and self.chosen[1] == role else None
 

@@ -26,19 +26,20 @@ MOST_SPIKES = 0.05  # share of the samples; if there are more, they are not sing
 
 def without_spikes(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
     """Replace single values between which a line fits far better, and say so; `imu` itself where there are none."""
-    repaired, count = {}, 0
-    for name, least in (("accel", LEAST_FORCE / imu.accel_scale), ("gyro", LEAST_RATE / imu.gyro_scale)):
-        values = getattr(imu, name)
-        spikes = _spikes(values, least)
-        found = sum(int(length.sum()) for _, length in spikes)
-        if 0 < found <= MOST_SPIKES * imu.t.size:
-            repaired[name] = _bridged(values, spikes)
-            count += found
-    if count == 0:
+    accel, of_accel = _repaired(imu.accel, LEAST_FORCE / imu.accel_scale)
+    gyro, of_gyro = _repaired(imu.gyro, LEAST_RATE / imu.gyro_scale)
+    if (count := of_accel + of_gyro) == 0:
         return imu
     text = f"{file}: {counted(count, 'value')} of single samples far from those around, which no motion makes; bridged"
     problems.append(Problem("imu_spikes", text, count))
-    return replace(imu, **repaired)
+    return replace(imu, accel=accel, gyro=gyro)
+
+
+def _repaired(values: Array, least: float) -> tuple[Array, int]:
+    """Samples (N, 3) without their spikes of more than `least`, and how many values those were."""
+    spikes = _spikes(values, least)
+    count = sum(int(length.sum()) for _, length in spikes)
+    return (_bridged(values, spikes), count) if 0 < count <= MOST_SPIKES * len(values) else (values, 0)
 
 
 Spikes = list[tuple[IntArray, IntArray]]  # of each axis the first rows of its spikes (K,), and their lengths (K,)
@@ -93,7 +94,7 @@ def _unrest(values: Array, starts: IntArray, length: int) -> Array:
     sides = (np.arange(-QUIET_ROWS - 1, 0), np.arange(length, length + QUIET_ROWS + 1))
     rows = [np.clip(starts[:, None] + side, 0, len(values) - 1) for side in sides]
     largest = [np.max(np.abs(np.diff(values[row], axis=1)), axis=(1, 2), initial=0.0) for row in rows]
-    return np.maximum(*largest)
+    return np.asarray(np.maximum(*largest))
 
 
 def _bridged(values: Array, spikes: Spikes) -> Array:
