@@ -168,9 +168,14 @@ def list_files(path: Path) -> SessionFiles:
 def _holds_sentences(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return b"$G" in file.read(HEAD_BYTES)
+            return _shows_sentences(file.read(HEAD_BYTES))
     except OSError:
         return False  # it is not what anybody asked for
+
+
+def _shows_sentences(head: bytes) -> bool:
+    """Whether a head has the start of a sentence, in one byte a character or in two."""
+    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head
 
 
 def _holds_fixes(path: Path) -> bool:
@@ -221,7 +226,7 @@ def _role(path: Path) -> Role | None:
         return "log"
     if name == OUT_NAME or head.startswith(b"YY"):
         return "out"
-    if b"$G" in head:
+    if _shows_sentences(head):
         return "sentences"
     if is_packed(path):
         raise SessionError(f"{path}: packed; unpack it first, then name what was in it")

@@ -22,6 +22,7 @@ import polars as pl
 from smoother.arrays import Array, BoolArray
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
+from smoother.session.encoding import wide_encoding
 
 HEAD_BYTES = 65536
 LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
@@ -36,7 +37,6 @@ _ISO_FORMATS = tuple(
     f"{form}{zone}" for form in ("%Y-%m-%dT%H:%M:%S%.f", "%Y%m%dT%H%M%S%.f") for zone in ("", "%:z", "%z")
 )
 _QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
-WIDE_BYTES, FEWEST_WIDE = 256, 8  # looked at, and characters that tell
 ENOUGH_LINES = 20  # to know how many cells a row has
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
@@ -346,7 +346,7 @@ def _source(path: Path) -> Path | bytes:
     """The file itself where polars can read it lazily, else its bytes made plain."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    plain = not head.startswith((b"\x1f\x8b", b"\xff\xfe", b"\xfe\xff")) and (b"\n" in head or b"\r" not in head)
+    plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
     plain = plain and wide_encoding(head) is None and not _starts_with_comment(head)
     if plain:
         _require_lines(path)
@@ -410,18 +410,6 @@ def _plain_bytes(data: bytes, file: str) -> bytes:
         data = data.decode(encoding, errors="replace").encode()
     data = data if b"\n" in data else data.replace(b"\r", b"\n")
     return _without_comments(data) if _starts_with_comment(data) else data
-
-
-def wide_encoding(data: bytes) -> str | None:
-    """How a text of two bytes a character is encoded, by its mark or by the zeros of Latin ones; None for others."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    even, odd = data[0:WIDE_BYTES:2], data[1:WIDE_BYTES:2]
-    if len(odd) < FEWEST_WIDE or (0 in even) == (0 in odd):
-        return None
-    if not any(odd):
-        return "utf-16-le"
-    return "utf-16-be" if not any(even) else None
 
 
 def _starts_with_comment(data: bytes) -> bool:

@@ -475,6 +475,13 @@ def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> N
     assert len(folder.load("gps.txt").gnss) == 50
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", ["rover.nmea", "rover.txt"])
+def test_sentences_in_two_bytes_a_character_are_read(folder: Folder, encoding: str, name: str) -> None:
+    folder.write(**{name: "".join(nmea_epochs(50)).encode(encoding)})
+    assert len(folder.load(name).gnss) == 50
+
+
 def test_every_cut_of_both_tables_gives_a_session_or_one_line(folder: Folder) -> None:
     imu, gps = imu_csv(120), gps_csv(6)
     for size in range(0, len(gps), 7):
