@@ -452,6 +452,8 @@ def _read_columns(files: SessionFiles) -> Recording:
     elif (folder := files.folder(*IMU_NAMES)) is not None:
         problems.append(Problem("imu_folder", f"{folder}: a folder, where a table is wanted; nothing in it is read"))
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    if imu_table is not None and imu is not None and _is_set_back(problems) and not _is_set_back(gnss_problems):
+        imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=False)
     problems += gnss_problems
     if mag_table is not None:
         try:
@@ -463,6 +465,11 @@ def _read_columns(files: SessionFiles) -> Recording:
     return Recording(
         gnss, gnss_file.name, inputs, tuple(problems), imu, imu_table.name if imu_table is not None else "", mag
     )
+
+
+def _is_set_back(problems: Sequence[Problem]) -> bool:
+    """Whether a clock was set back by an hour; that of the samples is that of the fixes, which may know better."""
+    return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 
 def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
