@@ -284,6 +284,17 @@ def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
     assert session.problems[0].text.startswith(said)
 
 
+def test_spikes_of_a_sensor_and_jumps_of_the_height_are_mended_and_said(folder: Folder) -> None:
+    imu, gps = imu_csv().splitlines(), gps_csv().splitlines()
+    for row in range(100, 1000, 300):
+        imu[row] = imu[row].replace(",9.8", ",-156.9")
+    gps[20] = gps[20].replace(",8.0,", ",408.0,")
+    session = folder.write(imu__csv="\n".join(imu), gps__csv="\n".join(gps)).load()
+    assert codes(session) == {"imu_spikes": 3, "gps_height_jump": 1}
+    assert session.imu is not None and np.ptp(session.imu.accel[:, 2]) < 0.1
+    assert session.imu.t.size == 1000 and len(session.gnss) == 50
+
+
 def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: Folder) -> None:
     right = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv()).load()
     read = folder.write(imu__csv=imu_csv(1000, rate=0.1), gps__csv=gps_csv(50, rate=0.005)).load()
