@@ -6,12 +6,14 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.session.set_back import joined_by_the_hour
 from smoother.session.tables import Table, read_table
-from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import in_seconds, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -32,16 +34,21 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     return imu, problems
 
 
-def read_imu_and_unit(path: Path) -> tuple[RawImu, list[Problem], str | None]:
-    """The same, and the unit that its times are in where it is not seconds."""
+def read_imu_and_unit(path: Path, *, may_be_set_back: bool = True) -> tuple[RawImu, list[Problem], str | None]:
+    """The same, and the unit that its times are in where it is not seconds.
+
+    may_be_set_back : a clock that falls by an hour was set, and what follows is joined; not started again.
+    """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
+    require_seconds(path.name, t, "samples")
     unit = unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
+    t, joined = joined_by_the_hour(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, problems = screen_imu(path.name, t, accel, gyro)
-    return imu, [*cut, *said, *problems], unit
+    return imu, [*cut, *said, *joined, *problems], unit
 
 
 def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
@@ -66,6 +73,7 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
     t, unix_s = table.column("t_s"), _unix_seconds(table)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
+    t, joined = joined_by_the_hour(t, "gps", path.name, unix_s)
     columns = FixColumns(
         t=t,
         lat_deg=table.column("lat_deg"),
@@ -85,8 +93,9 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
+    require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_cut_row(table, "gps"), *said, *problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *joined, *problems, *_unread_times(table)]
 
 
 def _cut_row(table: Table, prefix: str) -> list[Problem]:

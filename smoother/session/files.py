@@ -46,6 +46,11 @@ class SessionFiles:
                     return self.directory / name
         return None
 
+    def folder(self, *wanted: str) -> str | None:
+        """Return the name of a folder that is called as a wanted file, if there is one."""
+        found = (entry.name for entry in self.directory.iterdir() if entry.name.lower() in wanted and entry.is_dir())
+        return next(found, None)
+
     def _chosen_as(self, role: Role) -> Path | None:
         return self.chosen[0] if self.chosen is not None and self.chosen[1] == role else None
 
@@ -163,9 +168,14 @@ def list_files(path: Path) -> SessionFiles:
 def _holds_sentences(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return b"$G" in file.read(HEAD_BYTES)
+            return _shows_sentences(file.read(HEAD_BYTES))
     except OSError:
         return False  # it is not what anybody asked for
+
+
+def _shows_sentences(head: bytes) -> bool:
+    """Whether a head has the start of a sentence, in one byte a character or in two."""
+    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head
 
 
 def _holds_fixes(path: Path) -> bool:
@@ -216,7 +226,7 @@ def _role(path: Path) -> Role | None:
         return "log"
     if name == OUT_NAME or head.startswith(b"YY"):
         return "out"
-    if b"$G" in head:
+    if _shows_sentences(head):
         return "sentences"
     if is_packed(path):
         raise SessionError(f"{path}: packed; unpack it first, then name what was in it")

@@ -7,6 +7,7 @@ from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
 from smoother.session.fix_columns import FixColumns, metres
+from smoother.session.heights import without_height_jumps
 from smoother.session.rows import RowFilter, put_in_time_order
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
@@ -149,7 +150,7 @@ def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
         t=t,
         lat_deg=c.lat_deg,
         lon_deg=np.where(c.lon_deg > 180.0, c.lon_deg - 360.0, c.lon_deg),
-        alt_m=alt,
+        alt_m=without_height_jumps(rows, t, alt),
         velocity_n=_velocity_n(c, speed, course),
         speed=speed,
         course_deg=course,

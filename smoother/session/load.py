@@ -22,9 +22,10 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.files import OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
+from smoother.session.spikes import without_spikes
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted
 
@@ -152,6 +153,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:
+        imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
@@ -437,13 +439,21 @@ def _read_thesis(files: SessionFiles) -> Recording:
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
     from smoother.session.csv_form import read_imu_and_unit, read_mag
+    from smoother.session.tables import NoRowsError
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
     imu, mag, unit = None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
-        imu, problems, unit = read_imu_and_unit(imu_table)
+        try:
+            imu, problems, unit = read_imu_and_unit(imu_table)
+        except NoRowsError as error:  # nothing in it can be mended, and fixes alone are a session
+            problems.append(Problem("imu_empty", str(error)))
+    elif (folder := files.folder(*IMU_NAMES)) is not None:
+        problems.append(Problem("imu_folder", f"{folder}: a folder, where a table is wanted; nothing in it is read"))
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    if imu_table is not None and imu is not None and _is_set_back(problems) and not _is_set_back(gnss_problems):
+        imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=False)
     problems += gnss_problems
     if mag_table is not None:
         try:
@@ -455,6 +465,11 @@ def _read_columns(files: SessionFiles) -> Recording:
     return Recording(
         gnss, gnss_file.name, inputs, tuple(problems), imu, imu_table.name if imu_table is not None else "", mag
     )
+
+
+def _is_set_back(problems: Sequence[Problem]) -> bool:
+    """Whether a clock was set back by an hour; that of the samples is that of the fixes, which may know better."""
+    return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 
 def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:

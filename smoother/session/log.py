@@ -4,7 +4,7 @@ A recording is every block with one session id, in whichever files of a director
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from mmap import mmap
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from smoother.arrays import Array, IntArray
 from smoother.disc import contents, kept, pieces, release, roomy
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
-from smoother.session.log_decode import Blocks, Losses, decode, find_blocks
+from smoother.session.log_decode import Blocks, Losses, decode
 from smoother.session.log_format import (
     MAG_OVERFLOW,
     PURPOSE_MAG_CALIBRATION,
@@ -23,6 +23,7 @@ from smoother.session.log_format import (
     Setup,
 )
 from smoother.session.log_problems import describe
+from smoother.session.log_transfer import find_blocks_of_any
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.rows import RowFilter, is_all, put_in_time_order
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -89,9 +90,9 @@ def _files(session: int, parts: list[tuple[int, Path, Setup | None]]) -> LogFile
 
 def _head(path: Path) -> Blocks:
     """The blocks of its recording at the head of a file; where the head is damaged, all of them."""
-    blocks, _ = find_blocks(_first_bytes(path))
+    blocks, _ = find_blocks_of_any(_first_bytes(path))
     if len(blocks) == 0:
-        blocks, _ = find_blocks(_all_bytes(path))
+        blocks, _ = find_blocks_of_any(_all_bytes(path))
     return _own(blocks)
 
 
@@ -122,10 +123,12 @@ def _unreadable(path: Path, error: OSError) -> SessionError:
 
 def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:
     """Return the records of a recording and what it lacks. Raises SessionError if a file cannot be read."""
-    parts = [_own(find_blocks(_all_bytes(path))[0]) for path in files.paths]
-    if len(parts) == 1:
-        return decode(parts[0])
-    return decode(Blocks.of(np.concatenate([part.content for part in parts if len(part)])))
+    found = [find_blocks_of_any(_all_bytes(path)) for path in files.paths]
+    parts = [_own(blocks) for blocks, _ in found]
+    all_blocks = parts[0] if len(parts) == 1 else Blocks.of(np.concatenate([p.content for p in parts if len(p)]))
+    records, losses = decode(all_blocks)
+    done = next((done for _, done in found if done), "")
+    return records, replace(losses, as_text=done) if done else losses
 
 
 def read_log(files: LogFiles) -> LogRecording:

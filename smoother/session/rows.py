@@ -145,14 +145,14 @@ def unwrap(t: Array) -> tuple[Array, int]:
     for period in (MICROSECOND_WRAP, MILLISECOND_WRAP):
         step = np.diff(total, prepend=total[:1])
         wrapped = (step < 0.0) & (step + period >= 0.0) & (step + period < WRAP_TOLERANCE)
-        wrapped &= _persists(total, wrapped)
+        wrapped &= persists(total, wrapped)
         wraps += int(np.count_nonzero(wrapped))
         total = total + period * np.cumsum(wrapped)
     return total, wraps
 
 
-def _persists(t: Array, fell: BoolArray) -> BoolArray:
-    """Whether, after each fall, the next row stays below the one before the fall: a wrap, not one stray stamp."""
+def persists(t: Array, fell: BoolArray) -> BoolArray:
+    """Return whether the row after each fall stays below the one before the fall: a wrap, not one stray stamp."""
     after = np.append(t[1:], t[-1:])
     before = np.append(t[:1], t[:-1])
     return fell & (after < before)

@@ -22,6 +22,7 @@ import polars as pl
 from smoother.arrays import Array, BoolArray
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
+from smoother.session.encoding import wide_encoding
 
 HEAD_BYTES = 65536
 LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
@@ -36,7 +37,13 @@ _ISO_FORMATS = tuple(
     f"{form}{zone}" for form in ("%Y-%m-%dT%H:%M:%S%.f", "%Y%m%dT%H%M%S%.f") for zone in ("", "%:z", "%z")
 )
 _QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
+ENOUGH_LINES = 20  # to know how many cells a row has
+_POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
+
+
+class NoRowsError(SessionError):
+    """A table that holds nothing: nothing is wrong with it that a person could mend, and the others may do."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +102,11 @@ def read_header(path: Path) -> tuple[str, ...]:
 
 
 def _header_line(path: Path) -> str:
-    return next((line for line in _text_head(path).splitlines() if line.strip()), "")
+    return _first_line(_text_head(path))
+
+
+def _first_line(text: str) -> str:
+    return next((line for line in text.splitlines() if line.strip()), "")
 
 
 def read_table(
@@ -105,23 +116,57 @@ def read_table(
 
     iso_times : optional columns of ISO 8601 times, of the extended form or the basic one, returned as seconds since
     1970 (UTC where no zone is given).
-    Raises SessionError for an empty file, no rows, a missing column or an unreadable file.
+    Raises NoRowsError for an empty file or no rows, SessionError for a missing column or an unreadable file.
     """
     header = read_header(path)
     if not header:
-        raise SessionError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
-    for name in required:
-        if name not in header:
-            raise SessionError(f"{path.name}: no column {name}; has {_shortened(header)}")
+        raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
+    _require_columns(path.name, header, required)
+    _require_points(path.name, header, _text_head(path))
     numbers = tuple(name for name in (*required, *optional) if name in header)
     times = tuple(name for name in iso_times if name in header)
     separator = _separator(_header_line(path))
     columns, flags, cut = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
     length = len(columns[required[0]])
     if length == 0:
-        raise SessionError(f"{path.name}: a header line, but no rows; was the recording started?")
+        raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
     empty = {name: flags[f"empty {name}"] for name in required}
     return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times}, cut)
+
+
+def _require_columns(file: str, header: Sequence[str], required: Sequence[str]) -> None:
+    """Raise SessionError where a column is missing, or all of the first line, of names, is."""
+    missing = [name for name in required if name not in header]
+    if missing and not any(name in header for name in required) and _are_numbers(header):
+        first = f"{', '.join(required)}, .." if len(header) > len(required) else ", ".join(required)
+        raise SessionError(
+            f"{file}: the first line is numbers, and no header; put a line with the column names above it ({first})"
+        )
+    if missing:
+        raise SessionError(f"{file}: no column {missing[0]}; has {_shortened(header)}")
+
+
+def _are_numbers(header: Sequence[str]) -> bool:
+    """Whether the first line is a row: cells that are numbers or empty, or times; names have letters in front."""
+    return any(cell[:1].isdigit() for cell in header) and all(cell[:1] in "+-.0123456789 #" for cell in header)
+
+
+def _require_points(file: str, header: Sequence[str], head: str) -> None:
+    """Raise SessionError where numbers have decimal commas and commas stand between them too.
+
+    Read as they stand, a longitude would be the decimals of the latitude. Then rows have more cells than there are
+    names, and no number has a point.
+    """
+    if '"' in head or _separator(_first_line(head)) != ",":
+        return
+    lines = [line for line in head.splitlines() if line.strip()][1 : ENOUGH_LINES + 1]
+    cells = [line.rstrip(", \t").split(",") for line in lines]
+    longer = [row for row in cells if len(row) > len(header)]
+    if lines and 2 * len(longer) > len(lines) and not any(_POINTED.fullmatch(cell) for row in longer for cell in row):
+        raise SessionError(
+            f"{file}: {len(header)} names in the header line, but rows of {len(longer[0])} cells; with decimal commas "
+            "write semicolons between the cells, or points for decimals"
+        )
 
 
 def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray], bool]:
@@ -301,7 +346,8 @@ def _source(path: Path) -> Path | bytes:
     """The file itself where polars can read it lazily, else its bytes made plain."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
-    plain = not head.startswith((b"\x1f\x8b", b"\xff\xfe", b"\xfe\xff")) and (b"\n" in head or b"\r" not in head)
+    plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
+    plain = plain and wide_encoding(head) is None and not _starts_with_comment(head)
     if plain:
         _require_lines(path)
     return path if plain else _plain_bytes(_whole(path), path.name)
@@ -356,12 +402,33 @@ def _whole(path: Path) -> bytes:
 
 
 def _plain_bytes(data: bytes, file: str) -> bytes:
-    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines."""
+    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines; no comments
+    above the header."""
     if data.startswith(b"\x1f\x8b"):
         data = _gunzip(data, file)
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        data = data.decode("utf-16", errors="replace").encode()
-    return data if b"\n" in data else data.replace(b"\r", b"\n")
+    if (encoding := wide_encoding(data)) is not None:
+        data = data.decode(encoding, errors="replace").encode()
+    data = data if b"\n" in data else data.replace(b"\r", b"\n")
+    return _without_comments(data) if _starts_with_comment(data) else data
+
+
+def _starts_with_comment(data: bytes) -> bool:
+    return data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"#"
+
+
+def _without_comments(data: bytes) -> bytes:
+    """The table below the lines that begin with `#`; the last of them is its header where a row follows it."""
+    end = 0
+    last = b""
+    while end < len(data):
+        line_end = data.find(b"\n", end) + 1 or len(data)
+        line = data[end:line_end].strip(b"\xef\xbb\xbf \t\r\n")
+        if line and not line.startswith(b"#"):
+            return (b"" if line[:1].isalpha() or line[:1] == b'"' else last) + data[end:]
+        if line and any(mark.encode() in line for mark in SEPARATORS):
+            last = line[1:] + b"\n"
+        end = line_end
+    return last
 
 
 def _gunzip(data: bytes, file: str) -> bytes:

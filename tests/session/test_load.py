@@ -263,6 +263,38 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
+@pytest.mark.parametrize(
+    ("imu", "said"),
+    [
+        ("", "imu.csv: the file is empty"),
+        ("t_s,ax,ay,az,gx,gy,gz\n", "imu.csv: a header line, but no rows"),
+        (None, "imu.csv: a folder, where a table is wanted"),
+    ],
+)
+def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
+    folder: Folder, imu: str | None, said: str
+) -> None:
+    folder.write(gps__csv=gps_csv())
+    if imu is None:
+        (folder.path / "imu.csv").mkdir()
+    else:
+        folder.write(imu__csv=imu)
+    session = folder.load()
+    assert session.imu is None and len(session.gnss) == 50 and "imu_missing" in codes(session)
+    assert session.problems[0].text.startswith(said)
+
+
+def test_spikes_of_a_sensor_and_jumps_of_the_height_are_mended_and_said(folder: Folder) -> None:
+    imu, gps = imu_csv().splitlines(), gps_csv().splitlines()
+    for row in range(100, 1000, 300):
+        imu[row] = imu[row].replace(",9.8", ",-156.9")
+    gps[20] = gps[20].replace(",8.0,", ",408.0,")
+    session = folder.write(imu__csv="\n".join(imu), gps__csv="\n".join(gps)).load()
+    assert codes(session) == {"imu_spikes": 3, "gps_height_jump": 1}
+    assert session.imu is not None and np.ptp(session.imu.accel[:, 2]) < 0.1
+    assert session.imu.t.size == 1000 and len(session.gnss) == 50
+
+
 def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: Folder) -> None:
     right = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv()).load()
     read = folder.write(imu__csv=imu_csv(1000, rate=0.1), gps__csv=gps_csv(50, rate=0.005)).load()
@@ -415,7 +447,14 @@ def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) 
             lambda f: f.write(gps__csv="t_s,lat_deg,lon_deg,fix\n0,45,12,0\n"),
             r"^gps.csv: no usable fix \(1 row without a fix",
         ),
-        (lambda f: f.write(gps__csv=gps_csv(), imu__csv=""), r"^imu.csv: the file is empty"),
+        (
+            lambda f: f.write(gps__csv=gps_csv(), imu__csv=imu_csv().partition("\n")[2]),
+            r"^imu.csv: the first line is numbers, and no header; put .* \(t_s, ax, ay, az, gx, gy, gz\)$",
+        ),
+        (
+            lambda f: f.write(gps__csv=gps_csv().partition("\n")[2]),
+            r"^gps.csv: the first line is numbers, and no header; put .* \(t_s, lat_deg, lon_deg, ..\)$",
+        ),
         (
             lambda f: f.write(gps__csv=gps_csv(start=1000.0), imu__csv=imu_csv()),
             r"^imu.csv \(0.0 to 10.0 s\) and gps.csv \(1000.0 to 1009.8 s\) do not overlap in time",
@@ -445,6 +484,13 @@ def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> N
     with pytest.raises(SessionError, match=r"gps.txt holds NMEA sentences; name the file, smooth .*gps.txt, or call"):
         folder.load()
     assert len(folder.load("gps.txt").gnss) == 50
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", ["rover.nmea", "rover.txt"])
+def test_sentences_in_two_bytes_a_character_are_read(folder: Folder, encoding: str, name: str) -> None:
+    folder.write(**{name: "".join(nmea_epochs(50)).encode(encoding)})
+    assert len(folder.load(name).gnss) == 50
 
 
 def test_every_cut_of_both_tables_gives_a_session_or_one_line(folder: Folder) -> None:

@@ -219,3 +219,26 @@ def test_every_cut_of_a_file_gives_a_session_or_one_line(tmp_path, make_records)
         except SessionError as error:
             assert "\n" not in str(error)
     assert loaded > 20
+
+
+@pytest.mark.parametrize(
+    ("transfer", "named"),
+    [
+        (lambda data: data.replace(b"\n", b"\r\n"), "put a carriage return before each line feed"),
+        (lambda data: data.replace(b"\r\n", b"\n"), "took the carriage returns before line feeds"),
+    ],
+)
+def test_a_log_that_was_copied_as_text_is_named_and_undone(tmp_path, make_records, transfer, named):
+    records = make_records(duration=20.0)
+    (tmp_path / "LOG00001.KLG").write_bytes(transfer(encode(records, 1)))
+    raw = load_raw(tmp_path)
+    assert len(raw.gnss) == 100 and len(raw.imu.t) > 3900
+    (said,) = [problem.text for problem in raw.problems if problem.code == "log_copied_as_text"]
+    assert said.startswith("LOG00001.KLG: it was copied as text") and named in said and said.endswith("as binary")
+
+
+def test_damage_of_another_kind_is_not_taken_for_a_transfer_as_text(tmp_path, make_records):
+    data = bytearray(encode(make_records(duration=20.0), 1))
+    data[300 :: 2 * BLOCK_BYTES] = bytes(1 ^ byte for byte in data[300 :: 2 * BLOCK_BYTES])
+    (tmp_path / "LOG00001.KLG").write_bytes(data)
+    assert "log_blocks_lost" in codes(load_raw(tmp_path)) and "log_copied_as_text" not in codes(load_raw(tmp_path))

@@ -83,3 +83,54 @@ def test_a_stray_quotation_mark_costs_no_row_but_its_own(
     read = read_table(path, ("t_s", "x")).stack("t_s", "x")
     whole = read[np.isfinite(read).all(axis=1) & (read[:, 1] == 2 * read[:, 0])]
     np.testing.assert_array_equal(whole[:, 0], [i for i in range(300) if i not in (100, 200)])
+
+
+TABLE = "t_s,x,note\n" + "".join(f"{i / 4},{-i},n\n" for i in range(40))
+
+
+def numbers(path: Path) -> list[list[float]]:
+    rows: list[list[float]] = read_table(path, ("t_s", "x")).stack("t_s", "x").tolist()
+    return rows
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        TABLE.encode("utf-16-le"),
+        TABLE.encode("utf-16-be"),
+        TABLE.encode("utf-16"),
+        f"# my logger, 1.2\n#\n\n{TABLE}".encode(),
+        f"\ufeff# t_s, x and a note\r\n{TABLE}".encode(),
+        f"#{TABLE}".encode(),
+        f"# written 2026-05-16, 10:00\n# {TABLE}".encode(),
+        f"# my logger\n{TABLE}".encode("utf-16-le"),
+        ("#,t_s,x\n" + "".join(f"{i},{i / 4},{-i}\n" for i in range(40))).encode(),
+    ],
+)
+def test_encodings_without_a_mark_and_comments_above_the_header_cost_nothing(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_bytes(content)
+    assert numbers(path) == [[i / 4, -i] for i in range(40)]
+
+
+@pytest.mark.parametrize("content", [b"#", b"# only, comments\n# and, more\n", b"#\n\n#", b"\0" * 600, b"#\n5,6\n"])
+def test_comments_and_zeros_alone_are_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_bytes(content)
+    with pytest.raises(SessionError, match=r"^gps.csv: "):
+        read_table(path, ("t_s", "x"))
+
+
+def test_decimal_commas_between_commas_are_told_and_not_read_as_other_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "gps.csv"
+    rows = "".join(f"{i},25,-{i},5\n" for i in range(40))
+    path.write_text(f"t_s,x\n{rows}")
+    with pytest.raises(SessionError, match=r"^gps.csv: 2 names .* rows of 4 cells; with decimal commas"):
+        read_table(path, ("t_s", "x"))
+
+
+@pytest.mark.parametrize("tail", [",,", ", ,", ",5.5,2", ",seen 10.5"])
+def test_more_cells_than_names_are_no_decimal_commas_where_numbers_have_points(tmp_path: Path, tail: str) -> None:
+    path = tmp_path / "gps.csv"
+    path.write_text("t_s,x\n" + "".join(f"{i}.5,{i}.25{tail}\n" for i in range(40)))
+    assert numbers(path) == [[i + 0.5, i + 0.25] for i in range(40)]

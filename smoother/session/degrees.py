@@ -1,0 +1,126 @@
+"""Positions that are not in degrees, or in the wrong columns: told by what is not on Earth, and by the velocities.
+
+Nothing is converted: a file of integers may count 1e-7 or 1e-6 of a degree, and a person knows which. What is likely is
+named with its remedy, in place of a smooth track in the wrong sea.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from smoother.arrays import Array, IntArray
+from smoother.errors import SessionError
+from smoother.session.fix_columns import METRES_PER_DEGREE, FixColumns
+from smoother.units import DEG
+
+FEWEST_ROWS = 8
+LARGEST = (90.0, 360.0)  # deg of latitude, of longitude
+LARGEST_OF_MINUTES = (9000.0, 18000.0)  # of 90 and 180 degrees in NMEA's form, 9000.0 and 18000.0
+LEAST_COUNT = 1e5  # of a degree's 1e-5, 1e-6 or 1e-7; what is less is no integer form of any place
+BASELINE = 1.0  # s over which a way is compared with the velocity
+LONGEST_BASELINE = 3.0  # s
+FEWEST_WAYS = 20
+LEAST_WAY = 1.0  # m of each of them, by the velocity
+AGREES, DISAGREES = 0.3, 0.6  # of the way, off by less or more; a late fix in a hairpin is off by as much
+JUMP = 500.0  # m in BASELINE; no vehicle drives as far
+SURELY = 0.5  # times as far off as a course that counts from east: only how long degrees are tells them apart
+PATH_OF_RADIANS = 0.1  # of the way; in radians read as degrees it is a 57th
+STANDSTILL = 50.0  # m on which a kart without velocities does not drive, and which in radians are 3 km
+
+
+def require_degrees(file: str, c: FixColumns) -> None:
+    """Raise SessionError, with the likely cause and the remedy, where the positions of most rows are not in degrees."""
+    known = np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg) & ~((c.lat_deg == 0.0) & (c.lon_deg == 0.0))
+    rows = np.flatnonzero(known)
+    if rows.size < FEWEST_ROWS:
+        return
+    lat, lon = c.lat_deg[rows], c.lon_deg[rows]
+    if cause := _cause_by_size(lat, lon) or _cause_by_way(c.take(rows)):
+        example = f"lat_deg {lat[lat.size // 2]:.10g}, lon_deg {lon[lon.size // 2]:.10g}"
+        raise SessionError(f"{file}: {example} {cause}")
+
+
+_SWAPPED = "look swapped; exchange the names lat_deg and lon_deg in the header line"
+_RADIANS = "look like radians; multiply both columns by 57.29577951"
+
+
+def _cause_by_size(lat: Array, lon: Array) -> str:
+    """What explains positions that are not on Earth; "" for those that are."""
+    north, east = float(np.median(np.abs(lat))), float(np.median(np.abs(lon)))
+    if north <= LARGEST[0] and east <= LARGEST[1]:
+        return ""
+    if north <= 2.0 * LARGEST[0] and east <= LARGEST[0]:
+        return _SWAPPED
+    if max(north, east) >= LEAST_COUNT and np.all(lat == np.round(lat)) and np.all(lon == np.round(lon)):
+        return "look like integers of 1e-7 degrees (or 1e-6); divide both columns by 10000000 (or 1000000)"
+    if north <= LARGEST_OF_MINUTES[0] and east <= LARGEST_OF_MINUTES[1] and _are_minutes(lat) and _are_minutes(lon):
+        return (
+            "look like NMEA's degrees and minutes (ddmm.mmmm); degrees are dd + mm.mmmm / 60, "
+            "or give the sentences themselves, as *.nmea"
+        )
+    return "are no degrees on Earth; wanted are degrees with decimals, as 45.0451 and 12.1490"
+
+
+def _are_minutes(value: Array) -> bool:
+    return bool(np.all(np.mod(np.abs(value), 100.0) < 60.0))
+
+
+def _cause_by_way(c: FixColumns) -> str:
+    """What makes the way of the positions that of the velocities where it is not; "" where it is, or nothing does."""
+    sent = _way_by_velocity(c)
+    may_be_radians = bool(np.all(np.abs(c.lat_deg) <= 90.0 * DEG) and np.all(np.abs(c.lon_deg) <= 180.0 * DEG))
+    if sent is None:
+        return _RADIANS if may_be_radians and _stands_still(c) and not _stands_still(c, 1.0 / DEG) else ""
+    first, last, way = sent
+    size = float(np.sum(np.abs(way)))
+
+    def off(lat: Array, lon: Array, sent: npt.NDArray[np.complex128] = way) -> float:
+        return float(np.sum(np.abs(_way_by_position(lat, lon, first, last) - sent))) / size
+
+    if off(c.lat_deg, c.lon_deg) < DISAGREES:
+        return ""
+    if np.all(np.abs(c.lon_deg) <= LARGEST[0]):
+        swapped = off(c.lon_deg, c.lat_deg)
+        if swapped < min(AGREES, SURELY * off(c.lat_deg, c.lon_deg, 1j * np.conj(way))):
+            return _SWAPPED
+    path = float(np.sum(np.abs(_way_by_position(c.lat_deg, c.lon_deg, first, last)))) / size
+    if may_be_radians and path < PATH_OF_RADIANS and off(c.lat_deg / DEG, c.lon_deg / DEG) < AGREES:
+        return _RADIANS
+    return ""
+
+
+def _way_by_velocity(c: FixColumns) -> tuple[IntArray, IntArray, npt.NDArray[np.complex128]] | None:
+    """First and last rows (K,) of stretches of about BASELINE, and the ways (K,), east + i north, m, that the
+    velocities make of them; None if there are too few."""
+    with np.errstate(invalid="ignore"):
+        course = np.radians(c.course_deg)
+        told = c.speed * (np.sin(course) + 1j * np.cos(course))
+        velocity = np.where(np.isfinite(c.velocity_north), c.velocity_east + 1j * c.velocity_north, told)
+        dt = np.diff(c.t)
+        usual = float(np.median(dt[dt > 0.0])) if np.any(dt > 0.0) else np.nan
+    if not usual > 0.0 or usual > BASELINE:
+        return None
+    velocity[~np.isfinite(velocity)] = 0.0  # at rest, receivers leave it empty
+    dt = np.where((dt > 0.0) & (dt < LONGEST_BASELINE), dt, 0.0)
+    place = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt)])
+    stride = max(1, round(BASELINE / usual))
+    last = np.arange(stride, c.t.size, stride)
+    first = last - stride
+    way, time = place[last] - place[first], c.t[last] - c.t[first]
+    good = (np.abs(way) > LEAST_WAY) & (time > 0.0) & (time < LONGEST_BASELINE)
+    if np.count_nonzero(good) < FEWEST_WAYS:
+        return None
+    return first[good], last[good], way[good]
+
+
+def _way_by_position(lat_deg: Array, lon_deg: Array, first: IntArray, last: IntArray) -> npt.NDArray[np.complex128]:
+    """Ways (K,), east + i north, m, between rows; each as long as a jump can be at most, so that one cannot decide."""
+    east = np.mod(lon_deg[last] - lon_deg[first] + 180.0, 360.0) - 180.0
+    way = METRES_PER_DEGREE * (east * np.cos(np.radians(lat_deg[first])) + 1j * (lat_deg[last] - lat_deg[first]))
+    size = np.abs(way)
+    return np.where(size > JUMP, JUMP * way / np.maximum(size, JUMP), way)
+
+
+def _stands_still(c: FixColumns, scale: float = 1.0) -> bool:
+    """Whether most positions, times `scale`, lie within STANDSTILL."""
+    sizes = [np.subtract(*np.percentile(scale * v, [95.0, 5.0])) for v in (c.lat_deg, c.lon_deg)]
+    return bool(max(sizes) * METRES_PER_DEGREE < STANDSTILL)

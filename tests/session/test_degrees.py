@@ -1,0 +1,86 @@
+"""Positions in another form than degrees, and times in another unit than seconds: one line with cause and remedy."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.session.csv_form import read_fixes, read_imu
+from smoother.session.load import load_raw
+
+T = np.arange(500) / 5.0
+LAT, LON = 45.0451 + 1e-3 * np.sin(T / 9.0), 12.1490 + 2e-3 * np.cos(T / 9.0)
+NORTH = 111_195 * 1e-3 / 9.0 * np.cos(T / 9.0)
+EAST = -111_195 * np.cos(np.radians(LAT)) * 2e-3 / 9.0 * np.sin(T / 9.0)
+
+
+def write(path: Path, lat: Array, lon: Array, t: Array = T, form: str = ".10f", has_speed: bool = True) -> Path:
+    course, speed = np.degrees(np.arctan2(EAST, NORTH)) % 360.0, np.hypot(NORTH, EAST)
+    rows = [
+        f"{t[k]:.9f},{lat[k]:{form}},{lon[k]:{form}}" + (f",{speed[k]:.3f},{course[k]:.2f}" if has_speed else "")
+        for k in range(T.size)
+    ]
+    path.write_text("t_s,lat_deg,lon_deg" + (",speed_mps,course_deg" if has_speed else "") + "\n" + "\n".join(rows))
+    return path
+
+
+def minutes(degrees: Array) -> Array:
+    return np.floor(degrees) * 100.0 + (degrees % 1.0) * 60.0
+
+
+@pytest.mark.parametrize(
+    ("make", "form", "has_speed", "named"),
+    [
+        (lambda lat, lon: (lon, lat), ".10f", True, "swapped; exchange the names"),
+        (lambda lat, lon: (lon - 150.0, lat), ".10f", False, "swapped; exchange the names"),
+        (lambda lat, lon: (np.radians(lat), np.radians(lon)), ".10f", True, "radians; multiply .* 57.29577951"),
+        (lambda lat, lon: (np.radians(lat), np.radians(lon)), ".10f", False, "radians; multiply .* 57.29577951"),
+        (lambda lat, lon: (lat * 1e7, lon * 1e7), ".0f", True, "integers of 1e-7 degrees .* divide .* by 10000000"),
+        (lambda lat, lon: (minutes(lat), minutes(lon)), ".6f", True, r"NMEA's degrees and minutes \(ddmm.mmmm\)"),
+        (lambda lat, lon: (lat * 1000.0, lon), ".6f", True, "no degrees on Earth; wanted are degrees"),
+    ],
+)
+def test_positions_in_another_form_are_named_with_the_remedy(
+    tmp_path: Path, make: Callable[[Array, Array], tuple[Array, Array]], form: str, has_speed: bool, named: str
+) -> None:
+    table = write(tmp_path / "gps.csv", *make(LAT, LON), form=form, has_speed=has_speed)
+    with pytest.raises(SessionError, match=rf"^gps.csv: lat_deg \S+, lon_deg \S+ .*{named}"):
+        read_fixes(table)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (-45.0451, -12.149), (-100.0, 167.85), (0.0, 330.0)])
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_degrees_are_degrees_wherever_the_track_lies(
+    tmp_path: Path, shift: tuple[float, float], has_speed: bool
+) -> None:
+    fixes, _ = read_fixes(write(tmp_path / "gps.csv", LAT + shift[0], LON + shift[1], has_speed=has_speed))
+    assert len(fixes) == 500
+
+
+def test_velocities_that_fit_nothing_leave_the_positions_alone(tmp_path: Path) -> None:
+    assert len(read_fixes(write(tmp_path / "gps.csv", LAT[::-1], LON))[0]) == 500
+
+
+def test_no_real_recording_is_taken_for_another_form(data_directory: Path) -> None:
+    for table in sorted(data_directory.glob("*/gps.csv")):
+        assert len(load_raw(table).gnss)
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("minutes", 60.0), ("hours", 3600.0)])
+def test_minutes_or_hours_for_seconds_are_named(tmp_path: Path, unit: str, seconds: float) -> None:
+    table = write(tmp_path / "gps.csv", LAT, LON, T / seconds)
+    with pytest.raises(SessionError, match=r"^gps.csv: by t_s \d+ fixes a second, .*multiply minutes by 60, hours by"):
+        read_fixes(table)
+    rows = table.read_text().splitlines()
+    table.write_text(
+        "\n".join([f"{rows[0]},unix_s", *(f"{r},{1.7e9 + t:.1f}" for r, t in zip(rows[1:], T, strict=True))])
+    )
+    with pytest.raises(SessionError, match=rf"^gps.csv: by its UTC, t_s is in {unit}; .*multiply by {seconds:.0f}, in"):
+        read_fixes(table)
+    imu = tmp_path / "imu.csv"
+    imu.write_text("t_s,ax,ay,az,gx,gy,gz\n" + "".join(f"{k / 200 / seconds:.10f},0,0,9.8,0,0,0\n" for k in range(999)))
+    with pytest.raises(SessionError, match=r"^imu.csv: by t_s \d+ samples a second, .*multiply minutes by 60"):
+        read_imu(imu)

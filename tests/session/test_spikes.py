@@ -1,0 +1,100 @@
+"""Single samples that no motion makes: replaced and counted; what a kart does to a sensor is left as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.samples import Problem, RawImu
+from smoother.session.load import load_raw
+from smoother.session.spikes import MOST_SPIKES, without_spikes
+
+RATE = 200.0
+
+
+def driven(vibration: float = 3.0, count: int = 20_000) -> RawImu:
+    """Samples of a kart that shakes by `vibration` m/s^2."""
+    rng = np.random.default_rng(5)
+    accel = vibration * rng.standard_normal((count, 3)) + [0.0, 0.0, 9.8]
+    return RawImu(np.arange(count) / RATE, accel, 0.1 * rng.standard_normal((count, 3)))
+
+
+def with_values(imu: RawImu, sensor: str, rows: Array, axis: int, value: object) -> RawImu:
+    values = np.array(getattr(imu, sensor))
+    values[rows, axis] = value
+    return replace(imu, **{sensor: values})
+
+
+@pytest.mark.parametrize(
+    ("sensor", "value", "vibration"),
+    [
+        ("accel", 900.0, 3.0),
+        ("accel", -156.9, 3.0),
+        ("accel", 900.0, 10.0),  # as harsh as simulated karts are
+        ("gyro", 34.9, 3.0),
+        ("gyro", -17.4, 3.0),
+    ],
+)
+@pytest.mark.parametrize("burst", [1, 2, 3])
+def test_values_that_stick_out_alone_are_bridged_and_counted(
+    sensor: str, value: float, vibration: float, burst: int
+) -> None:
+    clean = driven(vibration)
+    rows = (np.arange(250, 20_000, 500)[:, None] + np.arange(burst)).ravel()
+    problems: list[Problem] = []
+    imu = without_spikes(with_values(clean, sensor, rows, 1, value), "imu.csv", problems)
+    assert [(problem.code, problem.count) for problem in problems] == [("imu_spikes", rows.size)]
+    have, want = getattr(imu, sensor), getattr(clean, sensor)
+    others = np.setdiff1d(np.arange(clean.t.size), rows)
+    np.testing.assert_array_equal(have[others], want[others])
+    assert np.max(np.abs(have[rows])) <= np.max(np.abs(want))
+
+
+def test_counts_of_a_sensor_are_judged_in_si() -> None:
+    clean = driven()
+    counts = RawImu(clean.t, np.round(clean.accel * 200), np.round(clean.gyro * 1000), 1 / 200, 1 / 1000)
+    problems: list[Problem] = []
+    assert without_spikes(counts, "a.klg", problems) is counts
+    without_spikes(with_values(counts, "accel", np.array([700]), 2, 32767.0), "a.klg", problems)
+    assert [problem.count for problem in problems] == [1]
+
+
+def hit() -> RawImu:
+    """A hit on a kerb of 25 g in one sample, that rings on."""
+    imu = driven()
+    ringing = 250.0 * np.exp(-np.arange(12) / 2.0) * np.cos(np.arange(12) * 1.9)
+    return with_values(imu, "accel", 1000 + np.arange(12), 2, ringing)
+
+
+def clipped() -> RawImu:
+    """Vibration of 20 g at the edges of a range of 16 g."""
+    imu = driven(vibration=200.0)
+    return replace(imu, accel=np.clip(imu.accel, -156.9, 156.9))
+
+
+def shaken_now_and_then() -> RawImu:
+    """An engine that shakes the box to its edges for a tenth of a second in ten."""
+    imu = driven()
+    rows = (np.arange(100, 20_000, 2000)[:, None] + np.arange(20)).ravel()
+    rng = np.random.default_rng(8)
+    return with_values(imu, "accel", rows, 0, np.clip(200.0 * rng.standard_normal(rows.size), -156.9, 156.9))
+
+
+def many() -> RawImu:
+    """More spikes than a good recording has."""
+    return with_values(driven(), "accel", np.arange(10, 20_000, 10), 0, 900.0)
+
+
+@pytest.mark.parametrize("make", [driven, hit, clipped, shaken_now_and_then, many])
+def test_what_a_kart_does_to_a_sensor_stays_as_it_is(make: object) -> None:
+    assert MOST_SPIKES < 0.1
+    imu, problems = make(), []  # type: ignore[operator, var-annotated]
+    assert without_spikes(imu, "imu.csv", problems) is imu and not problems
+
+
+def test_no_real_recording_has_any(data_directory: object) -> None:
+    tables = sorted(data_directory.glob("*/imu.csv"))  # type: ignore[attr-defined]
+    for table in tables:
+        if (table.parent / "gps.csv").exists():
+            assert "imu_spikes" not in [problem.code for problem in load_raw(table.parent).problems], table
