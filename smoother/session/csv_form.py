@@ -11,7 +11,7 @@ from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.tables import Table, read_table
-from smoother.session.time_unit import in_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import UNITS, in_seconds, lasts_like, unit_by_rate, unit_of_fixes
 from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -32,23 +32,29 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     return imu, problems
 
 
-def read_imu_and_unit(path: Path) -> tuple[RawImu, list[Problem], str | None]:
-    """The same, and the unit that its times are in where it is not seconds."""
+def read_imu_and_unit(path: Path, *, is_slow: bool = False) -> tuple[RawImu, list[Problem], str | None]:
+    """The same, and the unit that its times are in where it is not seconds. is_slow : they are, however far apart."""
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
-    unit = unit_by_rate(t)
+    unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
     imu, problems = screen_imu(path.name, t, accel, gyro)
     return imu, [*cut, *said, *problems], unit
 
 
-def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
-    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0."""
+def read_mag(path: Path, fixes_t: Array | None = None) -> tuple[RawMag, list[Problem]]:
+    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
+
+    fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit.
+    """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    t, said = in_seconds(t, unit_by_rate(t), "mag", path.name)
+    unit = unit_by_rate(t)
+    if unit is not None and fixes_t is not None and not lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit):
+        unit = None
+    t, said = in_seconds(t, unit, "mag", path.name)
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")

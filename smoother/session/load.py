@@ -437,6 +437,7 @@ def _read_thesis(files: SessionFiles) -> Recording:
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
     from smoother.session.csv_form import read_imu_and_unit, read_mag
+    from smoother.session.time_unit import lasts_like
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
     imu, mag, unit = None, None, None
@@ -444,10 +445,12 @@ def _read_columns(files: SessionFiles) -> Recording:
     if imu_table is not None:
         imu, problems, unit = read_imu_and_unit(imu_table)
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    if imu_table is not None and imu is not None and unit is not None and not lasts_like(imu.t, gnss.t, unit):
+        imu, problems, _ = read_imu_and_unit(imu_table, is_slow=True)
     problems += gnss_problems
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(mag_table)
+            mag, mag_problems = read_mag(mag_table, gnss.t)
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))

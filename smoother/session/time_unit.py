@@ -1,5 +1,7 @@
 """Times in another unit than seconds, recognised where it is certain: by UTC, or by a rate nothing else explains."""
 
+import math
+
 import numpy as np
 
 from smoother.arrays import Array
@@ -34,6 +36,17 @@ def unit_by_rate(t: Array) -> str | None:
         return None
     low, high = SENSOR_RATES
     return next((name for name, size in UNITS.items() if low < size / period <= high), None)
+
+
+def lasts_like(t: Array, fixes_t: Array, unit: str) -> bool:
+    """Whether times t (N,) of samples, read as `unit`, last about as long as the fixes (M,) s beside them.
+
+    If they would rather as seconds, it was a slow sensor that looked like another unit.
+    """
+    if t.size < 2 or fixes_t.size < 2 or not (lasts := float(np.ptp(fixes_t))) > 0.0:
+        return True
+    share = float(t[-1] - t[0]) / lasts
+    return share * math.sqrt(UNITS[unit]) >= 1.0  # nearer to 1 than what it would be in seconds, as factors go
 
 
 def unit_of_fixes(file: str, t: Array, unix_s: Array, imu_unit: str | None) -> str | None:

@@ -274,6 +274,17 @@ def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: 
     np.testing.assert_allclose(read.gnss.t, right.gnss.t, atol=1e-9)
 
 
+@pytest.mark.parametrize("rate", [0.2, 0.5, 0.8])
+def test_a_sensor_that_is_really_slow_is_not_taken_for_one_in_milliseconds(folder: Folder, rate: float) -> None:
+    """It lasts as long as its fixes, not a second; a slow compass likewise."""
+    count = round(900 * rate)
+    slow = "\n".join(["t_s,mx,my,mz", *(f"{k / rate:.2f},20.{k % 5},3.{k % 7},40.{k % 3}" for k in range(count))])
+    read = folder.write(imu__csv=imu_csv(count, rate=rate), gps__csv=gps_csv(4500), mag__csv=slow + "\n").load()
+    told = codes(read)
+    assert "imu_too_slow" in told and not {"imu_time_unit", "mag_time_unit", "gps_outside_imu"} & set(told)
+    assert read.imu is None and read.mag is not None and read.mag.t[-1] > 890.0
+
+
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
 def test_the_unit_of_fixes_is_told_by_their_utc(folder: Folder, size: float) -> None:
     header, *rows = gps_csv().replace("\n", ",\n").splitlines()
