@@ -43,6 +43,7 @@ SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 STUCK_TIME, STUCK_WAY = 10.0, 50.0  # s and m for which one noisy value does not change, however coarse its steps
+STUCK_SPEED = 1.0  # m/s; slower, it is the noise of a kart at rest
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
@@ -250,7 +251,7 @@ def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
         for axis, letter in enumerate("xyz"):
             first, last = longest_constant(values, axis)
             begin, end = float(imu.t[first]), float(imu.t[last])
-            if (sensor, letter) in dead or end - begin < STUCK_TIME or _way(gnss, begin, end) < STUCK_WAY:
+            if (sensor, letter) in dead or end - begin < STUCK_TIME or not _moves(gnss, begin, end):
                 continue
             text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
             yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
@@ -292,6 +293,25 @@ def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
     for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
         if imu.t[last] - imu.t[first] > FROZEN:
             yield first, last
+
+
+def _moves(gnss: GnssFixes, begin: float, end: float) -> bool:
+    """Whether the kart goes STUCK_WAY from begin to end s, by the fixes' places and by their speeds, where sent.
+
+    After a cold start, or beside a wall, the fixes of a kart at rest wander as far.
+    """
+    if _way(gnss, begin, end) < STUCK_WAY:
+        return False
+    assert gnss.speed is not None
+    inside = (gnss.t >= begin) & (gnss.t <= end)
+    speed = np.where(np.isfinite(gnss.speed), gnss.speed, np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1]))[
+        inside
+    ]
+    known = np.isfinite(speed)
+    if np.count_nonzero(known) < 0.5 * known.size:
+        return True
+    driven = np.where(speed[known] > STUCK_SPEED, speed[known], 0.0)
+    return bool(np.mean(driven) * (end - begin) >= STUCK_WAY)
 
 
 def _way(gnss: GnssFixes, begin: float, end: float) -> float:

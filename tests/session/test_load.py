@@ -309,6 +309,17 @@ def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> N
     assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
 
 
+def test_an_axis_that_shows_nothing_at_rest_is_not_stuck_though_the_fixes_settle(folder: Folder) -> None:
+    """The steps of a sensor may be coarser than its noise, and a receiver comes from 100 m off after its start."""
+    rows = imu_csv(6000).splitlines()
+    rows[:4000] = [rows[0], *(row.rpartition(",")[0] + ",0.006" for row in rows[1:4000])]
+    places = [45 + 1e-3 * np.exp(-k / 25) + 1e-4 * max(0, k - 200) for k in range(300)]
+    fixes = [f"{k / 5:.1f},{lat:.8f},12.0,8.0,{50.0 * (k > 200) + 0.05},0.0" for k, lat in enumerate(places)]
+    table = "\n".join(["t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg", *fixes]) + "\n"
+    folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=table)
+    assert "imu_axis_stuck" not in codes(folder.load())
+
+
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:
     assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
 
