@@ -13,7 +13,7 @@ from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_by_the_hour
 from smoother.session.tables import Table, read_table
-from smoother.session.time_unit import in_seconds, require_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
@@ -34,28 +34,45 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
     return imu, problems
 
 
-def read_imu_and_unit(path: Path, *, may_be_set_back: bool = True) -> tuple[RawImu, list[Problem], str | None]:
+def read_imu_and_unit(
+    path: Path, *, may_be_set_back: bool = True, is_slow: bool = False
+) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds.
 
     may_be_set_back : a clock that falls by an hour was set, and what follows is joined; not started again.
+    is_slow : times are in seconds, however far apart they are.
     """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
-    unit = unit_by_rate(t)
+    unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
     t, joined = joined_by_the_hour(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, problems = screen_imu(path.name, t, accel, gyro)
     return imu, [*cut, *said, *joined, *problems], unit
 
 
-def read_mag(path: Path) -> tuple[RawMag, list[Problem]]:
-    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0."""
+def read_mag(
+    path: Path, fixes_t: Array | None = None, *, has_imu: bool = False, imu_unit: str | None = None
+) -> tuple[RawMag, list[Problem]]:
+    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
+
+    fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
+    has_imu beside it, times are in the unit of that, imu_unit; a compass alone may be of any rate.
+    """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    t, said = in_seconds(t, unit_by_rate(t), "mag", path.name)
+    unit = imu_unit if has_imu else unit_by_rate(t)
+    if (
+        not has_imu
+        and unit is not None
+        and fixes_t is not None
+        and not lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit)
+    ):
+        unit = None
+    t, said = in_seconds(t, unit, "mag", path.name)
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")

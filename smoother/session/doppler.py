@@ -4,12 +4,13 @@ A speed in another unit, a column that stands still while the kart drives, a cou
 are right without them, and the column is not used. A velocity that agrees is left as it is.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray
 from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.rows import RowFilter
 from smoother.units import KMH, KNOT, MPH
@@ -24,7 +25,13 @@ MOVING = 1.0  # m/s; slower, receivers leave the course empty
 STUCK_ROWS, STUCK_TIME = 20, 10.0  # s; a value that stands longer, against the positions, is not measured
 STUCK_SHARE = 0.25  # of the positions against it: a stuck course is right once a lap, a jump of positions is short
 SPEED_OFF = (2.0, 0.15)  # m/s and share of what the positions say, which over BASELINE are noisy by less
-COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position makes less
+COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position mostly makes less
+DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, -0.25, -0.5)  # s by which velocities come behind their positions, or before them
+CALM = 25.0  # per cent of the rows in which noise shows alone
+# m/s over BASELINE for that percentile of roughness, m: a Rayleigh deviate of 0.759 sigmas, of which a weighted sum of
+# four positions has sqrt(20) / 3, and the difference of two sqrt(2)
+NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
+NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
@@ -61,7 +68,10 @@ def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
 
 
 def _share_of_speed(t: Array, c: FixColumns) -> float:
-    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it."""
+    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it.
+
+    Which steps tell is chosen by what was sent: chosen by the positions, noise would make a slow kart seem a fast one.
+    """
     speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
     north, east = metres(c)
     later = np.searchsorted(t, t + BASELINE)
@@ -72,33 +82,45 @@ def _share_of_speed(t: Array, c: FixColumns) -> float:
     travelled = np.hypot(north[last] - north[first], east[last] - east[first]) / run
     within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
     sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
-    told = (travelled > FASTER) & (run < 2.0 * BASELINE) & np.isfinite(sent)
-    if np.count_nonzero(told) < FEWEST_STEPS:
+    told = (run < 2.0 * BASELINE) & np.isfinite(sent)
+    told &= sent > 0.5 * np.percentile(sent[told], 95.0) if np.any(told) else False
+    if np.count_nonzero(told) < FEWEST_STEPS or not np.median(travelled[told]) > FASTER:
         return float("nan")
-    low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0))
+    with np.errstate(divide="ignore"):
+        low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0), method="nearest")
     return float(share) if high < 1.25 * low else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Displacement over about BASELINE from each row (N,): m/s north and east; `told` where it says something.
+    """Displacement over about BASELINE from each row (N,): m/s north and east; `whole` where there is one.
 
     speed (N,) m/s: of the way by the row in the middle; round a tight bend that is longer than straight across.
+    roughness (N,) m: how far positions are off a parabola through their neighbours.
     """
 
+    t: Array  # s, half way
     north: Array
     east: Array
     speed: Array
-    told: BoolArray
-    middle: IntArray  # the row in the middle of each
+    whole: BoolArray
+    roughness: Array
 
-    def angle_from(self, course_deg: Array) -> Array:
+    def noise(self, rows: BoolArray | slice) -> float:
+        """Noise, m/s per axis, of a step in these rows, by the calmest of them: bends are no parabolas either."""
+        return float(np.percentile(self.roughness[rows], CALM, method="nearest")) * NOISE_OF_CALM
+
+    def told(self, noise: float) -> BoolArray:
+        """Mask (N,) of the steps that say where the kart goes, and how fast."""
+        return self.whole & (np.hypot(self.north, self.east) > max(FASTER, NOISE_TIMES * noise))
+
+    def angle_from(self, course_deg: Array | float) -> Array:
         """How far (N,) deg, 0 to 180, the displacement points from the course (N,) half way."""
-        return _apart(np.degrees(np.arctan2(self.east, self.north)), course_deg[self.middle])
+        return np.asarray(np.abs(np.mod(self._course_deg - course_deg + 180.0, 360.0) - 180.0))
 
-
-def _apart(a_deg: Array, b_deg: Array) -> Array:
-    return np.asarray(np.abs(np.mod(a_deg - b_deg + 180.0, 360.0) - 180.0))
+    @property
+    def _course_deg(self) -> Array:
+        return np.degrees(np.arctan2(self.east, self.north))
 
 
 def _steps_of(t: Array, c: FixColumns) -> _Steps:
@@ -111,23 +133,31 @@ def _steps_of(t: Array, c: FixColumns) -> _Steps:
     v_north, v_east = (north[last] - north) / size, (east[last] - east) / size
     middle = (row + last) // 2
     halves = (np.hypot(north[two] - north[one], east[two] - east[one]) for one, two in ((row, middle), (middle, last)))
-    return _Steps(v_north, v_east, sum(halves) / size, whole & (np.hypot(v_north, v_east) > FASTER), middle)
+    return _Steps(t + 0.5 * run, v_north, v_east, sum(halves) / size, whole, _roughness(t, north, east))
+
+
+def _roughness(t: Array, north: Array, east: Array) -> Array:
+    """How far (N,) m the position half a BASELINE on is off the parabola through three others; 0 at the end."""
+    stride = max(1, round(0.5 * BASELINE / float(np.median(np.diff(t))))) if t.size > 1 else 1
+    count = max(0, t.size - 3 * stride)
+    one, *others = (slice(k * stride, k * stride + count) for k in (1, 0, 2, 3))
+    off = np.zeros((2, t.size))
+    off[:, :count] = north[one], east[one]
+    for at in others:  # Lagrange's form of the parabola
+        weight = np.ones(count)
+        for root in others:
+            if root != at:
+                weight *= (t[one] - t[root]) / (t[at] - t[root])
+        off[:, :count] -= weight * np.stack([north[at], east[at]])
+    return np.asarray(np.hypot(*off))
 
 
 def _without_stuck(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
     """Empty the cells of columns that repeat one value while the positions say something else."""
     steps = _steps_of(t, c)
-    with np.errstate(invalid="ignore"):
-        off = np.maximum(SPEED_OFF[0], SPEED_OFF[1] * steps.speed)
-        slip = np.hypot(steps.north - c.velocity_north, steps.east - c.velocity_east)
-        against = {
-            ("speed",): np.abs(steps.speed - c.speed) > off,
-            ("course_deg",): steps.angle_from(c.course_deg) > COURSE_OFF,
-            ("velocity_north", "velocity_east"): slip > off,
-        }
-    for names, contradicted in against.items():
+    for names in (("speed",), ("course_deg",), ("velocity_north", "velocity_east")):
         values = np.column_stack([getattr(c, name) for name in names])
-        stuck = _stuck(t, values, steps.told, contradicted)
+        stuck = _stuck(t, steps, values, _off(steps, c, names[0]))
         if count := int(np.count_nonzero(stuck)):
             what, shown = names[0].partition("_")[0], ", ".join(f"{value:g}" for value in values[np.argmax(stuck)])
             where = f"{what} stands at {shown} in {counted(count, 'row')}"
@@ -136,14 +166,34 @@ def _without_stuck(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
     return c
 
 
-def _stuck(t: Array, values: Array, told: BoolArray, contradicted: BoolArray) -> BoolArray:
+def _off(steps: _Steps, c: FixColumns, name: str) -> Callable[[float], BoolArray]:
+    """By the noise of the steps, m/s: which of them (N,) are farther off the column than bends and noise make them."""
+    if name == "course_deg":
+        off = (steps.angle_from(c.course_deg) > COURSE_OFF) & ~_says_slow(c)
+        return lambda _: off
+    if name == "speed":
+        by = np.abs(steps.speed - c.speed)
+    else:
+        by = np.hypot(steps.north - c.velocity_north, steps.east - c.velocity_east)
+    least = np.maximum(SPEED_OFF[0], SPEED_OFF[1] * steps.speed)
+    return lambda noise: np.asarray(by > np.maximum(least, NOISE_TIMES * noise))
+
+
+def _says_slow(c: FixColumns) -> BoolArray:
+    """Mask (N,) of the rows by whose speed the kart hardly moves: their course means nothing and may be an old one."""
+    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    return np.asarray(speed < 0.5 * FASTER)
+
+
+def _stuck(t: Array, steps: _Steps, values: Array, off: Callable[[float], BoolArray]) -> BoolArray:
     """Mask (N,) of the rows of `values` (N, M) in a long run of one value that the positions contradict."""
     stuck = np.zeros(t.size, dtype=np.bool_)
     for first, end in _runs(values):
-        seen = told[first:end]
-        against = np.count_nonzero(seen & contradicted[first:end])
-        if t[end - 1] - t[first] > STUCK_TIME and against > max(0.5 * STUCK_ROWS, STUCK_SHARE * seen.size):
-            stuck[first:end] = True
+        if t[end - 1] - t[first] <= STUCK_TIME:
+            continue
+        noise = steps.noise(slice(first, end))
+        against = np.count_nonzero((steps.told(noise) & off(noise))[first:end])
+        stuck[first:end] = against > max(0.5 * STUCK_ROWS, STUCK_SHARE * (end - first))
     return stuck
 
 
@@ -161,20 +211,30 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
     course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
     steps = _steps_of(t, c)
-    told = steps.told & np.isfinite(course[steps.middle])
+    known = steps.whole & np.isfinite(course) & ~_says_slow(c)
+    told = known & steps.told(steps.noise(known)) if np.any(known) else known
     if np.count_nonzero(told) < FEWEST_STEPS or np.ptp(t[told]) < STUCK_TIME:
         return c
-    off = float(np.median(steps.angle_from(course)[told]))
+    off = _mostly_off(t, steps, course, told)
     if off <= COURSE_OFF:
         return c
-    hint = next((f", as if {how}" for how, other in _OTHER_COURSES.items() if _fits(steps, other(course), told)), "")
+    others = ((how, _mostly_off(t, steps, other(course), told)) for how, other in _OTHER_COURSES.items())
+    hint = next((f", as if {how}" for how, rest in others if rest < COURSE_ALIKE), "")
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
 
 
-def _fits(steps: _Steps, course_deg: Array, told: BoolArray) -> bool:
-    return float(np.median(steps.angle_from(course_deg)[told])) < COURSE_ALIKE
+def _mostly_off(t: Array, steps: _Steps, course_deg: Array, told: BoolArray) -> float:
+    """How far, deg, the course (N,) mostly is off the way of the positions, early or late as it may be."""
+    angle = np.radians(course_deg)
+    known = np.isfinite(angle)
+    north, east = np.cos(angle[known]), np.sin(angle[known])
+    off = np.inf
+    for delay in DELAYS:
+        at = [np.interp(steps.t + delay, t[known], part) for part in (north, east)]
+        off = min(off, float(np.median(steps.angle_from(np.degrees(np.arctan2(at[1], at[0])))[told])))
+    return off
 
 
 _OTHER_COURSES: dict[str, Callable[[Array], Array]] = {

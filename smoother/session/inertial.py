@@ -8,6 +8,7 @@ from smoother.samples import Problem, RawImu
 from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_times, taken
 
 ABSURD_SPECIFIC_FORCE = 1000.0  # m/s^2; beyond 100 g, no sensor of a kart reads it
+HOLE = 1.0  # s without samples
 ABSURD_RATE = 100.0  # rad/s, 5700 deg/s; likewise
 
 
@@ -51,12 +52,16 @@ def _constant(values: Array) -> list[int]:
     return same
 
 
-def longest_constant(values: Array, axis: int) -> tuple[int, int]:
-    """First and last row of the longest stretch of (N, 3) samples, N > 0, in which one axis does not change."""
+def longest_constant(t: Array, values: Array, axis: int) -> tuple[int, int]:
+    """First and last row of the longest stretch of (N, 3) samples, N > 0, in which one axis does not change.
+
+    A stretch ends at a hole in their times t (N,) s: a box at rest before a pause and after it did not stand still.
+    """
     begin, longest = 0, (0, 0)
     for part in pieces(len(values) - 1):
         before, now = values[part.start : part.stop, axis], values[part.start + 1 : part.stop + 1, axis]
-        edges = np.append(begin, np.flatnonzero(now != before) + part.start + 1)
+        ends = (now != before) | (np.diff(t[part.start : part.stop + 1]) > HOLE)
+        edges = np.append(begin, np.flatnonzero(ends) + part.start + 1)
         release(values)
         begin = int(edges[-1])
         if edges.size > 1:

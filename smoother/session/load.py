@@ -44,9 +44,12 @@ SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
 STUCK_TIME, STUCK_WAY = 10.0, 50.0  # s and m for which one noisy value does not change, however coarse its steps
+STUCK_SPEED = 1.0  # m/s; slower, it is the noise of a kart at rest
 UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
+# said of files whose columns may be right all the same
+OF_NO_COLUMN = ("gps_row_cut", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved", "gps_repeated_time")
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
@@ -176,7 +179,7 @@ def _require_fixes(recording: Recording) -> None:
     if len(recording.gnss) == 0:
         against = [problem for problem in recording.problems if problem.code.startswith("gps_")]
         reasons = "; ".join(problem.text.partition(": ")[2] for problem in against)
-        searched = all(problem.code in NO_RECEPTION for problem in against)
+        searched = all(problem.code in (*NO_RECEPTION, *OF_NO_COLUMN) for problem in against)
         remedy = "the antenna needs a free view of the sky before the start" if searched else "mend those columns"
         raise SessionError(f"{recording.gnss_file}: no usable fix{f' ({reasons})' if reasons else ''}; {remedy}")
 
@@ -250,9 +253,9 @@ def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
     dead = dead_axes(imu)
     for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
         for axis, letter in enumerate("xyz"):
-            first, last = longest_constant(values, axis)
+            first, last = longest_constant(imu.t, values, axis)
             begin, end = float(imu.t[first]), float(imu.t[last])
-            if (sensor, letter) in dead or end - begin < STUCK_TIME or _way(gnss, begin, end) < STUCK_WAY:
+            if (sensor, letter) in dead or end - begin < STUCK_TIME or not _moves(gnss, begin, end):
                 continue
             text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
             yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
@@ -294,6 +297,25 @@ def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
     for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
         if imu.t[last] - imu.t[first] > FROZEN:
             yield first, last
+
+
+def _moves(gnss: GnssFixes, begin: float, end: float) -> bool:
+    """Whether the kart goes STUCK_WAY from begin to end s, by the fixes' places and by their speeds, where sent.
+
+    After a cold start, or beside a wall, the fixes of a kart at rest wander as far.
+    """
+    if _way(gnss, begin, end) < STUCK_WAY:
+        return False
+    assert gnss.speed is not None
+    inside = (gnss.t >= begin) & (gnss.t <= end)
+    speed = np.where(np.isfinite(gnss.speed), gnss.speed, np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1]))[
+        inside
+    ]
+    known = np.isfinite(speed)
+    if np.count_nonzero(known) < 0.5 * known.size:
+        return True
+    driven = np.where(speed[known] > STUCK_SPEED, speed[known], 0.0)
+    return bool(np.mean(driven) * (end - begin) >= STUCK_WAY)
 
 
 def _way(gnss: GnssFixes, begin: float, end: float) -> float:
@@ -440,6 +462,7 @@ def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
     from smoother.session.csv_form import read_imu_and_unit, read_mag
     from smoother.session.tables import NoRowsError
+    from smoother.session.time_unit import lasts_like
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
     imu, mag, unit = None, None, None
@@ -452,12 +475,15 @@ def _read_columns(files: SessionFiles) -> Recording:
     elif (folder := files.folder(*IMU_NAMES)) is not None:
         problems.append(Problem("imu_folder", f"{folder}: a folder, where a table is wanted; nothing in it is read"))
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
-    if imu_table is not None and imu is not None and _is_set_back(problems) and not _is_set_back(gnss_problems):
-        imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=False)
+    if imu_table is not None and imu is not None:
+        is_slow = unit is not None and not lasts_like(imu.t, gnss.t, unit)
+        may_be_set_back = not _is_set_back(problems) or _is_set_back(gnss_problems)
+        if is_slow or not may_be_set_back:
+            imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=may_be_set_back, is_slow=is_slow)
     problems += gnss_problems
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(mag_table)
+            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit)
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))

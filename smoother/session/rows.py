@@ -220,6 +220,10 @@ def _resolve_disorder(
         moved = int(np.count_nonzero(order != np.arange(t.size)))
         rows.say("reordered", f"{counted(moved, 'row')} slightly out of order; sorted by time", moved)
         return index[order], t[order]
+    back = int(np.count_nonzero(np.diff(t) < 0.0))
+    if back >= (1.0 - GLITCH_SHARE) * (t.size - 1):
+        rows.say("blocks_moved", "rows written from the newest to the oldest; sorted by time", back)
+        return index[order], t[order]
     calm = _is_calm(t)
     if _are_moved_blocks(t[calm], [value[index[calm]] for value in values]):
         falls = int(np.count_nonzero(np.diff(t[calm]) < 0.0))

@@ -1,5 +1,7 @@
 """Times in another unit than seconds, recognised where it is certain: by UTC, or by a rate nothing else explains."""
 
+import math
+
 import numpy as np
 
 from smoother.arrays import Array
@@ -17,6 +19,8 @@ SENSOR_RATES = (4.0, 4000.0)  # Hz; a factor of 1000, so that one unit at most e
 SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
 FEWEST_ROWS = 8
 ENOUGH_ROWS_FOR_RATE = 32
+SECONDS = {"seconds": 1.0}
+SHARED = 0.1  # of the rows have the time of the one before
 ENOUGH_ROWS = 1 << 20  # to know the usual period
 
 
@@ -39,7 +43,7 @@ def _unit_by_utc(t: Array, unix_s: Array, units: dict[str, float]) -> str | None
 def unit_by_rate(t: Array) -> str | None:
     """The unit of the times t (N,) of a sensor's samples, None for seconds: a period of 5 is 5 ms, and never 5 s."""
     period = _usual_step(t)
-    if not period > LONGEST_PERIOD:
+    if not period >= LONGEST_PERIOD or _are_whole_seconds(t, period):
         return None
     low, high = SENSOR_RATES
     return next((name for name, size in UNITS.items() if low < size / period <= high), None)
@@ -73,6 +77,17 @@ def _usual_rate(t: Array) -> float:
     return float(0.5 * some.size * step / (late - early)) if late > early else float("nan")
 
 
+def lasts_like(t: Array, fixes_t: Array, unit: str) -> bool:
+    """Whether times t (N,) of samples, read as `unit`, last about as long as the fixes (M,) s beside them.
+
+    If they would rather as seconds, it was a slow sensor that looked like another unit.
+    """
+    if t.size < 2 or fixes_t.size < 2 or not (lasts := float(np.ptp(fixes_t))) > 0.0:
+        return True
+    share = float(t[-1] - t[0]) / lasts
+    return share * math.sqrt(UNITS[unit]) >= 1.0  # nearer to 1 than what it would be in seconds, as factors go
+
+
 def unit_of_fixes(file: str, t: Array, unix_s: Array, imu_unit: str | None) -> str | None:
     """The unit of the times t (N,) of fixes, None for seconds: by UTC, else that of the inertial samples beside them.
 
@@ -80,10 +95,12 @@ def unit_of_fixes(file: str, t: Array, unix_s: Array, imu_unit: str | None) -> s
     """
     require_seconds(file, t, "fixes", unix_s)
     step = _usual_step(t)
-    if (unit := unit_by_utc(t, unix_s)) is not None or not step > SLOWEST_FIXES or np.any(np.isfinite(unix_s)):
+    if (unit := unit_by_utc(t, unix_s)) is not None or _unit_by_utc(t, unix_s, SECONDS) is not None:
         return unit
-    if imu_unit is not None and step / UNITS[imu_unit] < SLOWEST_FIXES:
+    if imu_unit is not None and 1.0 / FASTEST["fixes"] <= step / UNITS[imu_unit] < SLOWEST_FIXES:
         return imu_unit
+    if not step > SLOWEST_FIXES or np.any(np.isfinite(unix_s)):
+        return None
     raise SessionError(
         f"{file}: by t_s a fix only every {step:.3g} s, which is no kart's track; "
         "t_s has to be in seconds: divide milliseconds by 1000, microseconds by 1000000"
@@ -95,6 +112,11 @@ def in_seconds(t: Array, unit: str | None, prefix: str, file: str) -> tuple[Arra
     if unit is None:
         return t, []
     return t / UNITS[unit], [Problem(f"{prefix}_time_unit", f"{file}: its times are in {unit}; taken as such")]
+
+
+def _are_whole_seconds(t: Array, period: float) -> bool:
+    """Whether times t (N,), a second apart where they differ, are those of samples that share them; none do in ms."""
+    return period == LONGEST_PERIOD and bool(np.mean(np.diff(t[:ENOUGH_ROWS]) == 0.0) > SHARED)
 
 
 def _usual_step(t: Array) -> float:

@@ -275,3 +275,25 @@ def test_samples_of_no_use_are_told_of_whatever_pauses_there_are() -> None:
     found = GraphSmoother().estimate(replace(session, imu=ImuSamples(session.imu.t, *noise)))
     assert found.report.mode == "gps-only"
     assert found.t[-1] > 3750.0
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_seconds_between_two_pauses_do_not_cost_the_samples_of_the_whole_session(seed: int) -> None:
+    """Four seconds of driving alone do not determine every unknown; through the pauses they do."""
+    session = prepare(simulate_preset("kart", seed, duration=330.0, gnss_rate=5.0).raw)
+    assert session.imu is not None
+    gaps = np.array([[60.0, 121.0], [125.0, 186.0], [190.0, 251.0]])
+
+    def written(t: Array) -> BoolArray:
+        return ~np.any((t[:, None] > gaps[:, 0]) & (t[:, None] < gaps[:, 1]), axis=1)
+
+    fixes = session.gnss
+    rows = {
+        name: values[written(fixes.t)]
+        for name, values in vars(fixes).items()
+        if isinstance(values, np.ndarray) and len(values) == len(fixes)
+    }
+    session = sampled(replace(session, gnss=replace(fixes, **rows), mag=None), written(session.imu.t))
+    assert len(pauses_of(session)) == 3
+    codes = [problem.code for problem in GraphSmoother().estimate(session).report.problems]
+    assert "graph_failed" not in codes

@@ -110,3 +110,49 @@ def test_a_kart_that_stands_and_one_that_runs_straight_are_believed(tmp_path: Pa
         tmp_path, speed_mps=still + 20.0, course_deg=still, lat_deg=45 + 20.0 * t / 111_195 + noise, lon_deg=12 + noise
     )
     assert said == {} and np.isfinite(fixes.velocity_n[:, 0]).all()
+
+
+def circles(
+    directory: Path, radius: float, speed: float, rate: float, delay: float
+) -> tuple[GnssFixes, dict[str, str]]:
+    """Two minutes of circles; the velocities come `delay` s behind their positions."""
+    t = np.arange(0.0, 120.0, 1.0 / rate)
+    turned = speed / radius * t
+    lat, lon = 45 + radius * np.sin(turned) / 111_195, 12 - radius * np.cos(turned) / 111_195 / np.cos(np.pi / 4)
+    course = np.degrees(turned - speed / radius * delay) % 360.0
+    return lap(directory, t_s=t, lat_deg=lat, lon_deg=lon, speed_mps=np.full(t.size, speed), course_deg=course)
+
+
+@pytest.mark.parametrize(
+    ("radius", "speed", "rate", "delay"), [(5.0, 8.5, 5.0, 0.6), (8.0, 11.0, 10.0, 0.6), (5.0, 8.5, 1.0, 0.0)]
+)
+def test_a_course_that_comes_late_is_not_a_wrong_one(
+    tmp_path: Path, radius: float, speed: float, rate: float, delay: float
+) -> None:
+    """A skid pad turns the kart by 60 degrees within the delay of a slow receiver, or from one fix to half way on."""
+    fixes, said = circles(tmp_path, radius, speed, rate, delay)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()
+
+
+@pytest.mark.parametrize(("speed", "noise"), [(0.0, 5.0), (1.5, 1.0), (1.5, 5.0), (8.0, 2.0), (15.0, 5.0), (25.0, 5.0)])
+@pytest.mark.parametrize("rate", [1.0, 5.0, 25.0])
+def test_a_steady_velocity_is_believed_where_it_is_the_positions_that_are_noisy(
+    tmp_path: Path, speed: float, noise: float, rate: float
+) -> None:
+    t = np.arange(0.0, 300.0, 1.0 / rate)
+    north, east = noise * np.random.default_rng(3).standard_normal((2, t.size))
+    lat, lon = 45 + (speed * t + north) / 111_195, 12 + east / 111_195 / np.cos(np.pi / 4)
+    sent = {"speed_mps": np.full(t.size, speed), "course_deg": np.zeros(t.size)}
+    fixes, said = lap(tmp_path, t_s=t, lat_deg=lat, lon_deg=lon, **sent)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()
+    fixes, said = lap(
+        tmp_path,
+        t_s=t,
+        lat_deg=lat,
+        lon_deg=lon,
+        vel_n_mps=sent["speed_mps"],
+        vel_e_mps=0.0 * t,
+        speed_mps=None,
+        course_deg=None,
+    )
+    assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()

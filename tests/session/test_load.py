@@ -306,6 +306,37 @@ def test_milliseconds_for_seconds_are_recognised_by_the_rate_of_the_imu(folder: 
     np.testing.assert_allclose(read.gnss.t, right.gnss.t, atol=1e-9)
 
 
+@pytest.mark.parametrize("rate", [0.2, 0.5, 0.8])
+def test_a_sensor_that_is_really_slow_is_not_taken_for_one_in_milliseconds(folder: Folder, rate: float) -> None:
+    """It lasts as long as its fixes, not a second; a slow compass likewise."""
+    count = round(900 * rate)
+    slow = "\n".join(["t_s,mx,my,mz", *(f"{k / rate:.2f},20.{k % 5},3.{k % 7},40.{k % 3}" for k in range(count))])
+    read = folder.write(imu__csv=imu_csv(count, rate=rate), gps__csv=gps_csv(4500), mag__csv=slow + "\n").load()
+    told = codes(read)
+    assert "imu_too_slow" in told and not {"imu_time_unit", "mag_time_unit", "gps_outside_imu"} & set(told)
+    assert read.imu is None and read.mag is not None and read.mag.t[-1] > 890.0
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+def test_a_compass_has_the_unit_of_the_imu_beside_it(folder: Folder, rate: float) -> None:
+    """A period of 500 alone would be 0.5 ms."""
+    count = round(10 * rate)
+    mag = "\n".join(["t_s,mx,my,mz", *(f"{1e3 * k / rate:.1f},20.{k % 5},3.{k % 7},40.{k % 3}" for k in range(count))])
+    files = {"imu__csv": imu_csv(1000, rate=0.1), "gps__csv": gps_csv(50, rate=0.005), "mag__csv": mag + "\n"}
+    read = folder.write(**files).load()
+    assert read.mag is not None and read.mag.t[-1] == pytest.approx(10.0 - 1.0 / rate)
+
+
+def test_an_imu_of_a_kilohertz_may_be_in_milliseconds(folder: Folder) -> None:
+    read = folder.write(imu__csv=imu_csv(10_000, rate=1.0), gps__csv=gps_csv(50, rate=0.005)).load()
+    assert read.imu is not None and read.imu.t[-1] == pytest.approx(9.999)
+
+
+def test_fixes_at_a_high_rate_have_the_unit_of_the_imu(folder: Folder) -> None:
+    read = folder.write(imu__csv=imu_csv(1000, rate=0.1), gps__csv=gps_csv(500, rate=0.05)).load()
+    assert read.gnss.t[-1] == pytest.approx(9.98)
+
+
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9])
 def test_the_unit_of_fixes_is_told_by_their_utc(folder: Folder, size: float) -> None:
     header, *rows = gps_csv().replace("\n", ",\n").splitlines()
@@ -328,6 +359,34 @@ def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> N
     problems = folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=gps_csv(200)).load().problems
     (text,) = [problem.text for problem in problems if problem.code == "imu_axis_stuck"]
     assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
+
+
+def test_a_pause_between_two_rests_is_not_a_stuck_axis(folder: Folder) -> None:
+    """At rest a coarse gyroscope says 0, before lunch and after it, at another place."""
+    rows = imu_csv(4000).splitlines()
+    fields = [row.split(",") for row in rows[1:]]
+    for k, field in enumerate(fields):
+        field[0] = f"{float(field[0]) + 1800.0 * (k >= 2000):.4f}"
+        if 1200 <= k < 2800:
+            field[-1] = "0.000"
+    fixes = [
+        f"{k / 5 + 1800.0 * (k >= 100):.1f},{45 + 1e-4 * min(k, 60) + 2e-3 * (k >= 100):.8f},12.0,8.0"
+        for k in range(200)
+    ]
+    table = "\n".join(["t_s,lat_deg,lon_deg,alt_m", *fixes]) + "\n"
+    folder.write(imu__csv="\n".join([rows[0], *map(",".join, fields)]) + "\n", gps__csv=table)
+    assert "imu_axis_stuck" not in codes(folder.load())
+
+
+def test_an_axis_that_shows_nothing_at_rest_is_not_stuck_though_the_fixes_settle(folder: Folder) -> None:
+    """The steps of a sensor may be coarser than its noise, and a receiver comes from 100 m off after its start."""
+    rows = imu_csv(6000).splitlines()
+    rows[:4000] = [rows[0], *(row.rpartition(",")[0] + ",0.006" for row in rows[1:4000])]
+    places = [45 + 1e-3 * np.exp(-k / 25) + 1e-4 * max(0, k - 200) for k in range(300)]
+    fixes = [f"{k / 5:.1f},{lat:.8f},12.0,8.0,{50.0 * (k > 200) + 0.05},0.0" for k, lat in enumerate(places)]
+    table = "\n".join(["t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg", *fixes]) + "\n"
+    folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=table)
+    assert "imu_axis_stuck" not in codes(folder.load())
 
 
 def test_20_samples_a_second_are_enough(folder: Folder) -> None:

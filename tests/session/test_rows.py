@@ -154,6 +154,15 @@ def test_blocks_written_twice_or_in_another_order_cost_nothing(parts: tuple[slic
     assert which.tolist() == list(range(1000)) and codes(rows) == said
 
 
+def test_a_file_from_the_newest_row_to_the_oldest_may_have_gaps() -> None:
+    t = np.delete(np.arange(1000) * 0.1, np.s_[40::50])
+    t = (t + 1.1 * np.floor(t / 5.0))[::-1]
+    rows = rows_of(t.size)
+    time, _ = put_in_time_order(rows, t, np.sin(t)[:, None])
+    np.testing.assert_array_equal(time, t[::-1])
+    assert codes(rows) == {"imu_blocks_moved": t.size - 1}
+
+
 def test_blocks_with_time_between_them_are_a_restart_of_the_clock() -> None:
     _, which, rows = blocks(slice(400, 1000), slice(0, 350))
     assert which.tolist() == list(range(400, 1000)) and codes(rows) == {"imu_clock_restart": 350}

@@ -443,7 +443,7 @@ class _Response:
 def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Array) -> _Response:
     """Response at t (N,) s to the motion that the antenna is expected to have had, without up.
 
-    The second derivative; of a response that is more than its own noise it is that of a low-pass of first order, late
+    The second derivative; of a response beyond its own noise it is that of a low-pass of first order, late
     by its time constant tau: tau^2 / 2 is left beyond that delay in slow motion, less in quick.
     """
     dt, response = float(path.t[1] - path.t[0]), session.velocity_response

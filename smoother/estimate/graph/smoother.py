@@ -40,7 +40,7 @@ from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.in_step import in_step
-from smoother.estimate.pauses import Pauses, closed_up, opened_up, pauses_of
+from smoother.estimate.pauses import NO_PAUSES, Pauses, closed_up, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
@@ -103,14 +103,26 @@ class GraphSmoother:
         if (problem := _too_little(session.imu, session.gnss)) is not None:
             return self._from_fixes(session, (problem,))
         watch, pauses = Stopwatch(self.progress), pauses_of(session)
-        try:
-            found = self._from_graph(closed_up(session, pauses) if len(pauses) else session, watch, pauses)
-        except (NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
-            found = (Problem("graph_failed", f"the inertial solution failed ({error}); smoothed from the fixes alone"),)
+        found = self._unless_it_fails(session, watch, pauses)
+        if len(pauses) and isinstance(found, NotPositiveDefiniteError):
+            # seconds between two pauses may not tell what those beside them would: through the pauses they do
+            pauses = NO_PAUSES
+            found = self._unless_it_fails(session, watch, pauses)
+        if isinstance(found, Exception):
+            text = f"the inertial solution failed ({found}); smoothed from the fixes alone"
+            return self._from_fixes(session, (Problem("graph_failed", text),))
         if not isinstance(found, Trajectory):
             return self._from_fixes(session, found)
         t = row_times(session.gnss.t[0], session.gnss.t[-1], self.options.rate)
         return opened_up(found, pauses, t) if len(pauses) else found
+
+    def _unless_it_fails(
+        self, session: Session, watch: "Stopwatch", pauses: Pauses
+    ) -> Trajectory | tuple[Problem, ...] | NotPositiveDefiniteError | np.linalg.LinAlgError:
+        try:
+            return self._from_graph(closed_up(session, pauses) if len(pauses) else session, watch, pauses)
+        except (NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
+            return error
 
     def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
         trajectory = GnssSmoother(GnssOnlyOptions(rate=self.options.rate)).estimate(session)

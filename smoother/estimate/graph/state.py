@@ -51,9 +51,9 @@ class Constants:
     beyond what its latency does: a low-pass of first order has half the square of its time constant, an antenna that
     leans outwards in bends less than nothing; slip (4,), where the path points beside level_axes_s: rad, always; rad
     per m/s^2 of lateral acceleration, and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box
-    is ahead of the rear axle; accel_error (3, 2), scale and misalignment: by which the measured force grows per force along each of the two level
-    axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by which force grows where the
-    vibration of force or of rate has twice its usual power.
+    is ahead of the rear axle; accel_error (3, 2), scale and misalignment: by which the measured force grows per force
+    along each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by
+    which force grows where the vibration of force or of rate has twice its usual power.
 
     level_axes_s (3, 3), not estimated: rows are those axes in s, two level ones and up. A scale multiplies what is felt
     across gravity and turned about it. Along gravity it is a bias; a kart's rates of roll and pitch are mostly noise,
