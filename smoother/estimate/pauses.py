@@ -116,13 +116,37 @@ def closed_up(session: Session, pauses: Pauses) -> Session:
     """Return the session without the pauses, on closed time. What was recorded in them is left out."""
     imu, mag = session.imu, session.mag
     if imu is not None:
-        keep = ~pauses.hold(imu.t)
-        t, force, rate = (values[keep] for values in (imu.t, imu.specific_force_s, imu.angular_rate_s))
-        imu = replace(imu, t=pauses.closed(t), specific_force_s=force, angular_rate_s=rate)
+        keep = _outside(pauses, imu.t)
+        force, rate = _kept(imu.specific_force_s, keep), _kept(imu.angular_rate_s, keep)
+        imu = replace(imu, t=_kept(imu.t, keep, pauses.removed), specific_force_s=force, angular_rate_s=rate)
     if mag is not None:
-        keep = ~pauses.hold(mag.t)
-        mag = replace(mag, t=pauses.closed(mag.t[keep]), field_s=mag.field_s[keep])
+        keep = _outside(pauses, mag.t)
+        mag = replace(mag, t=_kept(mag.t, keep, pauses.removed), field_s=_kept(mag.field_s, keep))
     return replace(session, gnss=replace(session.gnss, t=pauses.closed(session.gnss.t)), imu=imu, mag=mag)
+
+
+def _outside(pauses: Pauses, t: Array) -> list[slice]:
+    """Return which of the times t (N,) s, rising, are before, between and after the spans cut out: P + 1 slices."""
+    edges = [0, *np.searchsorted(t, pauses.spans).ravel().tolist(), len(t)]
+    return [slice(first, last) for first, last in zip(edges[0::2], edges[1::2], strict=True)]
+
+
+def _kept(values: Array, keep: list[slice], removed: Array | None = None) -> Array:
+    """Rows `keep` of values (N, ...), a piece at a time: a day of samples is in a file, and does not fit in memory.
+
+    removed (P,): times that are taken out between one slice and the next.
+    """
+    rows = roomy((sum(part.stop - part.start for part in keep), *values.shape[1:]))
+    shifts = np.zeros(len(keep)) if removed is None else np.append(0.0, np.cumsum(removed))
+    to = 0
+    for part, shift in zip(keep, shifts, strict=True):
+        for some in pieces(part.stop - part.start):
+            count = some.stop - some.start
+            rows[to : to + count] = values[part.start + some.start : part.start + some.stop] - shift
+            to += count
+            release(rows, values)
+    rows.flags.writeable = False
+    return rows
 
 
 def opened_up(trajectory: Trajectory, pauses: Pauses, t: Array) -> Trajectory:
@@ -131,22 +155,21 @@ def opened_up(trajectory: Trajectory, pauses: Pauses, t: Array) -> Trajectory:
     In those the kart is on the line from the last row before to the first one after, and at either end for all that is
     known; it is as it stood, and points anywhere.
     """
-    fill = _Filling.of(pauses.hold(t))
-    assert len(trajectory) == fill.own[-1] + 1
-    place, times = trajectory.position_n, t[~fill.out]
-    since, apart = times[fill.before], place[fill.after] - place[fill.before]
-    passed = (t[fill.out] - since)[:, None]
-    lasts = np.maximum((times[fill.after] - since)[:, None], passed)
+    fill = _Filling.of(pauses, t)
+    assert len(trajectory) == fill.own[-1].stop - sum(fill.lengths)
     report, joint, sigmas = trajectory.report, trajectory.joint, trajectory.sigmas
     if report.keyframes is not None:
         report = replace(report, keyframes=replace(report.keyframes, t=pauses.opened(report.keyframes.t)))
+    ends = fill.ends(trajectory.position_n)
+    apart = ends[:, 1] - ends[:, 0]
+    lasts = np.array([t[min(part.stop, len(t) - 1)] - t[part.start - 1] for part in fill.out])[:, None]
     return Trajectory(
         t,
-        fill.rows(place, place[fill.before] + passed / lasts * apart),
+        fill.rows(trajectory.position_n, ends[:, 0], apart),
         fill.rows(trajectory.velocity_n, apart / lasts),
-        fill.rows(trajectory.R_nb, trajectory.R_nb[fill.before]),
-        fill.rows(trajectory.acceleration_b, 0.0),
-        fill.rows(trajectory.angular_rate_b, 0.0),
+        fill.rows(trajectory.R_nb, fill.ends(trajectory.R_nb)[:, 0]),
+        fill.rows(trajectory.acceleration_b, np.zeros_like(apart)),
+        fill.rows(trajectory.angular_rate_b, np.zeros_like(apart)),
         None if sigmas is None else _opened_sigmas(sigmas, fill, apart),
         report,
         None if joint is None else _Closed(joint, pauses),
@@ -154,8 +177,8 @@ def opened_up(trajectory: Trajectory, pauses: Pauses, t: Array) -> Trajectory:
 
 
 def _opened_sigmas(sigmas: Sigmas, fill: "_Filling", apart: Array) -> Sigmas:
-    """Sigmas of all rows: in the times cut out the larger ones of both ends, which are `apart` (M, 3) m."""
-    larger = {name: np.maximum(values[fill.before], values[fill.after]) for name, values in vars(sigmas).items()}
+    """Sigmas of all rows: in the times cut out the larger ones of both ends, which are `apart` (P, 3) m."""
+    larger = {name: fill.ends(values).max(axis=1) for name, values in vars(sigmas).items()}
     larger["position_n"] = np.hypot(larger["position_n"], apart)
     larger["track"] = np.hypot(larger["track"], np.hypot(apart[:, 0], apart[:, 1]))
     larger["attitude"] = np.full_like(apart, ANY_ANGLE)
@@ -164,29 +187,46 @@ def _opened_sigmas(sigmas: Sigmas, fill: "_Filling", apart: Array) -> Sigmas:
 
 @dataclass(frozen=True, eq=False)
 class _Filling:
-    """Which rows are cut out (N,), and the number among the others of each row or the last one before it (N,).
+    """Which of N rows are a trajectory's own, P + 1 slices, and which are cut out between them, P slices."""
 
-    before, after (M,): of each row cut out, the numbers of the rows on either side.
-    """
-
-    out: BoolArray
-    own: IntArray
-    before: IntArray
-    after: IntArray
+    own: list[slice]
+    out: list[slice]
 
     @staticmethod
-    def of(out: BoolArray) -> "_Filling":
-        own = np.cumsum(~out) - 1
-        return _Filling(out, own, own[out], np.minimum(own[out] + 1, own[-1]))
+    def of(pauses: Pauses, t: Array) -> "_Filling":
+        """For rows at t (N,) s. Pauses that no row falls into have none."""
+        own = _outside(pauses, t)
+        return _Filling(own, [slice(one.stop, two.start) for one, two in pairwise(own)])
 
-    def rows(self, values: Array, between: Array | float) -> Array:
-        """Values (N, ...) of all rows: of (N - M, ...) values, and in the times cut out those `between` (M, ...)."""
-        rows = roomy((len(self.own), *values.shape[1:]))
-        for part in pieces(len(rows)):
-            rows[part] = values[self.own[part]]
-        rows[self.out] = between
+    @property
+    def lengths(self) -> list[int]:
+        """How many rows are cut out in each of the pauses."""
+        return [part.stop - part.start for part in self.out]
+
+    def ends(self, values: Array) -> Array:
+        """The last of the rows `values` (N - M, ...) before each pause and the first one after it, (P, 2, ...)."""
+        first = np.cumsum([part.stop - part.start for part in self.own])[:-1]
+        return np.asarray(values[np.stack([first - 1, np.minimum(first, len(values) - 1)], axis=1)])
+
+    def rows(self, values: Array, between: Array, change: Array | None = None) -> Array:
+        """Values (N, ...) of all rows: of (N - M, ...) values, and in each pause those `between` (P, ...).
+
+        change (P, ...): what is added to that evenly on the way to the other end.
+        """
+        rows, at = roomy((self.own[-1].stop, *values.shape[1:])), 0
+        for part in self.own:
+            for some in pieces(part.stop - part.start):
+                count = some.stop - some.start
+                rows[part.start + some.start : part.start + some.stop] = values[at : at + count]
+                at += count
+                release(rows, values)
+        for k, part in enumerate(self.out):
+            for some in pieces(length := part.stop - part.start):
+                way = np.arange(some.start + 1, some.stop + 1) / (length + 1)
+                moved = 0.0 if change is None else np.multiply.outer(way, change[k])
+                rows[part.start + some.start : part.start + some.stop] = between[k] + moved
+                release(rows)
         rows.flags.writeable = False
-        release(rows, values)
         return rows
 
 

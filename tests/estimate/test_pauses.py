@@ -248,8 +248,8 @@ def test_errors_of_both_sides_share_the_unseen_offset_alone() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(P)), sigma, rtol=0.03)
     assert found.report.keyframes is not None
     assert found.report.keyframes.unseen_offset is not None
-    # of it, what the slow error of Doppler velocities makes of an hour is not shared either
-    np.testing.assert_allclose(P[:2, 2:], found.report.keyframes.unseen_offset[0], rtol=0.15)
+    # none in this session; else what the slow error of Doppler velocities makes of an hour would not be shared either
+    np.testing.assert_allclose(P[:2, 2:], found.report.keyframes.unseen_offset[0], rtol=0.15, atol=1e-9)
 
 
 def test_after_a_pause_the_kart_may_be_at_another_place_and_point_elsewhere() -> None:

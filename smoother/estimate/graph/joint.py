@@ -22,7 +22,7 @@ COARSER = 2  # times that every second keyframe is left out: at 0.8 s a position
 
 
 # Slow error of Doppler velocities, a first-order Gauss-Markov process: sigma m/s per axis, and s after which it is
-# forgotten. Two modules in one car: 0.0065 and 30; a better receiver beside RTK: too little to be seen.
+# forgotten. Two modules in one car have 0.0065 and 30, a better receiver beside RTK too little to be seen; in between.
 DOPPLER_SIGMA, DOPPLER_TAU = 0.005, 30.0
 PLACE_TAU = 300.0  # s after which fixes have taken out of the place what it had added up to
 
@@ -33,7 +33,8 @@ class Wandering:
 
     variance m^2: the usual one of a place along one level direction. A place is neither surer nor less sure for
     wandering, but shares less of its error with another one: where they share all, what changes between them is
-    :func:`wander`, and where nothing, nothing is changed. (A product with a correlation stays a covariance: Schur.)
+    :func:`wander`, less by what that is at most against the variance (a place known to 0.2 m wanders by no more); where
+    nothing, nothing is changed. (A product with a correlation stays a covariance: Schur.)
     """
 
     joint: JointPosition

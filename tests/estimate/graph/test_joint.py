@@ -5,7 +5,10 @@ import pytest
 from scipy.integrate import quad
 
 from smoother.arrays import Array
-from smoother.estimate.graph.joint import DOPPLER_SIGMA, DOPPLER_TAU, PLACE_TAU, Wandering, wander
+from smoother.estimate.graph.joint import DOPPLER_SIGMA, DOPPLER_TAU, PLACE_TAU, Wandering, WindowsJoint, wander
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.prepare import prepare
+from smoother.sim.simulation import simulate_preset
 
 
 class Known:
@@ -47,3 +50,16 @@ def test_fixes_without_an_offset_leave_no_room_to_wander() -> None:
     P = Wandering(Known(0.05), 0.05**2).covariance(t, level)
     assert np.min(np.linalg.eigvalsh(P)) > 0.0
     assert P[0, 0] + P[-1, -1] - 2.0 * P[0, -1] < 2.0 * 0.05**2
+
+
+@pytest.mark.parametrize("has_doppler", [True, False])
+def test_a_path_that_followed_doppler_wanders(has_doppler: bool) -> None:
+    session = prepare(simulate_preset("kart", 1, duration=60.0, gnss_velocity=has_doppler, gnss_outages=()).raw)
+    assert isinstance(GraphSmoother().estimate(session).joint, Wandering) == has_doppler
+
+
+def test_what_no_window_holds_together_shares_the_unseen_offset() -> None:
+    directions = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+    P = WindowsJoint([], np.array([4.0, 1.0, 9.0])).covariance(np.array([0.0, 900.0]), directions)
+    np.testing.assert_allclose(P[0, 1], 0.6 * 4.0)
+    np.testing.assert_allclose(P[1, 1], 0.36 * 4.0 + 0.64)
