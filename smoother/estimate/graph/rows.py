@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
@@ -42,6 +41,7 @@ DENSE = 0.25  # share of intervals from which on rows are added to all of them
 PIECE = 128  # intervals whose products stay in the processor's cache
 # s^2: a response below the first is as much noise as not, above the second a receiver's low-pass (tau of 0.09 s)
 LOW_PASS = (1e-3, 4e-3)
+FORGOTTEN = 1e-9  # share of a value that is left
 UP_N = np.array([0.0, 0.0, 1.0])
 _LEFT, _RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
 _RESIDUAL = 2 * KEYFRAME_SIZE + ROW_CONSTANTS_SIZE
@@ -472,12 +472,20 @@ def _level(values: Array) -> Array:
 
 
 def low_passed(values: Array, dt: float, tau: float) -> Array:
-    """Values (M, c), dt s apart and straight lines in between, after a low-pass of first order that began at rest."""
+    """Values (M, c), dt s apart and straight lines in between, after a low-pass of first order that began at rest.
+
+    What is left of a value after k steps is the k-th power of what is left after one. Sums of two, four, eight .. of
+    them are made from one another. (SciPy's lfilter would take half a second to import.)
+    """
     left = math.exp(-dt / tau)
     gone = tau / dt * (1.0 - left)
-    numerator, denominator = np.array([1.0 - gone, gone - left]), np.array([1.0, -left])
-    begin = values[:1] * (1.0 - numerator[0])
-    return np.asarray(lfilter(numerator, denominator, values, axis=0, zi=begin)[0])
+    passed = values.copy()
+    passed[1:] = (1.0 - gone) * values[1:] + (gone - left) * values[:-1]
+    steps = 1
+    while steps < len(values) and (share := left**steps) > FORGOTTEN:
+        passed[steps:] = passed[steps:] + share * passed[:-steps]
+        steps *= 2
+    return passed
 
 
 def _on_curve(state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> Array:
