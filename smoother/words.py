@@ -21,6 +21,11 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
+def span(seconds: float) -> str:
+    """Return 0.15 s or 5.2 s, and a :func:`duration` from 100 s on."""
+    return f"{seconds:.3g} s" if seconds < 99.95 else duration(seconds)
+
+
 def repeated(text: str, count: int) -> str:
     """Return what was met `count` times, saying so unless the text does."""
     return text if count == 1 or re.search(rf"(?<![\d.]){count}(?![\d.]*\d)", text) else f"{text} ({count} times)"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from smoother.words import counted, duration, repeated
+from smoother.words import counted, duration, repeated, span
 
 
 @pytest.mark.parametrize(
@@ -17,6 +17,13 @@ def test_one_thing_is_singular(count: int, noun: str, text: str) -> None:
 )
 def test_a_length_of_time_is_rounded_and_never_has_60_seconds(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.1524, "0.152 s"), (5.2, "5.2 s"), (99.97, "1 min 40 s"), (3600.2, "1 h 0 min")]
+)
+def test_a_gap_has_three_digits_or_is_a_length_of_time(seconds: float, text: str) -> None:
+    assert span(seconds) == text
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ class Pauses:
         next_cut = np.append(self.cuts, np.inf)[passed]
         return np.asarray(np.minimum(t - self._removed_until(passed), next_cut))
 
-    def hold(self, t: Array) -> BoolArray:
+    def are_cut_out(self, t: Array) -> BoolArray:
         """Mask (N,) of the times (N,) s of the session's clock that are cut out."""
         passed = np.searchsorted(self.spans[:, 1], t, side="right")
         return np.asarray(t >= np.append(self.spans[:, 0], np.inf)[passed])

@@ -5,11 +5,15 @@ import math
 
 
 def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str:
-    """Return 1:02.345, or 58.648 below a minute; `unknown` where there is no time."""
+    """Return 1:02.345, 58.648 below a minute, 1:00:52.892 from an hour on; `unknown` where there is no time."""
     if seconds is None or not math.isfinite(seconds):
         return unknown
     minutes, rest = divmod(round(seconds, digits), 60.0)
-    return f"{int(minutes)}:{rest:0{digits + 3}.{digits}f}" if minutes else f"{rest:.{digits}f}"
+    if not minutes:
+        return f"{rest:.{digits}f}"
+    hours, minutes = divmod(minutes, 60.0)
+    whole = f"{int(hours)}:{int(minutes):02d}" if hours else f"{int(minutes)}"
+    return f"{whole}:{rest:0{digits + 3}.{digits}f}"
 
 
 def spread_said(spread: float | None, unknown: str = "-") -> str:

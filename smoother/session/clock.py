@@ -13,7 +13,7 @@ from smoother.arrays import Array, BoolArray, IntArray, is_increasing, median
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.units import MICROSECOND
-from smoother.words import counted
+from smoother.words import counted, span
 
 FEWEST_SAMPLES = 32
 PERIOD_WINDOW = 128  # samples over which a period is measured: longer than the bursts in which samples may arrive
@@ -136,7 +136,7 @@ def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:
     gaps = base.t[last_before + 1] - base.t[last_before]
     if gaps.size:
         gap_count = counted(gaps.size, "gap")
-        text = f"{file}: {gap_count} in the samples, the longest {gaps.max():.3g} s, {gaps.sum():.3g} s in all"
+        text = f"{file}: {gap_count} in the samples, the longest {span(gaps.max())}, {span(gaps.sum())} in all"
         problems.append(Problem(f"{prefix}_gap", text, int(gaps.size)))
     if base.jitter > JITTER_WORTH_SAYING * base.period:
         text = f"{file}: stamps jitter by {1e3 * base.jitter:.1f} ms rms; evened out"

@@ -64,14 +64,7 @@ def read_mag(
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    unit = imu_unit if has_imu else unit_by_rate(t)
-    if (
-        not has_imu
-        and unit is not None
-        and fixes_t is not None
-        and not lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit)
-    ):
-        unit = None
+    unit = imu_unit if has_imu else _unit_of_compass(t, fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
     rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
@@ -80,6 +73,13 @@ def read_mag(
         rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
     time, index = put_in_time_order(rows, t, field)
     return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
+
+
+def _unit_of_compass(t: Array, fixes_t: Array | None) -> str | None:
+    unit = unit_by_rate(t)
+    if unit is None or fixes_t is None or lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit):
+        return unit
+    return None
 
 
 def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list[Problem]]:

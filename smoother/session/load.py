@@ -26,15 +26,15 @@ from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, Sessi
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
+from smoother.session.time_unit import LONGEST_PERIOD
 from smoother.units import STANDARD_GRAVITY
-from smoother.words import counted
+from smoother.words import counted, span
 
 if TYPE_CHECKING:
     from smoother.session.foreign import ForeignReading
     from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
-LONGEST_PERIOD = 1.0  # s; no sensor is as slow, but one whose times are in milliseconds looks so
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
@@ -347,7 +347,7 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
             problems.append(Problem("gps_too_slow", text))
         gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * usual)]
         if gaps.size:
-            text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {gaps.max():.1f} s"
+            text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
 

@@ -21,7 +21,7 @@ from smoother.session.log_format import (
     LogRecords,
 )
 from smoother.units import MICROSECOND
-from smoother.words import counted
+from smoother.words import counted, span
 
 _NOUNS = {IMU: "IMU sample", MAG: "compass reading", TEMPERATURE: "temperature", GPS: "GPS sentence", PPS: "pulse"}
 _REASONS = {
@@ -79,7 +79,7 @@ def _of_gaps(records: LogRecords) -> Iterator[tuple[str, str, int]]:
         longest = max(gap.last_us - gap.first_us for gap in gaps) * MICROSECOND
         code, text = _REASONS.get(reason, ("log_lost", "lost"))
         noun = counted(count, _NOUNS.get(source, "other record"))
-        yield code, f"{noun} {text} ({counted(len(gaps), 'gap')}, the longest {longest:.3g} s)", count
+        yield code, f"{noun} {text} ({counted(len(gaps), 'gap')}, the longest {span(longest)})", count
 
 
 def _of_events(records: LogRecords) -> Iterator[tuple[str, str, int]]:

@@ -68,8 +68,8 @@ def test_closed_times_go_back_to_where_they_were() -> None:
 
 def test_times_that_are_cut_out_are_at_the_cut() -> None:
     t = np.array([9.9, 10.0, 60.0, 109.9, 110.0, 120.0, 1119.9, 1120.0])
-    np.testing.assert_array_equal(TWO.hold(t), [0, 1, 1, 1, 0, 1, 1, 0])
-    np.testing.assert_array_equal(TWO.closed(t[TWO.hold(t)]), [10.0, 10.0, 10.0, 20.0, 20.0])
+    np.testing.assert_array_equal(TWO.are_cut_out(t), [0, 1, 1, 1, 0, 1, 1, 0])
+    np.testing.assert_array_equal(TWO.closed(t[TWO.are_cut_out(t)]), [10.0, 10.0, 10.0, 20.0, 20.0])
 
 
 def test_what_lies_between_the_cuts_is_told_apart() -> None:
@@ -80,7 +80,7 @@ def test_what_lies_between_the_cuts_is_told_apart() -> None:
 
 def test_without_pauses_nothing_is_cut_out() -> None:
     t = np.array([0.0, 1.0])
-    assert not NO_PAUSES.hold(t).any()
+    assert not NO_PAUSES.are_cut_out(t).any()
     np.testing.assert_array_equal(NO_PAUSES.closed(t), t)
     np.testing.assert_array_equal(NO_PAUSES.opened(t), t)
     assert NO_PAUSES.stretches(t) == [slice(0, 2)]
@@ -135,12 +135,12 @@ def test_samples_alone_in_a_pause_go_with_it() -> None:
 def test_rows_that_were_cut_out_stand_between_those_beside_them() -> None:
     t = np.arange(0.0, 130.0, 5.0)
     one = Pauses(np.array([10.0]), np.array([100.0]))
-    n = int(np.count_nonzero(~one.hold(t)))
+    n = int(np.count_nonzero(~one.are_cut_out(t)))
     place = np.column_stack([np.where(np.arange(n) < 2, 0.0, 10.0), np.zeros((n, 2))])
     ones, eye = np.ones((n, 3)), np.tile(np.eye(3), (n, 1, 1))
     sigmas = Sigmas(ones, ones, np.ones(n), ones * DEG, np.ones(n))
-    found = opened_up(Trajectory(one.closed(t[~one.hold(t)]), place, ones, eye, ones, ones, sigmas), one, t)
-    inside = one.hold(t)
+    found = opened_up(Trajectory(one.closed(t[~one.are_cut_out(t)]), place, ones, eye, ones, ones, sigmas), one, t)
+    inside = one.are_cut_out(t)
     np.testing.assert_array_equal(found.t, t)
     np.testing.assert_array_equal(found.velocity_n[~inside], 1.0)
     np.testing.assert_allclose(found.position_n[inside, 0], 10.0 * (t[inside] - 5.0) / 105.0)

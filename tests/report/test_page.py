@@ -294,6 +294,7 @@ def test_elements_keep_text_between_and_after_children() -> None:
 
 def test_numbers_are_said_as_people_say_them() -> None:
     assert [lap_clock(s) for s in (58.6481, 62.345, 119.9999, float("nan"))] == ["58.648", "1:02.345", "2:00.000", "–"]
+    assert lap_clock(3652.892) == "1:00:52.892"  # across lunch
     assert number(-0.001, 2) == "0.00"
     assert with_sigma(1.0, 0.25, 2) == "1.00 ± 0.25"
     assert with_sigma(1.0, float("nan"), 2, signed=True) == "+1.00"

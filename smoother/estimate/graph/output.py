@@ -179,7 +179,7 @@ def build_trajectory(
         joint = Wandering(joint, median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()))
     first, last = pauses.opened(session.gnss.t[[0, -1]])
     t = row_times(first, last, rate)
-    t = pauses.closed(t[~pauses.hold(t)]) if len(pauses) else t
+    t = pauses.closed(t[~pauses.are_cut_out(t)]) if len(pauses) else t
     rows = _Rows.empty(len(t))
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
