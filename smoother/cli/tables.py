@@ -25,6 +25,7 @@ _NAMES = {
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer delay",
+    "imu_clock_drift": "samples' clock, fast by",
     "gps_offset_sigma": "GPS wander",
     "gps_offset_tau": "GPS wander time",
     "accel_rectification": "push by shaking",
@@ -32,7 +33,7 @@ _NAMES = {
 }
 # drivers need not ask; most boxes show none of the others
 _ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")
-_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay")
+_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay", "imu_clock_drift")
 
 
 def show_result(result: Result, path: Path | None = None) -> None:

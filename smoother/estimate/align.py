@@ -96,20 +96,24 @@ class Alignment:
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
-    moving = path.speed > MIN_SPEED
-    inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
-    use = np.flatnonzero(moving & inside & ~_in_gap(imu.t, path.t))
+    use = sampled_at_speed(imu, path)
     if use.size < FEWEST_AT_SPEED:
         return _level_only(imu, use.size)
-    averages, axes = _Averages(imu), _path_axes(path)
+    averages, axes = Averages(imu), path_axes(path)
 
     def best(tried: Array, rows: IntArray) -> float:
         force, rate = averages.around(path.t[rows] - tried[:, None], WINDOW)
         return _peak(tried, _fit_lines(axes[rows, :2], force).share + _fit_lines(axes[rows, 2:], rate).share)
 
-    few, use = _thinned(use, ENOUGH_FOR_LAG), _thinned(use, ENOUGH)
+    few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
     return _fit(axes[use], *averages.around(path.t[use] - lag, WINDOW), lag)
+
+
+def sampled_at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
+    """Return which fixes of a moving kart have samples around them."""
+    inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
+    return np.flatnonzero((path.speed > MIN_SPEED) & inside & ~_in_gap(imu.t, path.t))
 
 
 def _in_gap(sampled: Array, t: Array) -> BoolArray:
@@ -139,13 +143,13 @@ def _peak(x: Array, y: Array) -> float:
     return float(x[i] + np.clip(0.5 * (before - after) / bend, -1.0, 1.0) * (x[1] - x[0]))
 
 
-def _thinned(rows: IntArray, count: int) -> IntArray:
+def thinned(rows: IntArray, count: int) -> IntArray:
     """At most `count` of the rows, evenly taken."""
     return rows[:: max(1, -(-rows.size // count))]
 
 
-class _Averages:
-    """Mean force and rate over windows, from cumulative sums."""
+class Averages:
+    """Mean force and rate of samples over windows, from cumulative sums."""
 
     def __init__(self, imu: ImuSamples) -> None:
         self._t, self._sum, before = imu.t, roomy((len(imu.t), 6)), np.zeros(6)
@@ -221,7 +225,7 @@ def _unit(vector: Array) -> Array:
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
-def _path_axes(path: PathMotion) -> Array:
+def path_axes(path: PathMotion) -> Array:
     """Forward and left acceleration m/s^2 and yaw rate rad/s of the path, (N, 3), averaged over WINDOW."""
     t, dt = path.t, WINDOW / 2.0
     before = np.stack([np.interp(t - dt, t, path.velocity_n[:, i]) for i in range(2)], axis=1)

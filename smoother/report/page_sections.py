@@ -434,6 +434,7 @@ _NAMES = {
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
+    "imu_clock_drift": "samples' clock against that of the fixes",
     "gps_position_noise": "GPS position noise: north, west, up",
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",

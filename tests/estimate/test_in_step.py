@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.estimate.graph import smoother as smoother_module
+from smoother.estimate.graph import begin as begin_module
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.in_step import advanced, identified, in_step
 from smoother.fit.force_delay import UNSEEN, ForceDelay
@@ -125,7 +125,7 @@ def test_a_delay_that_the_fixes_do_not_believe_is_not_taken_out(monkeypatch: pyt
         assert given.imu is not None
         return replace(given, imu=advanced(given.imu, delay)), ForceDelay(delay, 0.002, True)
 
-    monkeypatch.setattr(smoother_module, "in_step", seen)
+    monkeypatch.setattr(begin_module, "in_step", seen)
     found = GraphSmoother().estimate(session).report.identified
     without = GraphSmoother(GraphOptions(in_step=False)).estimate(session).report.identified
     assert found == without

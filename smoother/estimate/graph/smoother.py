@@ -1,6 +1,6 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    force in step with rate -> fixes alone -> align -> first guess -> jumps beside outages
+    one clock, force in step with rate -> fixes alone -> align -> first guess -> jumps beside outages
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
     -> solve and identify, in turns -> magnetometer -> mounting -> output
 
@@ -16,9 +16,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import BoolArray
-from smoother.estimate.align import align
+from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
+from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
@@ -39,10 +40,8 @@ from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
-from smoother.estimate.in_step import in_step
-from smoother.estimate.pauses import NO_PAUSES, Pauses, closed_up, opened_up, pauses_of
+from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
-from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, Trajectory
 from smoother.words import counted
@@ -56,9 +55,6 @@ UNLIKE = (
     "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
 )
 SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as well as they say, those above do not
-# of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
-# that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
-LESS_EXPLAINED = 0.003
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
 LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
 FEWEST_FIXES = 10
@@ -102,40 +98,40 @@ class GraphSmoother:
             return self._from_fixes(session, ())
         if (problem := _too_little(session.imu, session.gnss)) is not None:
             return self._from_fixes(session, (problem,))
-        watch, pauses = Stopwatch(self.progress), pauses_of(session)
-        found = self._unless_it_fails(session, watch, pauses)
-        if len(pauses) and isinstance(found, NotPositiveDefiniteError):
+        watch = Stopwatch(self.progress)
+        found = self._unless_it_fails(session, watch, pauses_of)
+        if isinstance(found, NotPositiveDefiniteError) and len(pauses_of(session)):
             # seconds between two pauses may not tell what those beside them would: through the pauses they do
-            pauses = NO_PAUSES
-            found = self._unless_it_fails(session, watch, pauses)
-        if isinstance(found, Exception):
-            text = f"the inertial solution failed ({found}); smoothed from the fixes alone"
-            return self._from_fixes(session, (Problem("graph_failed", text),))
-        if not isinstance(found, Trajectory):
-            return self._from_fixes(session, found)
-        t = row_times(session.gnss.t[0], session.gnss.t[-1], self.options.rate)
-        return opened_up(found, pauses, t) if len(pauses) else found
+            found = self._unless_it_fails(session, watch, lambda _: NO_PAUSES)
+        if isinstance(found, Trajectory):
+            return found
+        if isinstance(found, _FixesAlone):
+            return self._from_fixes(session, found.problems)
+        text = f"the inertial solution failed ({found}); smoothed from the fixes alone"
+        return self._from_fixes(session, (Problem("graph_failed", text),))
 
     def _unless_it_fails(
-        self, session: Session, watch: "Stopwatch", pauses: Pauses
-    ) -> Trajectory | tuple[Problem, ...] | NotPositiveDefiniteError | np.linalg.LinAlgError:
+        self, session: Session, watch: "Stopwatch", cut_out: Callable[[Session], Pauses]
+    ) -> Trajectory | Exception:
         try:
-            return self._from_graph(closed_up(session, pauses) if len(pauses) else session, watch, pauses)
-        except (NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
-            return error
+            return self._from_graph(session, watch, cut_out)
+        except (_FixesAlone, NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
+            return error.with_traceback(None)  # else all that was being solved stays in memory
 
     def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
         trajectory = GnssSmoother(GnssOnlyOptions(rate=self.options.rate)).estimate(session)
         report = replace(trajectory.report, problems=trajectory.report.problems + problems)
         return replace(trajectory, report=report)
 
-    def _from_graph(self, session: Session, watch: "Stopwatch", pauses: Pauses) -> Trajectory | tuple[Problem, ...]:
-        """Trajectory of a session that `pauses` are cut out of, or why its samples are of no use."""
-        options = self.options.for_fixes(session.gnss.t)
+    def _from_graph(self, given: Session, watch: "Stopwatch", cut_out: Callable[[Session], Pauses]) -> Trajectory:
+        """Trajectory of a session of which the pauses are cut out. Raises _FixesAlone if its samples are of no use."""
+        options = self.options.for_fixes(given.gnss.t)
         with watch("align"):
-            session, start, delay = _start_in_step(session, options, pauses)
+            begun = begin(given, options, cut_out)
+            session, start = begun.session, begun.start
+        pauses = start.pauses
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
-            return (*start.alignment.problems, Problem("imu_unusable", UNLIKE))
+            raise _FixesAlone((*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
             doubted = _jumped(session, start, start.noise, options, with_doppler=False)
             if doubted.any():
@@ -147,7 +143,7 @@ class GraphSmoother:
                 start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
             found, solution = _solve(session, start, noise, options, watch.say)
         if session.config.mounting.lever_arm_b is None and (arm := _level_arm(found)) > LONGEST_ARM:
-            return (*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm)))
+            raise _FixesAlone((*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm))))
         with watch("output"):
             mounting = _mounting(session, found, solution.noise, start)
             trajectory = build_trajectory(
@@ -164,7 +160,11 @@ class GraphSmoother:
         told = trajectory.report
         report: EstimateReport = replace(
             told,
-            identified={**told.identified, "accel_delay": identified_delay(delay)},
+            identified={
+                **told.identified,
+                "accel_delay": identified_delay(begun.delay),
+                "imu_clock_drift": identified_drift(begun.drift),
+            },
             timings=watch.seconds,
             problems=(
                 *start.alignment.problems,
@@ -172,9 +172,21 @@ class GraphSmoother:
                 *solution.problems,
                 *_shaken(session, solution.noise),
                 *_early(told.identified),
+                *drift_problems(begun.drift, given),
             ),
         )
-        return replace(trajectory, report=report)
+        trajectory = replace(trajectory, report=report)
+        if not len(pauses):
+            return trajectory
+        return opened_up(trajectory, pauses, row_times(given.gnss.t[0], given.gnss.t[-1], self.options.rate))
+
+
+class _FixesAlone(Exception):
+    """The samples are of no use, for what `problems` say."""
+
+    def __init__(self, problems: tuple[Problem, ...]) -> None:
+        super().__init__()
+        self.problems = problems
 
 
 def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
@@ -189,24 +201,6 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
         "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
     )
     return (Problem("gps_early", text),)
-
-
-def _start_in_step(session: Session, options: GraphOptions, pauses: Pauses) -> tuple[Session, Start, ForceDelay]:
-    """Return the session with its force at the time of its rate, its start, and the delay that was taken out.
-
-    A nose that turns in and out of hairpins on its own makes a delay too. It is none where the fixes, which have
-    nothing to do with it, explain less of force and rate without it.
-    """
-    given = session
-    session, delay = in_step(session) if options.in_step else (session, UNSEEN)
-    # densities and constants are known to some per cent from two minutes of driving
-    start = make_start(session, options, options.identification_span, pauses=pauses)
-    if delay.is_found:
-        assert given.imu is not None
-        as_given = align(given.imu, start.driven).share_explained
-        if as_given > start.alignment.share_explained + LESS_EXPLAINED:
-            return given, make_start(given, options, options.identification_span, pauses=pauses), UNSEEN
-    return session, start, delay
 
 
 def _level_arm(found: Estimated) -> float:

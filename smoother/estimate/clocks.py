@@ -1,0 +1,267 @@
+"""Samples and fixes whose clocks run at different speeds: the samples are taken to the clock of the fixes.
+
+One box stamps both by one clock. Others count samples at their nominal rate, which a sensor's own oscillator keeps to a
+per cent, or stamp fixes by the receiver's UTC; then the delay of the fixes grows from the first lap to the last. The
+forward and left acceleration and the yaw rate of the path through the fixes, beside what the box felt of each, tell the
+delay at every time; its slope over a session is the drift. Slip, lean and a box that turns with the wheel shift single
+delays by tens of milliseconds, but not the three alike and more and more: where they do not say the same, nothing is
+said.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.align import (
+    WINDOW,
+    Alignment,
+    Averages,
+    PathMotion,
+    align,
+    path_axes,
+    sampled_at_speed,
+    thinned,
+)
+from smoother.samples import ImuSamples, Problem, Session
+from smoother.trajectory import Identified
+
+SHORTEST = 60.0  # s of session; in less, a drift is no more than a delay
+FIRST = 120.0  # s, the stretch that is looked at first
+WIDER = 4.0  # times as long is each further one: its ends are foretold to within a fraction of WINDOW
+FEWEST, ENOUGH, ENOUGH_AT_FIRST = 50, 4000, 1000  # fixes, evenly taken
+EXPLAINED = 0.8  # share of rate and force, from which on the alignment of the whole session is good enough
+# Drifts that are tried where it is not, at most so many either way: they change the delay by STEP s after the start,
+# when clocks still agree, and so little over the stretch that corners meet.
+MOST_DRIFT, STEP, MOST_TRIED, COARSEST = 0.015, 0.4, 50, 0.003
+STEPS, SETTLED = 6, 0.005  # of Gauss-Newton over each stretch, at most, and s at its ends by which the last may move
+ROUNDS = 4  # of reweighting
+BESIDE = 3.0  # s of samples on either side of a stretch of fixes
+TURN = 0.05  # s to either side, over which the slope of what was felt is read
+BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the session, are independent of those of others
+UNLIKE = 1.0 / 3.0  # of the drift, by which no axis may differ from it, unless by its own sigmas
+SIGNIFICANT = 5.0  # sigmas
+SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
+LARGEST = 0.03  # more is no clock
+
+
+@dataclass(frozen=True)
+class ClockDrift:
+    """drift: seconds that the samples' clock gains on that of the fixes in one of theirs.
+
+    is_found: whether it is to be taken out; infinite sigma where nothing tells.
+    """
+
+    drift: float
+    sigma: float
+    is_found: bool
+
+
+UNSEEN_DRIFT = ClockDrift(0.0, math.inf, False)
+
+
+def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> ClockDrift:
+    """Return how the clock of samples drifts against that of the fixes; `alignment` is that of the whole session.
+
+    Found on a stretch that grows to the whole session, since a delay is only found to within a corner.
+    """
+    use = sampled_at_speed(imu, path)
+    lasts = float(path.t[-1] - path.t[0])
+    if use.size < FEWEST or lasts < SHORTEST:
+        return UNSEEN_DRIFT
+    axes = path_axes(path)
+    if alignment.share_explained < EXPLAINED:
+        alignment, clock = _first_clock(imu, path, float(path.t[use[0]]))
+    else:
+        clock = _Clock(_liveliest(path.t[use], axes[use]), alignment.lag, 0.0)
+    reach = 0.5 * FIRST
+    felt = _Felt(Averages(imu), alignment)
+    while True:
+        within = use[np.abs(path.t[use] - clock.middle) <= reach]
+        is_all = within.size == use.size
+        rows = thinned(within, ENOUGH if is_all else ENOUGH_AT_FIRST)
+        if rows.size < FEWEST:
+            return UNSEEN_DRIFT
+        slopes, clock = _fitted(felt, path.t[rows], axes[rows], clock, reach)
+        if not (math.isfinite(clock.drift) and abs(clock.drift) < LARGEST):
+            return UNSEEN_DRIFT
+        if is_all:
+            return _judged(slopes, clock, lasts)
+        reach *= WIDER
+
+
+def on_clock_of_fixes(session: Session, found: ClockDrift) -> Session:
+    """Return the session with the times of its samples on the clock of the fixes; both agree where it begins."""
+    imu, mag, zero = session.imu, session.mag, float(session.gnss.t[0])
+    return replace(
+        session,
+        imu=None if imu is None else replace(imu, t=_retimed(imu.t, found.drift, zero)),
+        mag=None if mag is None else replace(mag, t=_retimed(mag.t, found.drift, zero)),
+    )
+
+
+def identified_drift(found: ClockDrift) -> Identified:
+    """What to report, in ppm: the drift taken out; 0 where there is none, and how far off that may be."""
+    if found.is_found:
+        return Identified(1e6 * found.drift, 1e6 * found.sigma, "ppm", True, "identified")
+    sigma = 1e6 * math.hypot(found.drift, found.sigma) if math.isfinite(found.sigma) else None
+    return Identified(0.0, sigma, "ppm", False, "default")
+
+
+def drift_problems(found: ClockDrift, session: Session) -> tuple[Problem, ...]:
+    """Say so where a drift was taken out."""
+    if not found.is_found:
+        return ()
+    runs = "fast" if found.drift > 0.0 else "slow"
+    apart = abs(found.drift) * float(session.gnss.t[-1] - session.gnss.t[0])
+    text = (
+        f"the samples' clock runs {1e6 * abs(found.drift):.0f} ppm {runs} against that of the fixes, "
+        f"{apart:.2f} s over the session; taken out: times are those of the fixes"
+    )
+    return (Problem("clock_drift", text),)
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """The fixes are late behind the samples by `lag` s at `middle` s, and by `drift` less each second after."""
+
+    middle: float
+    lag: float
+    drift: float
+
+    def of_samples(self, t: Array) -> Array:
+        """When, by the clock of the samples, what was told at t (N,) s was felt."""
+        return np.asarray(t - self.lag + self.drift * (t - self.middle))
+
+
+@dataclass(frozen=True, eq=False)
+class _Felt:
+    """What the box felt along the axes of the kart."""
+
+    averages: Averages
+    alignment: Alignment
+
+    def at(self, t: Array) -> Array:
+        """Forward and left force m/s^2 and rate about up rad/s, (3, N), around t (N,) s."""
+        force, rate = self.averages.around(t, WINDOW)
+        R = self.alignment.R_bs
+        return np.stack([force @ R[0], force @ R[1], (rate - self.alignment.gyro_bias_s) @ R[2]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Slope:
+    """What one axis says: by how much lag s and drift were off, and the covariance (2, 2) of both."""
+
+    off: Array
+    covariance: Array
+
+
+def _liveliest(t: Array, axes: Array) -> float:
+    """Middle of the FIRST s in which most is felt along the axes (N, 3) of fixes at t (N,) s."""
+    power = np.concatenate([[0.0], np.cumsum(np.sum((axes / (np.std(axes, axis=0) + 1e-9)) ** 2, axis=1))])
+    last = np.searchsorted(t, t + FIRST)
+    first = int(np.argmax(power[last] - power[:-1]))
+    return 0.5 * float(t[first] + t[last[first] - 1])
+
+
+def _first_clock(imu: ImuSamples, path: PathMotion, begin: float) -> tuple[Alignment, _Clock]:
+    """Return the alignment of the first stretch, from `begin` s on, and the clock for which it explains most.
+
+    Both clocks are taken to have begun together, as those of files do.
+    """
+    middle, zero = begin + 0.5 * FIRST, float(path.t[0])
+    count = min(math.ceil(MOST_DRIFT / min(STEP / (middle - zero), COARSEST)), MOST_TRIED)
+    fixes = slice(*np.searchsorted(path.t, [begin, begin + FIRST]).tolist())
+    driven, tried = PathMotion(path.t[fixes], path.velocity_n[fixes]), []
+    for drift in np.linspace(-MOST_DRIFT, MOST_DRIFT, 2 * count + 1).tolist():
+        clock = _Clock(zero, 0.0, drift)
+        first, last = clock.of_samples(driven.t[[0, -1]]).tolist()
+        samples = slice(*np.searchsorted(imu.t, [first - BESIDE, last + BESIDE]).tolist())
+        if samples.stop - samples.start < FEWEST:
+            continue
+        t, force, rate = _retimed(imu.t[samples], drift, zero), imu.specific_force_s, imu.angular_rate_s
+        part = replace(imu, t=t, specific_force_s=force[samples], angular_rate_s=rate[samples])
+        tried.append((align(part, driven), drift))
+    if not tried:
+        return align(imu, path), _Clock(middle, 0.0, 0.0)
+    best, drift = max(tried, key=lambda each: each[0].share_explained)
+    return best, _Clock(middle, best.lag - drift * (middle - zero), drift)
+
+
+def _fitted(felt: _Felt, t: Array, told: Array, clock: _Clock, reach: float) -> tuple[list[_Slope], _Clock]:
+    """Return the clock for which fixes at t (N,) s, at most `reach` s from its middle, told (N, 3) what was felt.
+
+    Each axis has a lag of its own; the drift is common. With it what each axis says of the last step.
+    """
+    slopes: list[_Slope] = []
+    for _ in range(STEPS):
+        at = clock.of_samples(t)
+        here, change = felt.at(at), (felt.at(at + TURN) - felt.at(at - TURN)) / (2.0 * TURN)
+        slopes = [_slope(told[:, i], here[i], change[i], t - clock.middle) for i in range(3)]
+        late, drift = _common(slopes, 0)[0], _common(slopes, 1)[0]
+        clock = _Clock(clock.middle, clock.lag + late, clock.drift - drift)
+        if not abs(late) + abs(drift) * reach > SETTLED:
+            break
+    return slopes, clock
+
+
+def _slope(told: Array, here: Array, change: Array, since: Array) -> _Slope:
+    """Fit told (N,) = gain * (here - change * (lag + slope * since)) + offset, with Cauchy weights.
+
+    Sigmas are from the scatter between blocks (the sandwich of White 1980), whatever the noise's colour; blocks are
+    short or long, whichever scatter more: a receiver may be late now less, now more for a minute.
+    """
+    design = np.stack([-change, -change * since, here, np.ones_like(here)])
+    scale = 1.0 / np.maximum(np.sqrt(np.mean(design**2, axis=1)), 1e-12)
+    design = design * scale[:, None]
+    weight = np.ones_like(here)
+    for _ in range(ROUNDS):
+        weighted = design * weight
+        normal = weighted @ design.T
+        found = np.linalg.lstsq(normal, weighted @ told, rcond=1e-12)[0]
+        rest = told - found @ design
+        weight = 1.0 / (1.0 + (rest / (3.0 * np.median(np.abs(rest)) + 1e-12)) ** 2)
+    inverse = np.linalg.pinv(normal, rcond=1e-12) * scale[:, None]
+    longer = max(BLOCK, float(since[-1] - since[0]) / BLOCKS)
+    covariances = [inverse @ _scatter(weighted * rest, since, block) @ inverse.T for block in (BLOCK, longer)]
+    covariance = max(covariances, key=lambda each: float(each[1, 1]))
+    found = found * scale
+    gain = float(found[2])
+    if abs(gain) < 1e-6:
+        return _Slope(np.zeros(2), np.full((2, 2), np.inf))
+    return _Slope(found[:2] / gain, covariance[:2, :2] / gain**2)
+
+
+def _scatter(scores: Array, t: Array, block: float) -> Array:
+    """Sum (k, k) of the squares of scores (k, N) at t (N,), rising, summed over blocks."""
+    edges = np.flatnonzero(np.diff((t - t[0]) // block, prepend=-1.0))
+    sums = np.add.reduceat(scores, edges, axis=1)
+    return np.asarray(sums @ sums.T)
+
+
+def _common(slopes: list[_Slope], which: int) -> tuple[float, float]:
+    """Mean of what the axes say of lag (0) or drift (1), weighted by its variance, and its sigma."""
+    variance = np.array([slope.covariance[which, which] for slope in slopes])
+    weight = np.where(variance > 0.0, 1.0 / np.where(variance > 0.0, variance, 1.0), 0.0)
+    if not weight.sum() > 0.0:
+        return 0.0, math.inf
+    said = np.array([slope.off[which] for slope in slopes])
+    return float(weight @ said / weight.sum()), float(1.0 / math.sqrt(weight.sum()))
+
+
+def _judged(slopes: list[_Slope], clock: _Clock, lasts: float) -> ClockDrift:
+    """Whether the drift is one: the same by all three axes, well known, and of some size over the session."""
+    off, sigma = _common(slopes, 1)
+    beyond = np.array([abs(slope.off[1] - off) for slope in slopes])
+    own = np.sqrt([slope.covariance[1, 1] for slope in slopes])
+    sigma *= max(1.0, math.sqrt(float(np.sum((beyond / np.maximum(own, 1e-12)) ** 2)) / 2.0))
+    is_found = abs(clock.drift) > max(SIGNIFICANT * sigma, SMALLEST / lasts) and bool(
+        np.all(beyond < np.maximum(3.0 * own, UNLIKE * abs(clock.drift)))
+    )
+    return ClockDrift(clock.drift, sigma, is_found)
+
+
+def _retimed(t: Array, drift: float, zero: float) -> Array:
+    """Times t (N,) s of a clock that drifts, on the one it drifts against; at `zero` s both show the same."""
+    return np.asarray(zero + (t - zero) / (1.0 + drift))

@@ -1,0 +1,176 @@
+"""Samples and fixes stamped by two clocks: the drift is found on whole sessions, taken out, and nowhere else."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.estimate.align import PathMotion, align
+from smoother.estimate.clocks import (
+    UNSEEN_DRIFT,
+    ClockDrift,
+    clock_drift,
+    drift_problems,
+    identified_drift,
+    on_clock_of_fixes,
+)
+from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.graph import begin as begin_module
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.pauses import pauses_of
+from smoother.prepare import prepare
+from smoother.samples import Session
+from smoother.session.load import load_raw
+from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import Trajectory
+
+DURATION = 300.0
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate_preset("kart", 3, duration=DURATION)
+
+
+@pytest.fixture(scope="module")
+def session(simulation: Simulation) -> Session:
+    return prepare(simulation.raw)
+
+
+def with_drift(session: Session, drift: float) -> Session:
+    """The session as a logger writes it whose samples' clock begins with that of the fixes, and runs fast."""
+    return on_clock_of_fixes(session, ClockDrift(1.0 / (1.0 + drift) - 1.0, 0.0, True))
+
+
+def driven(session: Session) -> PathMotion:
+    return PathMotion(session.gnss.t, fit_path(session).at(session.gnss.t).velocity_n)
+
+
+def found_in(session: Session, path: PathMotion | None = None) -> ClockDrift:
+    assert session.imu is not None
+    path = driven(session) if path is None else path
+    return clock_drift(session.imu, path, align(session.imu, path))
+
+
+@pytest.mark.parametrize("drift", [2e-4, -2e-4, 1e-3, 8e-3, -0.014])
+def test_the_drift_of_a_clock_is_found_whether_it_is_a_crystal_or_a_nominal_rate(
+    session: Session, drift: float
+) -> None:
+    found, plain = found_in(with_drift(session, drift)), found_in(session)
+    assert found.is_found
+    assert 3e-6 < found.sigma < 3e-5
+    assert found.drift - plain.drift == pytest.approx(drift, abs=0.5 * found.sigma)  # same noise, so much less than one
+    assert found.drift == pytest.approx(drift, abs=3.5 * found.sigma)
+
+
+@pytest.mark.parametrize("preset", ["kart", "kart_harsh", "white"])
+def test_one_clock_is_no_two(preset: str) -> None:
+    for seed in (11, 12):
+        found = found_in(prepare(simulate_preset(preset, seed, duration=DURATION).raw))
+        assert not found.is_found
+        assert abs(found.drift) < 4.0 * found.sigma
+
+
+def test_short_sessions_and_few_fixes_tell_nothing(session: Session) -> None:
+    path = driven(session)
+    assert found_in(session, PathMotion(path.t[:250], path.velocity_n[:250])) == UNSEEN_DRIFT
+    assert found_in(session, PathMotion(path.t[::40], path.velocity_n[::40])) == UNSEEN_DRIFT
+
+
+def test_turns_alone_that_are_later_and_later_are_no_clock(session: Session) -> None:
+    assert session.imu is not None
+    t, rate = session.imu.t, session.imu.angular_rate_s
+    late = t + 5e-4 * (t - t[0])
+    later = np.stack([np.interp(late, t, rate[:, i]) for i in range(3)], axis=1)
+    assert not found_in(replace(session, imu=replace(session.imu, angular_rate_s=later))).is_found
+
+
+def test_a_receiver_that_is_late_now_more_now_less_is_no_clock(session: Session) -> None:
+    path = driven(session)
+
+    def late(t: Array) -> Array:
+        return np.asarray(0.15 * np.sin(2.0 * np.pi * (t - t[0]) / 130.0 + 0.7))
+
+    at = path.t - late(path.t)
+    moved = PathMotion(path.t, np.stack([np.interp(at, path.t, path.velocity_n[:, i]) for i in range(3)], axis=1))
+    assert abs(found_in(session, moved).drift) > 1e-4  # so there is a slope in it
+    assert not found_in(session, moved).is_found
+
+
+def speed_error(trajectory: Trajectory, simulation: Simulation, session: Session) -> float:
+    t = trajectory.t[(trajectory.t > 15.0) & (trajectory.t < DURATION - 5.0)]
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
+    error = trajectory.velocity_n[np.isin(trajectory.t, t), :2] - truth.velocity_n[:, :2]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def test_what_drifts_is_estimated_as_what_does_not(simulation: Simulation, session: Session) -> None:
+    plain = speed_error(GraphSmoother().estimate(session), simulation, session)
+    for drift in (1e-3, 8e-3):
+        found = GraphSmoother().estimate(with_drift(session, drift))
+        assert speed_error(found, simulation, session) < 1.03 * plain
+        assert "clock_drift" in [problem.code for problem in found.report.problems]
+        value = found.report.identified["imu_clock_drift"]
+        assert value.observable
+        assert value.value == pytest.approx(1e6 * drift, abs=50.0)
+        latency = found.report.identified["gps_position_latency"]
+        assert abs(latency.value - simulation.scenario.gnss.position_latency) < 3.5 * latency.sigma
+
+
+def test_clocks_drift_on_in_a_pause() -> None:
+    simulation = simulate_preset("kart", 4, duration=240.0, gnss_outages=())
+    drift, pause = 4e-4, 1800.0
+    session = prepare(simulation.raw)
+    assert session.imu is not None
+
+    def paused(t: Array) -> Array:
+        return np.asarray(np.where(t > 120.0, t + pause, t))
+
+    imu = replace(session.imu, t=paused(session.imu.t))
+    apart = replace(session, gnss=replace(session.gnss, t=paused(session.gnss.t)), imu=imu, mag=None)
+    found = GraphSmoother().estimate(with_drift(apart, drift))  # 0.7 s in the pause alone
+    assert found.report.identified["imu_clock_drift"].value == pytest.approx(1e6 * drift, abs=10.0)
+    rows = (found.t > pause + 140.0) & (found.t < pause + 235.0)
+    truth = simulation.truth.trajectory(found.t[rows] - pause, simulation.scenario.lever_arm_b, session.origin)
+    assert np.sqrt(np.mean((found.velocity_n[rows, :2] - truth.velocity_n[:, :2]) ** 2)) < 0.12
+
+
+def test_a_drift_by_which_samples_and_fixes_have_less_in_common_is_none(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(begin_module, "clock_drift", lambda *_: ClockDrift(5e-4, 1e-5, True))
+    report = GraphSmoother().estimate(session).report
+    assert not report.identified["imu_clock_drift"].observable
+    assert "clock_drift" not in [problem.code for problem in report.problems]
+
+
+@pytest.mark.parametrize(
+    "recording", ["kart_adria_first_half", "kart_lignano_racebox", "car_hi600_rtk", "car_hi600_twin_a"]
+)
+def test_real_recordings_of_one_clock(recording: str, data_directory: Path) -> None:
+    """In one the box turns with the wheel, and delays of the axes change each for itself; one stamps what arrives."""
+    session = prepare(load_raw(data_directory / recording))
+    assert not begin_module.begin(session, GraphOptions(), pauses_of).drift.is_found
+    apart = begin_module.begin(with_drift(session, 8e-3), GraphOptions(), pauses_of)
+    assert apart.drift.is_found
+    assert apart.drift.drift == pytest.approx(8e-3, abs=6e-4)
+
+
+def test_what_changes_a_lap_by_less_than_slip_does_is_no_clock() -> None:
+    session = with_drift(prepare(simulate_preset("white", 1, duration=DURATION).raw), 4e-5)
+    found = found_in(session)
+    assert found.drift > 5.0 * found.sigma
+    assert not found.is_found
+
+
+def test_what_is_reported(session: Session) -> None:
+    found = identified_drift(ClockDrift(5e-5, 3e-6, True))
+    assert (found.value, found.sigma, found.unit, found.observable) == (pytest.approx(50.0), 3.0, "ppm", True)
+    none = identified_drift(ClockDrift(3e-6, 4e-6, False))
+    assert (none.value, none.sigma, none.source) == (0.0, pytest.approx(5.0), "default")
+    assert identified_drift(UNSEEN_DRIFT).sigma is None
+    assert drift_problems(UNSEEN_DRIFT, session) == ()
+    (slow,) = drift_problems(ClockDrift(-2e-4, 3e-6, True), session)
+    assert "runs 200 ppm slow against that of the fixes, 0.06 s over the session" in slow.text
