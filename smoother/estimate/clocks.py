@@ -43,6 +43,7 @@ BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the sessi
 UNLIKE = 1.0 / 3.0  # of the drift, by which no axis may differ from it, unless by its own sigmas
 SIGNIFICANT = 5.0  # sigmas
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
+SMALLEST_OF_POSITIONS = 1.0  # s likewise without Doppler: positions that wander along the track are delays that change
 LARGEST = 0.03  # more is no clock
 
 
@@ -61,10 +62,11 @@ class ClockDrift:
 UNSEEN_DRIFT = ClockDrift(0.0, math.inf, False)
 
 
-def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> ClockDrift:
+def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_doppler: bool = True) -> ClockDrift:
     """Return how the clock of samples drifts against that of the fixes; `alignment` is that of the whole session.
 
-    Found on a stretch that grows to the whole session, since a delay is only found to within a corner.
+    has_doppler: whether the path is one of measured velocities. The drift is found on a stretch that grows to the whole
+    session, since a delay is only found to within a corner.
     """
     use = sampled_at_speed(imu, path)
     lasts = float(path.t[-1] - path.t[0])
@@ -87,7 +89,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Cloc
         if not (math.isfinite(clock.drift) and abs(clock.drift) < LARGEST):
             return UNSEEN_DRIFT
         if is_all:
-            return _judged(slopes, clock, lasts)
+            return _judged(slopes, clock, (SMALLEST if has_doppler else SMALLEST_OF_POSITIONS) / lasts)
         reach *= WIDER
 
 
@@ -250,13 +252,17 @@ def _common(slopes: list[_Slope], which: int) -> tuple[float, float]:
     return float(weight @ said / weight.sum()), float(1.0 / math.sqrt(weight.sum()))
 
 
-def _judged(slopes: list[_Slope], clock: _Clock, lasts: float) -> ClockDrift:
-    """Whether the drift is one: the same by all three axes, well known, and of some size over the session."""
+def _judged(slopes: list[_Slope], clock: _Clock, smallest: float) -> ClockDrift:
+    """Whether the drift is one: the same by all three axes, well known, and not below `smallest`.
+
+    An error of the path along the track is one of all axes: together they know the drift no better than the best does.
+    """
     off, sigma = _common(slopes, 1)
     beyond = np.array([abs(slope.off[1] - off) for slope in slopes])
     own = np.sqrt([slope.covariance[1, 1] for slope in slopes])
-    sigma *= max(1.0, math.sqrt(float(np.sum((beyond / np.maximum(own, 1e-12)) ** 2)) / 2.0))
-    is_found = abs(clock.drift) > max(SIGNIFICANT * sigma, SMALLEST / lasts) and bool(
+    at_odds = math.sqrt(float(np.sum((beyond / np.maximum(own, 1e-12)) ** 2)) / 2.0)
+    sigma = max(sigma * at_odds, float(np.min(own)))
+    is_found = abs(clock.drift) > max(SIGNIFICANT * sigma, smallest) and bool(
         np.all(beyond < np.maximum(3.0 * own, UNLIKE * abs(clock.drift)))
     )
     return ClockDrift(clock.drift, sigma, is_found)

@@ -140,7 +140,7 @@ def test_clocks_drift_on_in_a_pause() -> None:
 def test_a_drift_by_which_samples_and_fixes_have_less_in_common_is_none(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(begin_module, "clock_drift", lambda *_: ClockDrift(5e-4, 1e-5, True))
+    monkeypatch.setattr(begin_module, "clock_drift", lambda *_, **__: ClockDrift(5e-4, 1e-5, True))
     report = GraphSmoother().estimate(session).report
     assert not report.identified["imu_clock_drift"].observable
     assert "clock_drift" not in [problem.code for problem in report.problems]

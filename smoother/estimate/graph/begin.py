@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
@@ -14,6 +16,7 @@ from smoother.samples import Session
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
+LEAST_EXPLAINED = 0.6  # of both, by samples and fixes of one clock; less is noise or another motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +38,12 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     assert given.imu is not None
     if not begun.start.alignment.is_level_only:
         driven = PathMotion(given.gnss.t, begun.start.driven.velocity_n)  # pauses are not closed in which clocks drift
-        drift = clock_drift(given.imu, driven, begun.start.alignment)
+        has_doppler = bool(np.mean(np.isfinite(given.gnss.velocity_n[:, 0])) > 0.5)
+        drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
-        if better.start.alignment.share_explained > begun.start.alignment.share_explained:
+        if better.start.alignment.share_explained > max(begun.start.alignment.share_explained, LEAST_EXPLAINED):
             return replace(better, drift=drift)
         drift = replace(drift, is_found=False)
     return replace(begun, drift=drift)
