@@ -3,7 +3,8 @@
 A kart that neither slides nor leans points along its path and stands level. It does both in proportion to its
 acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
 and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
-with more turns to one side. (Over closed laps the slopes of the road cancel.)
+with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
+are taken to be level.
 """
 
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fit
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
+ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
 STEERED = 0.6  # least correlation of that with slip
 
 
@@ -47,10 +49,13 @@ def are_driven(state: ChainState) -> BoolArray:
     return np.asarray(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > 1.5 * MIN_SPEED)
 
 
-def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = None) -> FittedMounting:
+def fit_mounting(
+    state: ChainState, rough_R_bs: Array, missing: Array | None = None, height_sigma: float | None = 0.0
+) -> FittedMounting:
     """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
 
-    missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up.
+    missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up. height_sigma, m: of
+    the height from the first of them to the last; None where no fix has a height.
     """
     use = are_driven(state)
     if missing is not None:
@@ -60,6 +65,7 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
     R_sn = state.R_ns[use].transpose(0, 2, 1)
     velocity_s = np.einsum("kij,kj->ki", R_sn, state.velocity_n[use] * [1.0, 1.0, 0.0])
+    slope = state.velocity_n[use, 2] / np.hypot(state.velocity_n[use, 0], state.velocity_n[use, 1])
     up_s, acceleration_s = R_sn[:, :, 2], np.einsum("kij,kj->ki", R_sn, acceleration_n)
     R_bs, sigma, memory = rough_R_bs, np.zeros(3), max(1, round(MEMORY / state.interval))
     for _ in range(4):  # small angles: a turn of the mounting changes what counts as forward and left
@@ -70,13 +76,23 @@ def fit_mounting(state: ChainState, rough_R_bs: Array, missing: Array | None = N
         # turning the body axes by w about b moves a vector v in b by -w x v
         fits = [
             _intercept(lateral, up_b[:, 1], memory),
-            _intercept(forward, -up_b[:, 0], memory),
+            _intercept(forward, slope - up_b[:, 0], memory),
             _intercept(lateral, np.arctan2(velocity_b[:, 1], velocity_b[:, 0]), memory),
         ]
         turn = np.array([fit[0] for fit in fits])
         sigma = np.array([fit[1] for fit in fits])
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
+    sigma[1] = np.hypot(sigma[1], _slope_sigma(state, use, height_sigma))
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def _slope_sigma(state: ChainState, driven: BoolArray, height_sigma: float | None) -> float:
+    """How well the mean slope of the road is known, rad: laps come back to where they were, roads lead elsewhere."""
+    length = float(np.sum(np.hypot(state.velocity_n[driven, 0], state.velocity_n[driven, 1]))) * state.interval
+    if height_sigma is not None:
+        return height_sigma / length
+    first, last = state.position_n[driven][[0, -1], :2]
+    return ROAD_SLOPE * min(float(np.linalg.norm(last - first)) / length, 1.0)
 
 
 def along_wheels(mounting: FittedMounting, constants: Constants, variance: float) -> FittedMounting:

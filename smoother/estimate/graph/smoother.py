@@ -304,7 +304,8 @@ def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) ->
     if stated is not None:
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
-        mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing)
+        height_sigma = float(np.sqrt(2.0) * noise.offset_sigma[2]) if start.priors.has_height else None
+        mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
         of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
         if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
             mounting = along_wheels(mounting, state.constants, of_slip + beyond)

@@ -81,6 +81,38 @@ def test_sigma_covers_the_error_of_slips_however_long_they_last(corner: float) -
     assert 0.8 < rms < 1.3  # 90 values: one by 8 %, and the correlation is found from a hundred corners
 
 
+def uphill(state: ChainState, R_bs: np.ndarray, slope: float) -> ChainState:
+    """The same drive on a road that climbs all the way."""
+    R_nb = state.R_ns @ R_bs.T
+    speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+    up = state.velocity_n + np.outer(slope * speed, [0.0, 0.0, 1.0])
+    axis_n = (
+        np.cross(state.velocity_n, [0.0, 0.0, 1.0]) / speed[:, None]
+    )  # to the right; a turn about it lifts the nose
+    return replace(state, R_ns=so3.exp(np.arctan(slope) * axis_n) @ R_nb @ R_bs, velocity_n=up)
+
+
+@pytest.mark.parametrize("slope", [0.09, -0.05])
+def test_a_road_that_climbs_all_the_way_does_not_pass_for_a_crooked_box(slope: float) -> None:
+    R_bs = random_rotation(4)
+    state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
+    found = fit_mounting(uphill(state, R_bs, slope), R_bs)
+    assert np.max(np.abs(so3.log(found.R_bs @ R_bs.T))) < 0.15 * DEG
+
+
+def test_pitch_is_as_unsure_as_the_mean_slope_of_the_road() -> None:
+    R_bs = random_rotation(4)
+    state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
+    length = float(np.sum(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]))) * INTERVAL
+    known, unsure = (fit_mounting(state, R_bs, None, sigma).sigma for sigma in (0.0, 30.0))
+    assert np.hypot(known[1], 30.0 / length) == pytest.approx(unsure[1])
+    np.testing.assert_array_equal(known[[0, 2]], unsure[[0, 2]])
+    away = replace(state, position_n=np.outer(np.linspace(0.0, 0.5 * length, K), [0.6, -0.8, 0.0]))
+    laps, road = (fit_mounting(each, R_bs, None, None).sigma for each in (state, away))
+    assert laps[1] == pytest.approx(known[1])  # positions of `state` are all zero: it came back
+    assert road[1] == pytest.approx(np.hypot(known[1], 0.025), rel=0.01)
+
+
 def test_wild_slides_are_left_out() -> None:
     R_bs = random_rotation(2)
     state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)
