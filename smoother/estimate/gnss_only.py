@@ -17,6 +17,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.gnss_settling import settled
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -57,6 +58,7 @@ class GnssSmoother:
     def estimate(self, session: Session) -> Trajectory:
         """Return the trajectory from the first fix to the last; without a height the Up of the origin, 100 m unsure."""
         options, started = self._options, time.perf_counter()
+        session, settling = settled(session)
         path = fit_path(session, options.path)
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
@@ -69,7 +71,7 @@ class GnssSmoother:
             residuals=_statistics(path),
             fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
             timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
-            problems=_unknown_delay(latency_sigma),
+            problems=(*settling, *_unknown_delay(latency_sigma)),
             mode="gps-only",
         )
         return Trajectory(

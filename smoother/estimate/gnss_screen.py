@@ -35,7 +35,7 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velo
     known = np.isfinite(position_n[:, :2]).all(axis=1) & good
     measured = known & sent
     use_sent = np.count_nonzero(measured) > 0.5 * np.count_nonzero(known)
-    for rows in _runs(t, np.flatnonzero(measured if use_sent else known)):
+    for rows in unbroken_runs(t, np.flatnonzero(measured if use_sent else known)):
         if rows.size >= FEWEST_FIXES and (use_sent or np.median(np.diff(t[rows])) <= QUICK):
             position = position_n[rows, :2]
             velocity = velocity_n[rows, :2] if use_sent else _steps(t[rows], position)
@@ -58,13 +58,13 @@ def _near_median(t: Array, values: Array, size: int, slack: float, rate: float) 
     index = np.arange(known.size)
     first, last = np.maximum(index - size // 2, 0), np.minimum(index + size // 2, known.size - 1)
     reach = np.maximum(t[known[last]] - t[known], t[known] - t[known[first]])
-    median = _running_median(values[known], size, at_ends="symmetric")
+    median = running_median(values[known], size, at_ends="symmetric")
     distance = np.hypot(*(values[known] - median).T)
     good[known] = distance <= slack + rate * reach
     return good
 
 
-def _runs(t: Array, rows: np.ndarray) -> list[np.ndarray]:
+def unbroken_runs(t: Array, rows: np.ndarray) -> list[np.ndarray]:
     """Split row numbers where more than LONGEST_STEP lies between their times."""
     return np.split(rows, np.flatnonzero(np.diff(t[rows]) > LONGEST_STEP) + 1) if rows.size else []
 
@@ -83,15 +83,25 @@ def _steps(t: Array, position: Array) -> Array:
 def _follows_velocity(t: Array, position: Array, velocity: Array) -> BoolArray:
     """Whether positions (M, 2) minus the integrated velocity stay near their running median."""
     interval = float(np.median(np.diff(t)))
-    velocity = _running_median(velocity, min(VELOCITY_WINDOW / interval, len(t)))
+    apart = beside_dead_reckoning(t, position, velocity)
+    apart = apart - running_median(apart, min(DEAD_RECKONING_WINDOW / interval, len(t)))
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    return np.asarray(distance <= max(JUMP, JUMP_SPREADS * MEDIAN_TO_SIGMA * float(np.median(distance))))
+
+
+def beside_dead_reckoning(t: Array, position: Array, velocity: Array) -> Array:
+    """Positions (M, 2) minus the integrated velocity (M, 2), m, at fixes t (M,) s that no long gap parts.
+
+    From the first of them on, with a velocity that is as late as the positions.
+    """
+    interval = float(np.median(np.diff(t)))
+    velocity = running_median(velocity, min(VELOCITY_WINDOW / interval, len(t)))
     path = np.zeros_like(position)
     path[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None], axis=0)
     size = min(DEAD_RECKONING_WINDOW / interval, len(t))
-    apart, moved = position - path, velocity
-    apart, moved = apart - _running_median(apart, size), moved - _running_median(moved, size)
-    apart = apart - _delay(apart, moved) * moved
-    distance = np.hypot(apart[:, 0], apart[:, 1])
-    return np.asarray(distance <= max(JUMP, JUMP_SPREADS * MEDIAN_TO_SIGMA * float(np.median(distance))))
+    apart = position - path
+    quick, moved = apart - running_median(apart, size), velocity - running_median(velocity, size)
+    return np.asarray(apart - _delay(quick, moved) * moved)
 
 
 def _delay(apart: Array, velocity: Array) -> float:
@@ -103,7 +113,7 @@ def _delay(apart: Array, velocity: Array) -> float:
     return float(np.clip(np.median(share), -LONGEST_DELAY, LONGEST_DELAY))
 
 
-def _running_median(values: Array, size: float, at_ends: Literal["short", "symmetric"] = "short") -> Array:
+def running_median(values: Array, size: float, at_ends: Literal["short", "symmetric"] = "short") -> Array:
     """Median of `size` neighbours, rounded to odd, of each column of values (M, 2).
 
     at_ends: of those that there are, or of what is there and its mirror image.

@@ -18,6 +18,7 @@ import numpy as np
 from smoother.arrays import BoolArray
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
+from smoother.estimate.gnss_settling import settled
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
@@ -87,11 +88,12 @@ class GraphSmoother:
         Where the force is late behind the rate (`accel_delay`), latencies are those against the rate.
         """
         scale, problems = clock_scale(session), clock_problems(session)
+        session, settling = settled(session)
         if scale == 1.0:
             found = self._in_true_time(session)
         else:
             found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
-        return replace(found, report=replace(found.report, problems=(*found.report.problems, *problems)))
+        return replace(found, report=replace(found.report, problems=(*found.report.problems, *settling, *problems)))
 
     def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None:

@@ -1,0 +1,111 @@
+"""Receivers that have just found their satellites: what drifts in is left out, and the rest is as good as without."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.estimate.gnss_only import GnssSmoother
+from smoother.estimate.gnss_settling import settled, unsettled
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.quality import assess
+from smoother.frames import nwu_to_geodetic
+from smoother.prepare import prepare
+from smoother.samples import Session
+from smoother.session.load import load_raw
+from smoother.sim.scenario import Interval
+from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import Trajectory
+
+OFF = np.array([30.0, -20.0, 10.0])  # m
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate_preset("kart", 6, duration=240.0, gnss_outages=(Interval(120.0, 8.0),))
+
+
+@pytest.fixture(scope="module")
+def session(simulation: Simulation) -> Session:
+    return prepare(simulation.raw)
+
+
+def moved(session: Session, by: Array) -> Session:
+    """The session with its fixes moved by (N, 3) m in n."""
+    lat_deg, lon_deg, alt_m = nwu_to_geodetic(session.fix_position_n + by, session.origin)
+    return replace(session, gnss=replace(session.gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+
+
+def coming_in(session: Session, since: float, off: Array = OFF, memory: float = 12.0) -> Session:
+    """The session of a receiver that has found its satellites at `since` s, and comes in from `off` m."""
+    t = session.gnss.t - session.gnss.t[0] - since
+    return moved(session, np.where(t < 0.0, 0.0, np.exp(-np.maximum(t, 0.0) / memory))[:, None] * off)
+
+
+def test_fixes_before_the_receiver_had_settled_are_found(session: Session) -> None:
+    t = session.gnss.t - session.gnss.t[0]
+    out = unsettled(coming_in(session, 0.0))
+    assert out[0]
+    assert 20.0 < t[out][-1] < 50.0  # at 24 s it is 5 m off, at 36 s 2 m
+    assert np.all(np.diff(np.flatnonzero(out)) == 1)
+    again = unsettled(coming_in(session, t[t > 121.0][0]))  # after the outage
+    assert not again[t < 121.0].any()
+    assert 10.0 < np.sum(again) / 5.0 < 50.0
+
+
+def test_what_is_said(session: Session) -> None:
+    cold, (problem,) = settled(coming_in(session, 0.0))
+    assert problem.code == "gps_settling"
+    assert "had not settled at the start: for " in problem.text
+    assert problem.count == int(np.isnan(cold.gnss.lat_deg).sum()) == int(np.isnan(cold.gnss.alt_m).sum())
+    np.testing.assert_array_equal(cold.gnss.velocity_n, session.gnss.velocity_n)
+    t = session.gnss.t - session.gnss.t[0]
+    assert "after a gap" in settled(coming_in(session, t[t > 121.0][0]))[1][0].text
+    assert "2 times" in settled(coming_in(coming_in(session, 0.0), t[t > 121.0][0]))[1][0].text
+
+
+def error(trajectory: Trajectory, simulation: Simulation, session: Session, until: float = 240.0) -> float:
+    """Horizontal rms, m, of the first minutes."""
+    t = trajectory.t[(trajectory.t > 3.0) & (trajectory.t < until - 3.0)]
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
+    off = trajectory.position_n[np.isin(trajectory.t, t), :2] - truth.position_n[:, :2]
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def test_a_cold_start_costs_little(simulation: Simulation, session: Session) -> None:
+    plain, cold = GraphSmoother().estimate(session), coming_in(session, 0.0)
+    found = GraphSmoother().estimate(cold)
+    assert error(found, simulation, session) < error(plain, simulation, session) + 1.0  # it was 6 m
+    sigma = found.sigmas
+    assert sigma is not None
+    speed = [np.hypot(each.velocity_n[:, 0], each.velocity_n[:, 1]) for each in (found, plain)]
+    assert np.sqrt(np.mean((speed[0] - speed[1]) ** 2)) < 0.02
+    assert "gps_settling" in [problem.code for problem in found.report.problems]
+    quality = assess(cold, found)
+    assert quality.passed, quality.reasons
+    alone = GnssSmoother().estimate(cold)
+    assert error(alone, simulation, session) < error(GnssSmoother().estimate(session), simulation, session) + 1.0
+    assert assess(cold, alone).passed
+
+
+def test_receivers_that_wander_as_they_always_do_are_settled() -> None:
+    for preset in ("kart", "kart_harsh"):
+        for seed in range(20, 26):
+            assert not unsettled(prepare(simulate_preset(preset, seed, duration=150.0, imu_rate=50.0).raw)).any()
+
+
+def test_without_doppler_or_time_nothing_is_left_out(session: Session) -> None:
+    cold = coming_in(session, 0.0)
+    blind = replace(cold.gnss, velocity_n=np.full_like(cold.gnss.velocity_n, np.nan))
+    assert not unsettled(replace(cold, gnss=blind)).any()
+    short = cold.gnss.select(cold.gnss.t < cold.gnss.t[0] + 35.0)
+    assert not unsettled(replace(cold, gnss=short)).any()
+
+
+@pytest.mark.parametrize(
+    "recording", ["kart_adria_first_half", "kart_lignano_racebox", "car_hi600_rtk", "kart_massafinalese_racechrono"]
+)
+def test_real_recordings_are_settled(recording: str, data_directory: Path) -> None:
+    assert not unsettled(prepare(load_raw(data_directory / recording))).any()
