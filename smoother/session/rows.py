@@ -19,6 +19,7 @@ MILLISECOND_WRAP = 2.0**32 * 1e-3  # s; millis() after 49.7 days
 WRAP_TOLERANCE = 60.0  # s; longest silence across a wrap that is still recognised as one
 GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has a cause of its own
 GLITCH_ROWS = 10
+COARSE_STEP = 1.5  # units of the last decimal from stamp to stamp; more is no want of decimals
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
@@ -109,10 +110,12 @@ def is_all(index: IntArray, n: int) -> bool:
 
 
 def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
-    """Times (N,) s in which rows that share a stamp but not their values, each (N, M), are spread up to the next stamp.
+    """Times (N,) s in which rows that share a stamp but not their values, each (N, M), are spread evenly.
 
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
-    as repeated would thin the recording. A few equal stamps are left to be dropped.
+    as repeated would thin the recording. They lie between their stamp and the next one. Where the stamps have decimals
+    enough, rows that share one were read out of the sensor together, at the time of the last of them. A few equal
+    stamps are left to be dropped.
     """
     if np.all(rows.keep) and is_increasing(t):
         return t
@@ -127,14 +130,32 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     group = np.cumsum(np.append(True, ~shares)) - 1
     first = np.flatnonzero(np.append(True, ~shares))
     size = np.diff(np.append(first, index.size))
-    room = np.diff(time[first], append=np.nan)
-    typical = float(np.median(room[room > 0.0])) if np.any(room > 0.0) else 0.0
-    room = np.clip(np.where(np.isfinite(room), room, typical), 0.0, typical)  # a gap behind a group is no room for it
+    steps = np.diff(time[first])
+    typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    place, count = np.arange(index.size) - first[group], int(np.count_nonzero(shares))
+    said = f"{counted(count, 'row')} with the time of the row before; "
+    if _are_read_together(time[first], typical):
+        room = np.append(typical, steps)
+        place = place - (size - 1)[group]
+        rows.say("coarse_time", f"{said}read out together, spread evenly up to it", count)
+    else:
+        room = np.append(steps, typical)
+        rows.say("coarse_time", f"{said}spread evenly", count)
+    room = np.clip(room, 0.0, typical)  # a gap beside a group is no room for it
     spread = t.copy()
-    spread[index] = time + (np.arange(index.size) - first[group]) * (room / size)[group]
-    count = int(np.count_nonzero(shares))
-    rows.say("coarse_time", f"{counted(count, 'row')} with the time of the row before; spread evenly", count)
+    spread[index] = time + place * (room / size)[group]
     return spread
+
+
+def _are_read_together(stamps: Array, step: float) -> bool:
+    """Whether stamps (G,) s, one of each group and usually `step` s apart, are finer than these steps are.
+
+    Those of a clock with few decimals are whole multiples of the step from one to the next.
+    """
+    decimals = 10.0 ** -np.arange(7)
+    whole = [np.all(np.abs(stamps / unit - np.round(stamps / unit)) < 1e-3) for unit in decimals]
+    unit = float(decimals[int(np.argmax(whole))]) if any(whole) else 0.0
+    return step > COARSE_STEP * unit
 
 
 def unwrap(t: Array) -> tuple[Array, int]:

@@ -199,6 +199,20 @@ def test_stamps_with_too_few_decimals_are_spread_over_the_interval_they_share() 
     assert codes(rows) == {"imu_coarse_time": 200}
 
 
+@pytest.mark.parametrize("decimals", [3, 6])
+def test_samples_that_were_read_out_together_end_with_their_stamp(decimals: int) -> None:
+    true = np.arange(4000) / 200.0
+    late = np.random.default_rng(0).uniform(0.0, 0.002, 200)
+    stamps = np.repeat(np.round(true[19::20] + late, decimals), 20)
+    rows = rows_of(4000)
+    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    assert np.all(np.diff(spread) > 0.0)
+    assert abs(np.mean(spread - true) - 0.001) < 5e-4
+    assert np.max(np.abs(spread - true)) < 0.004
+    assert codes(rows) == {"imu_coarse_time": 3800}
+    assert "read out together" in rows.problems[0].text
+
+
 def test_rows_written_twice_are_not_spread() -> None:
     rows, t = rows_of(400), np.repeat(np.arange(200) * 0.01, 2)
     np.testing.assert_array_equal(spread_coarse_times(rows, t, np.repeat(np.arange(200.0), 2)[:, None]), t)
