@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.estimate.align import (
     WINDOW,
     Alignment,
@@ -43,7 +43,9 @@ BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the sessi
 UNLIKE = 1.0 / 3.0  # of the drift, by which no axis may differ from it, unless by its own sigmas
 SIGNIFICANT = 5.0  # sigmas
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
-SMALLEST_OF_POSITIONS = 1.0  # s likewise without Doppler: positions that wander along the track are delays that change
+# s likewise where velocities are those of positions, whose wander along the track is a delay that changes, or fixes are
+# more than QUICK s apart: of 1 Hz, what is between them is not known as well
+SMALLEST_OF_FEW, QUICK = 1.0, 0.3
 LARGEST = 0.03  # more is no clock
 
 
@@ -72,7 +74,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
     lasts = float(path.t[-1] - path.t[0])
     if use.size < FEWEST or lasts < SHORTEST:
         return UNSEEN_DRIFT
-    axes = path_axes(path)
+    axes, tells_much = path_axes(path), has_doppler and median(np.diff(path.t)) <= QUICK
     if alignment.share_explained < EXPLAINED:
         alignment, clock = _first_clock(imu, path, float(path.t[use[0]]))
     else:
@@ -89,7 +91,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
         if not (math.isfinite(clock.drift) and abs(clock.drift) < LARGEST):
             return UNSEEN_DRIFT
         if is_all:
-            return _judged(slopes, clock, (SMALLEST if has_doppler else SMALLEST_OF_POSITIONS) / lasts)
+            return _judged(slopes, clock, (SMALLEST if tells_much else SMALLEST_OF_FEW) / lasts)
         reach *= WIDER
 
 

@@ -79,6 +79,13 @@ def test_short_sessions_and_few_fixes_tell_nothing(session: Session) -> None:
     assert found_in(session, PathMotion(path.t[::40], path.velocity_n[::40])) == UNSEEN_DRIFT
 
 
+def test_fixes_a_second_apart_tell_clocks_that_are_far_off_alone(session: Session) -> None:
+    slow = replace(session, gnss=session.gnss.select(np.arange(len(session.gnss)) % 5 == 0))
+    assert not found_in(with_drift(slow, 1e-3)).is_found
+    assert found_in(with_drift(slow, 1e-3)).drift == pytest.approx(1e-3, abs=2e-4)
+    assert found_in(with_drift(slow, 8e-3)).is_found
+
+
 def test_turns_alone_that_are_later_and_later_are_no_clock(session: Session) -> None:
     assert session.imu is not None
     t, rate = session.imu.t, session.imu.angular_rate_s

@@ -31,6 +31,7 @@ from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
     GraphOptions,
     Start,
+    for_slow_receiver,
     have_samples,
     informed,
     is_partly_sampled,
@@ -139,6 +140,9 @@ class GraphSmoother:
             if doubted.any():
                 start = make_start(session, options, options.identification_span, doubted, pauses)
             constants, biases, noise = identify(start, options, watch.say)
+            if (slow := for_slow_receiver(start, constants)) is not None:
+                start = slow
+                constants, biases, noise = identify(start, options, watch.say)
             start = informed(session, start, options, constants, biases, doubted)
             again = _jumped(session, start, noise, options)  # in all of it, and with its noise
             if np.any(again != doubted):

@@ -34,6 +34,9 @@ FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the long
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
 LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
+# s^2; a low-pass of 0.8 s has 0.32. And sigmas of the usual prior beyond which a receiver is one of those: recordings
+# have up to 2.6
+SLOW_RESPONSE, SLOW_SIGMAS = 0.1, 3.0
 
 
 @dataclass(frozen=True)
@@ -185,6 +188,19 @@ def without_positions(session: Session, doubted: BoolArray) -> Session:
     gnss = session.gnss
     lat_deg, lon_deg, alt_m = (np.where(doubted, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
     return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+
+
+def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
+    """Return `start` with a wide prior for how the receiver smooths its velocities; None where the usual one holds.
+
+    constants: what was found with the usual one, which holds a receiver that smooths for long far from what it does.
+    """
+    usual = start.priors.constants_sigma[VELOCITY_RESPONSE]
+    if abs(constants.velocity_response) < SLOW_SIGMAS * usual or usual >= SLOW_RESPONSE:
+        return None
+    sigma = start.priors.constants_sigma.copy()
+    sigma[VELOCITY_RESPONSE] = SLOW_RESPONSE
+    return replace(start, priors=replace(start.priors, constants_sigma=sigma))
 
 
 def _first_guess(
