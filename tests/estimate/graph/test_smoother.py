@@ -533,23 +533,43 @@ def test_a_push_that_follows_the_vibration_is_found_and_taken_out(monkeypatch: p
     assert rms[0] < 0.95 * rms[1]
 
 
-def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_away() -> None:
-    """Doppler behind a low-pass of first order, whose time constant is a part of its delay."""
-    tau, dt = 0.15, 0.005
-    simulation = simulate_preset("kart", 6, duration=150.0, gnss_velocity_sigma=0.03, imu_accel_noise=0.05)
-    session, timing, truth = prepare(simulation.raw), simulation.gnss.velocity_time, simulation.truth
+def behind_low_pass(simulation: Simulation, session: Session, tau: float) -> Session:
+    """The session with its Doppler behind a low-pass of first order, whose time constant is a part of its delay."""
+    timing, truth, dt = simulation.gnss.velocity_time, simulation.truth, 0.005
     assert len(session.gnss.t) == len(timing)
     t = np.arange(truth.first, timing[-1], dt)
     true_n = truth.antenna_velocity_n(t, simulation.scenario.lever_arm_b)
     late_n = low_passed(true_n, dt, tau) - true_n
     late_n[:, 2] = 0.0
     added = np.column_stack([np.interp(timing, t, late_n[:, i]) for i in range(3)])
-    slow = replace(session, gnss=replace(session.gnss, velocity_n=session.gnss.velocity_n + added))
+    return replace(session, gnss=replace(session.gnss, velocity_n=session.gnss.velocity_n + added))
+
+
+def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_away() -> None:
+    tau = 0.15
+    simulation = simulate_preset("kart", 6, duration=150.0, gnss_velocity_sigma=0.03, imu_accel_noise=0.05)
+    slow = behind_low_pass(simulation, prepare(simulation.raw), tau)
     found = smoothed(simulation, slow).trajectory.report.identified
     value, delay = found["gps_velocity_response"], found["gps_velocity_latency"]
     assert value.observable
     assert value.value == pytest.approx(0.5 * tau**2, rel=0.3)
     assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency + tau, abs=3.0 * delay.sigma)
+
+
+def test_a_receiver_far_slower_than_others_is_no_worse() -> None:
+    """Its response is 35 sigmas of what receivers have; held near that, speed would be 1 m/s off."""
+    tau = 0.6
+    simulation = simulate_preset("kart", 6, duration=150.0)
+    session = prepare(simulation.raw)
+    plain, slow = smoothed(simulation, session), smoothed(simulation, behind_low_pass(simulation, session, tau))
+    value = slow.trajectory.report.identified["gps_velocity_response"]
+    assert value.observable
+    assert value.value == pytest.approx(0.5 * tau**2, rel=0.15)
+    late = slow.trajectory.report.identified["gps_position_latency"]
+    assert abs(late.value - simulation.scenario.gnss.position_latency) < 3.0 * late.sigma
+    driven = plain.trajectory.t > 20.0
+    rms = [float(np.sqrt(np.mean(s.velocity_error_n[driven, :2] ** 2))) for s in (slow, plain)]
+    assert rms[0] < 1.5 * rms[1]  # a low-pass takes information too; it was ten times
 
 
 def test_a_bounce_on_the_tyres_draws_no_delay() -> None:
