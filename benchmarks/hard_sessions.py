@@ -31,6 +31,7 @@ from smoother.arrays import Array
 from smoother.errors import SmootherError
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.gps_alone import GpsAlone
+from smoother.estimate.graph.rows import low_passed
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.quality import assess
 from smoother.prepare import prepare
@@ -50,22 +51,30 @@ SLACK_M = 0.02  # m: a standing kart with perfect fixes has nothing to gain
 COMMON = {"gnss_outages": (), "gnss_jumps": (), "imu_gaps": ()}  # of the preset: each case has one trouble
 QUANTITIES = ("north", "west", "vel_north", "vel_west", "roll", "pitch", "yaw")
 
+METRES_PER_DEGREE = 111_200.0  # of latitude
+
 Damage = Callable[[RawSession], RawSession]
 
 
 @dataclass(frozen=True)
 class Hard:
-    """One hard session: figures changed, what then happens to the samples, and what is expected of the result."""
+    """One hard session: figures changed, what then happens to the samples, and what is expected of the result.
+
+    receiver_tau: time constant, s, of a low-pass that its velocities come through.
+    """
 
     name: str
     expectation: str
     changes: Mapping[str, Any] = field(default_factory=dict)
     damage: Damage | None = None
     duration: float = DURATION
+    receiver_tau: float | None = None
 
     def simulate(self, seed: int) -> Simulation:
         """Return the session; `raw` holds the damaged samples."""
         simulation = simulate_preset("kart", seed, duration=self.duration, **{**COMMON, **self.changes})
+        if self.receiver_tau is not None:
+            return replace(simulation, raw=speed_behind_low_pass(simulation, self.receiver_tau))
         return simulation if self.damage is None else replace(simulation, raw=self.damage(simulation.raw))
 
 
@@ -137,6 +146,40 @@ def compass_reversed(raw: RawSession) -> RawSession:
     return replace(raw, mag=replace(raw.mag, field=raw.mag.field * [-1.0, -1.0, 1.0]))
 
 
+def samples_on_a_clock_of_their_own(fast: float) -> Damage:
+    """The samples are stamped by another clock than the fixes, which begins with theirs and runs fast."""
+
+    def damage(raw: RawSession) -> RawSession:
+        assert raw.imu is not None
+        zero = raw.gnss.t[0]
+        mag = raw.mag if raw.mag is None else replace(raw.mag, t=zero + (raw.mag.t - zero) * (1.0 + fast))
+        return replace(raw, imu=replace(raw.imu, t=zero + (raw.imu.t - zero) * (1.0 + fast)), mag=mag)
+
+    return damage
+
+
+def coming_in(north: float, memory: float) -> Damage:
+    """The receiver has just found its satellites: positions come in from `north` m off, by 1/e in `memory` s."""
+
+    def damage(raw: RawSession) -> RawSession:
+        off = north * np.exp(-(raw.gnss.t - raw.gnss.t[0]) / memory)
+        return replace(raw, gnss=replace(raw.gnss, lat_deg=raw.gnss.lat_deg + off / METRES_PER_DEGREE))
+
+    return damage
+
+
+def speed_behind_low_pass(simulation: Simulation, tau: float) -> RawSession:
+    """The receiver smooths its velocity by a low-pass of first order."""
+    timing, dt = simulation.gnss.velocity_time, 0.005
+    t = np.arange(simulation.truth.first, timing[-1], dt)
+    true_n = simulation.truth.antenna_velocity_n(t, simulation.scenario.lever_arm_b)
+    late_n = low_passed(true_n, dt, tau) - true_n
+    late_n[:, 2] = 0.0
+    added = np.column_stack([np.interp(timing, t, late_n[:, i]) for i in range(3)])
+    gnss = simulation.raw.gnss
+    return replace(simulation.raw, gnss=replace(gnss, velocity_n=gnss.velocity_n + added))
+
+
 HARD = (
     Hard("plain", "right; what all others are compared with", {"motion_standstill": 5.0}),
     Hard("no standstill", "right: biases come from driving", {"motion_standstill": None}),
@@ -163,6 +206,18 @@ HARD = (
     Hard("gyro clips at 60 deg/s", "right, or code 3", {"imu_gyro_range": 60.0 * DEG}),
     Hard("IMU clock 2 % fast", "right: UTC shows it, and it is taken out", {"imu_clock_drift": 0.02}),
     Hard("IMU clock 2 % slow", "right: UTC shows it, and it is taken out", {"imu_clock_drift": -0.02}),
+    Hard(
+        "samples' clock 100 ppm slow",
+        "right: found by the fixes, and taken out",
+        damage=samples_on_a_clock_of_their_own(-1e-4),
+    ),
+    Hard(
+        "samples' clock 0.7 % fast",
+        "right: found by the fixes, and taken out",
+        damage=samples_on_a_clock_of_their_own(7e-3),
+    ),
+    Hard("cold start, 40 m off", "right: what comes in is left out", damage=coming_in(40.0, 12.0)),
+    Hard("speed smoothed over 0.6 s", "right: found, and taken out", receiver_tau=0.6),
     Hard("magnetometer at the motor", "right: the field is not believed", {"mag_engine_disturbance": 1.0}),
     Hard("GPS at 1 Hz", "right", {"gnss_rate": 1.0}),
     Hard("GPS at 25 Hz", "right", {"gnss_rate": 25.0}),
