@@ -10,6 +10,7 @@ said.
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from smoother.estimate.align import (
     sampled_at_speed,
     thinned,
 )
+from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.trajectory import Identified
 
@@ -97,12 +99,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
 
 def on_clock_of_fixes(session: Session, found: ClockDrift) -> Session:
     """Return the session with the times of its samples on the clock of the fixes; both agree where it begins."""
-    imu, mag, zero = session.imu, session.mag, float(session.gnss.t[0])
-    return replace(
-        session,
-        imu=None if imu is None else replace(imu, t=_retimed(imu.t, found.drift, zero)),
-        mag=None if mag is None else replace(mag, t=_retimed(mag.t, found.drift, zero)),
-    )
+    return with_samples_at(session, partial(_retimed, drift=found.drift, zero=float(session.gnss.t[0])))
 
 
 def identified_drift(found: ClockDrift) -> Identified:

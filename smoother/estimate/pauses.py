@@ -13,8 +13,9 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import pieces, release, roomy
+from smoother.estimate.retimed import Retimed
 from smoother.samples import Session
-from smoother.trajectory import JointPosition, Sigmas, Trajectory
+from smoother.trajectory import Sigmas, Trajectory
 from smoother.units import ANY_ANGLE
 
 LONGEST = 60.0  # s without anything that are bridged; the slow error of the fixes is forgotten after as long
@@ -172,7 +173,7 @@ def opened_up(trajectory: Trajectory, pauses: Pauses, t: Array) -> Trajectory:
         fill.rows(trajectory.angular_rate_b, np.zeros_like(apart)),
         None if sigmas is None else _opened_sigmas(sigmas, fill, apart),
         report,
-        None if joint is None else _Closed(joint, pauses),
+        None if joint is None else Retimed(joint, pauses.closed),
     )
 
 
@@ -228,15 +229,3 @@ class _Filling:
                 release(rows)
         rows.flags.writeable = False
         return rows
-
-
-@dataclass(frozen=True, eq=False)
-class _Closed:
-    """A JointPosition that is asked on the clock of the session."""
-
-    joint: JointPosition
-    pauses: Pauses
-
-    def covariance(self, t: Array, direction_n: Array) -> Array:
-        """See :class:`smoother.trajectory.JointPosition`."""
-        return self.joint.covariance(self.pauses.closed(t), direction_n)

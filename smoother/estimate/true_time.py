@@ -3,13 +3,15 @@
 The receiver's UTC shows it. Metres per wrong second would be wrong velocities, and forces that do not fit the path.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.estimate.retimed import Retimed, with_samples_at
 from smoother.samples import Problem, Session
-from smoother.trajectory import EstimateReport, JointPosition, Trajectory
+from smoother.trajectory import EstimateReport, Trajectory
 
 CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
 BEYOND_BELIEF = 0.1  # more is not a clock
@@ -77,13 +79,8 @@ def _slope(x: Array, y: Array) -> float:
 
 def in_true_time(session: Session, scale: float) -> Session:
     """Return the session with its times in true seconds since its zero."""
-    imu, mag = session.imu, session.mag
-    return replace(
-        session,
-        gnss=replace(session.gnss, t=session.gnss.t / scale),
-        imu=None if imu is None else replace(imu, t=imu.t / scale),
-        mag=None if mag is None else replace(mag, t=mag.t / scale),
-    )
+    change = partial(np.multiply, 1.0 / scale)
+    return replace(with_samples_at(session, change), gnss=replace(session.gnss, t=change(session.gnss.t)))
 
 
 def in_session_time(trajectory: Trajectory, scale: float) -> Trajectory:
@@ -91,18 +88,6 @@ def in_session_time(trajectory: Trajectory, scale: float) -> Trajectory:
     report, joint = trajectory.report, trajectory.joint
     if report.keyframes is not None:
         report = replace(report, keyframes=replace(report.keyframes, t=report.keyframes.t * scale))
-    return replace(
-        trajectory, t=trajectory.t * scale, report=report, joint=None if joint is None else _Scaled(joint, scale)
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Scaled:
-    """A JointPosition that is asked on the clock of the session."""
-
-    joint: JointPosition
-    scale: float
-
-    def covariance(self, t: Array, direction_n: Array) -> Array:
-        """See :class:`smoother.trajectory.JointPosition`."""
-        return self.joint.covariance(t / self.scale, direction_n)
+    if joint is not None:
+        joint = Retimed(joint, partial(np.multiply, 1.0 / scale))
+    return replace(trajectory, t=trajectory.t * scale, report=report, joint=joint)
