@@ -30,6 +30,7 @@ _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that 
 class CheckLimits:
     """What is asked of a recording, each number with its unit; `stop` is where the data becomes useless."""
 
+    shortest: float = 10.0  # s of fixes; of less, hardly a rate can be told
     fix_rate: float = 4.0  # Hz; a kart goes 5 m between two fixes at 5 Hz
     fix_gap: float = 1.0  # s
     fix_gap_stop_share: float = 0.2  # of the recording spent in gaps
@@ -127,6 +128,9 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
 
 
 def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+    if measures["duration_s"] < limits.shortest:
+        text = f"only {measures['duration_s']:.2g} s of fixes, too short to judge; record a minute"
+        yield Finding("stop", "GPS", text)
     rate = measures["fix_rate_hz"]
     text = f"{counted(int(measures['fixes']), 'fix')} in {measures['duration_s']:.0f} s, {rate:.3g} a second"
     slow = rate < limits.fix_rate

@@ -28,6 +28,20 @@ def with_imu(raw: RawSession, **columns: object) -> RawSession:
     return changed(raw, imu=dataclasses.replace(raw.imu, **columns))  # type: ignore[arg-type]
 
 
+@pytest.fixture(scope="module")
+def still() -> RawSession:
+    """A minute of a kart that stands, engine off, and the seconds in which it starts."""
+    return simulate_preset("kart", 5, duration=70.0, motion_standstill=65.0).raw
+
+
+def first_seconds(raw: RawSession, seconds: float) -> RawSession:
+    assert raw.imu is not None
+    end = raw.gnss.t[0] + seconds + 0.05
+    keep = raw.imu.t <= end
+    columns = {"t": raw.imu.t[keep], "accel": raw.imu.accel[keep], "gyro": raw.imu.gyro[keep], "temperature": None}
+    return with_imu(changed(raw, gnss=raw.gnss.select(raw.gnss.t <= end)), **columns)
+
+
 def texts(result: Check, level: str) -> str:
     return "; ".join(finding.text for finding in result.findings if finding.level == level)
 
@@ -49,6 +63,27 @@ def test_one_outage_is_a_warning_with_its_length(kart: RawSession) -> None:
 def test_a_recording_without_fixes_is_not_good(kart: RawSession) -> None:
     none = changed(kart, gnss=kart.gnss.select(np.zeros(len(kart.gnss), dtype=bool)))
     assert "no GPS fix" in texts(check(none), "stop")
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 9.0])
+def test_a_few_seconds_are_too_short_to_judge(still: RawSession, seconds: float) -> None:
+    result = check(first_seconds(still, seconds))
+    assert not result.is_good
+    assert f"only {seconds:.0f} s of fixes, too short to judge; record a minute" in result.reasons
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0])
+def test_a_few_seconds_without_a_motion_sensor_are_too_short_as_well(still: RawSession, seconds: float) -> None:
+    alone = changed(first_seconds(still, seconds), imu=None, mag=None, inputs=("gps.csv",))
+    assert "too short to judge" in texts(check(alone), "stop")
+
+
+@pytest.mark.parametrize("seconds", [12.0, 60.0])
+def test_a_standing_kart_is_good_to_drive_when_it_was_recorded_for_long_enough(
+    still: RawSession, seconds: float
+) -> None:
+    result = check(first_seconds(still, seconds))
+    assert result.is_good, result.reasons
 
 
 def test_fixes_lost_for_most_of_the_time_are_not_good(kart: RawSession) -> None:
