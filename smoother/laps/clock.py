@@ -36,4 +36,4 @@ def local_day(unix: float) -> str:
 
 
 def _local(unix: float) -> dt.datetime:
-    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone()
+    return dt.datetime.fromtimestamp(round(unix, 3), dt.UTC).astimezone()  # a start at noon is not 11:59:59.999999

@@ -9,6 +9,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
+from smoother.estimate.true_time import unix_at_start
 from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
@@ -51,6 +52,11 @@ class Told:
         return said if said is not None and said.counted else None
 
     @property
+    def started(self) -> float | None:
+        """UTC of the first row, seconds since 1970; None where the receiver never told it."""
+        return unix_at_start(self.session, self.smoothed)
+
+    @property
     def title(self) -> str:
         """What the session is called."""
         return self.session.config.title or self.session.name or "session"
@@ -65,11 +71,11 @@ def speed_cell(speed: float) -> Element:
 
 def header(told: Told) -> Element:
     """Title, who and where, the verdict in a line, and the settings."""
-    config, unix = told.session.config, told.session.unix_at_zero
+    config, started = told.session.config, told.started
     track = told.laps.track if told.laps is not None and told.laps.track else config.track
     pairs = [("driver", config.driver), ("kart", config.kart), ("track", track)]
     said = [f"{name}: {value}" for name, value in pairs if value]
-    said.append(local_day(unix + float(told.smoothed.t[0])) if unix is not None else config.date or "")
+    said.append(local_day(started) if started is not None else config.date or "")
     words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
     if config.notes:
         words.append(element("p", config.notes, class_="soft"))
@@ -140,9 +146,9 @@ def lap_section(told: Told) -> list[Element]:
     laps = told.laps
     if laps is None or not laps.laps:
         return []
-    unix, said = told.session.unix_at_zero, told.statistics
+    started, said = told.started, told.statistics
     official = {one.lap: one for one in laps.official if one.lap is not None}
-    heads = ["lap", *(["started"] if unix is not None else []), "time ± (s)", "gap"]
+    heads = ["lap", *(["started"] if started is not None else []), "time ± (s)", "gap"]
     heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
     top: list[Child] = [
         element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
@@ -151,8 +157,8 @@ def lap_section(told: Told) -> list[Element]:
     rows = []
     for i, lap in enumerate(laps.laps):
         cells: list[Child] = [str(lap.number)]
-        if unix is not None:
-            cells.append(local_time(unix + lap.start))
+        if started is not None:
+            cells.append(local_time(started + lap.start - float(told.smoothed.t[0])))
         is_best = said is not None and said.best_lap == i  # of itself there is no gap
         gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]

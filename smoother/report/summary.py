@@ -8,7 +8,7 @@ import numpy as np
 import smoother
 from smoother.arrays import are_near, median
 from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import unix_at_zero
+from smoother.estimate.true_time import unix_at_start
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Trajectory
@@ -100,7 +100,7 @@ def _about(session: Session, estimate: Trajectory) -> Document:
     return {
         "name": session.name,
         **{key: value for key, value in names.items() if value is not None},
-        "start_utc": _iso(unix_at_zero(session, estimate.report), float(estimate.t[0])),
+        "start_utc": _iso(unix_at_start(session, estimate)),
         "start_s": float(estimate.t[0]),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),
@@ -108,10 +108,10 @@ def _about(session: Session, estimate: Trajectory) -> Document:
     }
 
 
-def _iso(unix_at_zero: float | None, t: float) -> str | None:
-    if unix_at_zero is None:
+def _iso(unix: float | None) -> str | None:
+    if unix is None:
         return None
-    moment = dt.datetime(1970, 1, 1) + dt.timedelta(seconds=unix_at_zero + t)
+    moment = dt.datetime(1970, 1, 1) + dt.timedelta(milliseconds=round(1e3 * unix))
     return moment.isoformat(timespec="milliseconds") + "Z"
 
 

@@ -1,6 +1,8 @@
 """smooth laps and smooth compare as a person calls them, on two short simulated sessions."""
 
+import datetime as dt
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import polars as pl
 import pytest
 
 from smoother.cli.main import run
-from smoother.laps.clock import lap_clock
+from smoother.laps.clock import lap_clock, local_time
 from smoother.sim.track import TRACKS
 
 Captured = pytest.CaptureFixture[str]
@@ -84,6 +86,36 @@ def test_the_table_shows_every_lap_with_its_error_bar(lapped: Path, capsys: Capt
         assert lap_clock(lap["lap_time_s"]) in text
     for word in ("±", "mph", "theoretical", "rolling best", "consistency", "lost in each corner", "out-lap"):
         assert word in text
+
+
+def test_times_of_day_are_the_same_on_every_way_out(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    """The delay of the fixes counts in all of them: here it moves what is shown to the next second."""
+    recording = Path(shutil.copytree(lapped / "saturday", tmp_path / "saturday", ignore=lambda *_: ["smoothed"]))
+    fixes = pl.read_csv(recording / "gps.csv")
+    fixes.with_columns(pl.col("unix_s") - starts_late(lapped)).write_csv(recording / "gps.csv")
+    assert run([str(recording), "--no-baseline", "--no-pictures"]) == 0
+    summary = json.loads((recording / "smoothed" / "summary.json").read_text())
+    about = summary["session"]
+    assert summary["identified"]["gps_position_latency"]["observable"]
+    zero = dt.datetime.fromisoformat(about["start_utc"]).timestamp() - about["start_s"]
+    wanted = [local_time(zero + lap["start_s"]) for lap in summary["laps"]]
+    told = times_of_day(capsys.readouterr().out)
+    assert told == wanted
+    assert run(["laps", str(recording)]) == 0
+    assert times_of_day(capsys.readouterr().out) == wanted
+    assert times_of_day((recording / "smoothed" / "report.html").read_text().partition("<script")[0]) == wanted
+
+
+def starts_late(lapped: Path) -> float:
+    """Seconds by which a session has to be earlier for its first lap to start a moment after a whole second."""
+    summary = json.loads((lapped / "saturday" / "smoothed" / "summary.json").read_text())
+    about = summary["session"]
+    start = dt.datetime.fromisoformat(about["start_utc"]).timestamp() - about["start_s"] + summary["laps"][1]["start_s"]
+    return start % 1.0 - 0.3 * float(summary["identified"]["gps_position_latency"]["value"])
+
+
+def times_of_day(text: str) -> list[str]:
+    return re.findall(r"\b\d\d:\d\d:\d\d\b", text)
 
 
 def test_official_times_are_shown_beside_ours(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
