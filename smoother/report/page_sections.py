@@ -10,7 +10,7 @@ from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_start
-from smoother.laps.clock import local_day, local_time, spread_said
+from smoother.laps.clock import local_day, local_time, local_zone, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
 from smoother.report.page_charts import settings
@@ -146,9 +146,9 @@ def lap_section(told: Told) -> list[Element]:
     laps = told.laps
     if laps is None or not laps.laps:
         return []
-    started, said = told.started, told.statistics
+    started, said = _starts(told), told.statistics
     official = {one.lap: one for one in laps.official if one.lap is not None}
-    heads = ["lap", *(["started"] if started is not None else []), "time ± (s)", "gap"]
+    heads = ["lap", *([f"started ({local_zone(started)})"] if started else []), "time ± (s)", "gap"]
     heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
     top: list[Child] = [
         element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
@@ -157,8 +157,8 @@ def lap_section(told: Told) -> list[Element]:
     rows = []
     for i, lap in enumerate(laps.laps):
         cells: list[Child] = [str(lap.number)]
-        if started is not None:
-            cells.append(local_time(started + lap.start - float(told.smoothed.t[0])))
+        if started:
+            cells.append(local_time(started[i]))
         is_best = said is not None and said.best_lap == i  # of itself there is no gap
         gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
@@ -180,6 +180,13 @@ def lap_section(told: Told) -> list[Element]:
     note = f"{line}{length}± is one sigma. {source_note}Raw GPS: straight lines between fixes."
     made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]
     return [*made, *(element("p", p.text) for p in laps.problems)]
+
+
+def _starts(told: Told) -> list[float]:
+    """UTC at the start of each lap, s since 1970; none where the receiver never told it."""
+    if told.laps is None or told.started is None:
+        return []
+    return [told.started + lap.start - float(told.smoothed.t[0]) for lap in told.laps.laps]
 
 
 def _sector(lap: Lap, k: int) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from smoother.cli.main import run
-from smoother.laps.clock import lap_clock, local_time
+from smoother.laps.clock import lap_clock, local_day, local_time, local_zone
 from smoother.sim.track import TRACKS
 
 Captured = pytest.CaptureFixture[str]
@@ -99,11 +99,14 @@ def test_times_of_day_are_the_same_on_every_way_out(lapped: Path, tmp_path: Path
     assert summary["identified"]["gps_position_latency"]["observable"]
     zero = dt.datetime.fromisoformat(about["start_utc"]).timestamp() - about["start_s"]
     wanted = [local_time(zero + lap["start_s"]) for lap in summary["laps"]]
-    told = times_of_day(capsys.readouterr().out)
-    assert told == wanted
+    zone = local_zone([zero])
+    said = capsys.readouterr().out
+    assert times_of_day(said) == wanted and f"laps, times of day in {zone}\n" in said
     assert run(["laps", str(recording)]) == 0
-    assert times_of_day(capsys.readouterr().out) == wanted
-    assert times_of_day((recording / "smoothed" / "report.html").read_text().partition("<script")[0]) == wanted
+    said = capsys.readouterr().out
+    assert times_of_day(said) == wanted and f"{recording}, times of day in {zone}\n" in said
+    page = (recording / "smoothed" / "report.html").read_text().partition("<script")[0]
+    assert times_of_day(page) == wanted and f"started ({zone})" in page and local_day(zero) in page
 
 
 def starts_late(lapped: Path) -> float:
@@ -158,7 +161,7 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert len(one["lap_analysis"]["corners"]) == len(other["lap_analysis"]["corners"])
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
-    assert "best laps" in text and "lost against" in text
+    assert "best laps, times of day in " in text and "lost against" in text
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
