@@ -210,7 +210,7 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
         *(f"S{i + 1}" for i in range(sectors)),
         "theoretical",
         "spread",
-        f"top {units}",
+        f"best lap's top {units}",
         "",
     ]
     rows = []

@@ -152,7 +152,7 @@ def _or_nothing(part: dict[str, Array], name: str, like: Array) -> Array:
 def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     """The best lap of each session, what it lost, and how even the laps were."""
     sectors = max(one.analysis.sectors for one in compared)
-    top = element("span", "top ", element("span", "km/h", class_="speed-unit"))
+    top = element("span", "best lap's top ", element("span", "km/h", class_="speed-unit"))
     heads: list[Child] = ["session", "started", "laps", "best ± (s)", "lost (s)"]
     heads += [*(f"S{i + 1} ±" for i in range(sectors)), "theoretical", "spread (s)", top]
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)

@@ -162,8 +162,10 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps, times of day in " in text and "lost against" in text
+    assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
+    assert "best lap's top " in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
 
 
