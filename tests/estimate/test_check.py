@@ -8,10 +8,13 @@ import pytest
 from smoother.disc import pieces
 from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
+from smoother.prepare import prepare
+from smoother.report.page import recorded_check
 from smoother.samples import GnssFixes, Problem, RawImu, RawSession
 from smoother.session.clock import describe_time_base, regularize
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import span
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +120,24 @@ def test_gaps_of_the_motion_sensor_are_those_that_the_reader_tells(kart: RawSess
     few = {"t": kart.imu.t[keep], "accel": kart.imu.accel[keep], "gyro": kart.imu.gyro[keep], "temperature": None}
     short = with_imu(kart, **few)
     assert "1 gap, the longest 0.02" in texts(check(short), "ok")
+
+
+def test_gaps_are_one_count_for_the_reader_the_check_and_the_page(kart: RawSession) -> None:
+    """A logger whose clock wanders by half a percent: of stamps evened out, few gaps would be left."""
+    assert kart.imu is not None
+    n, rng = 9000, np.random.default_rng(5)
+    period = 0.01 * (1.0 + 0.005 * np.sin(np.arange(n) / 300.0))
+    period[[900, 2000, 3100, 6000, 7500]] *= [2.2, 1.7, 14.5, 2.5, 1.8]
+    stamps = np.cumsum(period) + rng.uniform(0.0, 0.002, n)
+    base = regularize(stamps)
+    (told,) = (p for p in describe_time_base(base, "imu", "imu.csv") if p.code == "imu_gap")
+    some = {"accel": kart.imu.accel[:n], "gyro": kart.imu.gyro[:n], "temperature": None}
+    read = with_imu(kart, t=base.t, longest_step=base.longest_step, **some)
+    result = check(read)
+    assert result.measures["imu_gaps"] == told.count == 5
+    longest = f"the longest {span(result.measures['imu_gap_longest_s'])}"
+    assert longest in told.text and f"5 gaps, {longest}" in texts(result, "warning")
+    assert recorded_check(prepare(read)).measures["imu_gaps"] == told.count
 
 
 @pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])
