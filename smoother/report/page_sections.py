@@ -17,7 +17,15 @@ from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, top_speed
+from smoother.report.summary import (
+    distance_driven,
+    is_told,
+    known_axes,
+    merged,
+    mounting_angles,
+    smoothing_time,
+    top_speed,
+)
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -440,10 +448,10 @@ def residual_table(told: Told) -> Element:
 _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",
-    "gps_velocity_response": "the same, second order",
+    "gps_velocity_response": "time over which the receiver smooths its speed",
     "lever_arm_b": "antenna from the box: forward, left, up",
     "R_bs": "box in the kart: roll, pitch, yaw",
-    "slip_sigma": "slip, from one hard corner to another",
+    "slip_sigma": "slide of the kart, how it differs between hard corners",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
@@ -452,8 +460,8 @@ _NAMES = {
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",
     "gps_offset_tau": "GPS wander time",
-    "accel_rectification": "push by shaking, by axis of the box",
-    "accel_rectification_by_rate": "push by rocking, by axis of the box",
+    "accel_rectification": "false acceleration by vibration, on each axis of the box",
+    "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
 }
 
 
@@ -468,7 +476,9 @@ def _identified(name: str, found: Identified) -> Element:
     unit, factor, told = found.unit, 1.0, known_axes(name, found)
     if unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
-    if name == "R_bs":
+    if name == "gps_velocity_response" and (time := smoothing_time(found)) is not None:
+        unit, (values, errors) = "s", ([time[0]], [time[1]])
+    elif name == "R_bs":
         unit, (values, errors) = "deg", mounting_angles(found)
     else:
         values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))
