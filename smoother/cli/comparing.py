@@ -191,7 +191,7 @@ def show(compared: list[Compared], units: str) -> None:
     for one in compared:
         if not any(lap.is_timed for lap in one.analysis.laps):
             warn(f"{one.name}: no whole lap on the reference line")
-    starts = [start for one in compared if (start := _start(one)) is not None]
+    starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
     say_columns(f"best laps{zone}", *_best_table(compared, units))
     say("")
@@ -228,16 +228,10 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
                 "in noise" if said.spread == 0.0 else number(said.spread, 3),
                 number(lap.top_speed / SPEED_UNITS[units], 1),
             ]
-        start = _start(one)
+        start = one.start
         started = "-" if start is None else local_time(start)
         rows.append([started, str(0 if said is None else said.counted), *cells, one.name])
     return header, rows
-
-
-def _start(one: Compared) -> float | None:
-    """UTC of the first row, s since 1970, None where unknown."""
-    unix = one.stored.unix_at_zero
-    return None if unix is None else unix + float(one.stored.trajectory.t[0])
 
 
 def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]:

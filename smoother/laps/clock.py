@@ -31,9 +31,9 @@ def local_time(unix: float) -> str:
     return _local(unix).strftime("%H:%M:%S")
 
 
-def local_day(unix: float) -> str:
+def local_day(unix: float, with_zone: bool = True) -> str:
     """Return the day and time of day as this machine would have shown them, with its zone: 2024-05-01 14:03 CEST."""
-    return _local(unix).strftime("%Y-%m-%d %H:%M %Z")
+    return _local(unix).strftime("%Y-%m-%d %H:%M %Z" if with_zone else "%Y-%m-%d %H:%M")
 
 
 def local_zone(moments: Iterable[float]) -> str:

@@ -165,7 +165,7 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
-    assert "best lap's top " in page.read_text(encoding="utf-8")
+    assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
 
 

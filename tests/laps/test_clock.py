@@ -23,6 +23,7 @@ def in_berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_a_moment_that_is_noon_but_for_rounding_is_noon(seconds: float) -> None:
     assert local_time(NOON + seconds) == "12:00:00"
     assert local_day(NOON + seconds) == "2026-05-16 12:00 CEST"
+    assert local_day(NOON + seconds, with_zone=False) == "2026-05-16 12:00"
     assert local_time(NOON - 0.001) == "11:59:59"
 
 
