@@ -2,7 +2,13 @@
 
 
 class SmootherError(Exception):
-    """Base of all errors that a person can mend; the command line prints them in one line and exits with 2."""
+    """Base of all errors that a person can mend; the command line prints them in one line and exits with 2.
+
+    Texts quote files: whatever they hold, a message has no control characters.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__("".join(c if c.isprintable() else " " for c in text))
 
 
 class SessionError(SmootherError):

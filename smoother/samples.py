@@ -36,7 +36,8 @@ class RawImu:
     """Inertial samples as logged. t (N,) s; accel, gyro (N, 3) counts in s; temperature (N,) deg C, NaN where unknown.
 
     accel_scale is m/s^2 per count, gyro_scale rad/s per count (1.0 for files in SI). Full scale in SI, or None if
-    the file does not say; clipping is judged by it.
+    the file does not say; clipping is judged by it. longest_step s: in a longer interval samples were lost, as the
+    reader found from the stamps before it evened them out; None where nobody looked.
     """
 
     t: Array
@@ -47,6 +48,7 @@ class RawImu:
     accel_full_scale: float | None = None
     gyro_full_scale: float | None = None
     temperature: Array | None = None
+    longest_step: float | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), accel=(len(self.t), 3), gyro=(len(self.t), 3))
@@ -71,7 +73,7 @@ class RawMag:
 class ImuSamples:
     """Calibrated inertial samples. t (N,) s; specific_force_s (N, 3) m/s^2; angular_rate_s (N, 3) rad/s; axes s.
 
-    A sample holds the mean over the interval that ends at its time. Full scales as in :class:`RawImu`.
+    A sample holds the mean over the interval that ends at its time. Full scales and longest_step as in :class:`RawImu`.
     """
 
     t: Array
@@ -79,6 +81,7 @@ class ImuSamples:
     angular_rate_s: Array
     accel_full_scale: float | None = None
     gyro_full_scale: float | None = None
+    longest_step: float | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
@@ -93,6 +96,7 @@ class ImuSamples:
             self.angular_rate_s[i:j],
             self.accel_full_scale,
             self.gyro_full_scale,
+            self.longest_step,
         )
 
 

@@ -5,12 +5,20 @@ import math
 import re
 from collections.abc import Sequence
 
+UNREADABLE = "\ufffd"  # what a decoder leaves of bytes that are no character
 MOST_DIGITS = 7  # behind the point; a sigma below a millionth is that of something exact
 
 
 def counted(count: int, noun: str) -> str:
     """Return '1 row' or '2 rows', '2 fixes'."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('x') else 's'}"
+
+
+def listed(names: Sequence[str], most: int = 12, longest: int = 24) -> str:
+    """Return names out of a file with commas between, the first and the beginnings of long ones, fit to be shown."""
+    shown = ("".join(c if c.isprintable() and c != UNREADABLE else "?" for c in name) for name in names[:most])
+    parts = [name if len(name) <= longest else name[: longest - 2] + ".." for name in shown]
+    return ", ".join([*parts, ".."] if len(names) > most else parts)
 
 
 def duration(seconds: float) -> str:

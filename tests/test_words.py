@@ -2,7 +2,8 @@
 
 import pytest
 
-from smoother.words import counted, duration, repeated, span
+from smoother.errors import SessionError
+from smoother.words import counted, duration, listed, repeated, span
 
 
 @pytest.mark.parametrize(
@@ -40,3 +41,12 @@ def test_a_gap_has_three_digits_or_is_a_length_of_time(seconds: float, text: str
 )
 def test_how_often_is_said_once(text: str, count: int, said: str) -> None:
     assert repeated(text, count) == said
+
+
+def test_names_of_a_file_are_shown_shortened() -> None:
+    assert listed(["t_s", "a\x07b", "x" * 30]) == f"t_s, a?b, {'x' * 22}.."
+    assert listed([f"c{i}" for i in range(14)]) == ", ".join(f"c{i}" for i in range(12)) + ", .."
+
+
+def test_an_error_quotes_no_control_characters() -> None:
+    assert str(SessionError("gps.csv: \x1b[31mred\nmore")) == "gps.csv:  [31mred more"

@@ -80,7 +80,7 @@ def _run(task: Task, stop: threading.Event, command: Sequence[str]) -> Ended:
     """Run the process to its end, or to that of its time. Raises Stopped, OSError."""
     call = [sys.executable, *command, str(task.session), "--out", str(task.out), *task.arguments]
     surroundings = {**os.environ, **dict.fromkeys(threads.VARIABLES, "1"), "PYTHONFAULTHANDLER": "1", "NO_COLOR": "1"}
-    start = time.monotonic()
+    start, new = time.monotonic(), _not_there(task.out)
     with tempfile.TemporaryFile() as words:
         process = subprocess.Popen(
             call,
@@ -94,7 +94,7 @@ def _run(task: Task, stop: threading.Event, command: Sequence[str]) -> Ended:
             _limit(process.pid, task.limits)
             usage, is_late = _wait(process, start + task.limits.seconds, stop)
         finally:
-            _clear(process, task.out)
+            _clear(process, task.out, new)
         cost = Cost(time.monotonic() - start, usage.ru_utime + usage.ru_stime, _megabytes(usage))
         return Ended(process.returncode, is_late or process.returncode == -signal.SIGXCPU, cost, _last_of(words))
 
@@ -132,12 +132,20 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         process.kill()
 
 
-def _clear(process: subprocess.Popen[bytes], out: Path) -> None:
-    """End the process if it still runs, and remove what it had begun to write."""
+def _not_there(folder: Path) -> list[Path]:
+    """A folder and those above it that have still to be made, the deepest first."""
+    return [one for one in (folder, *folder.parents) if not one.exists()]
+
+
+def _clear(process: subprocess.Popen[bytes], out: Path, new: Sequence[Path]) -> None:
+    """End the process if it still runs, and remove what it had begun to write, of `new` folders those left empty."""
     if process.returncode is None:
         _kill(process)
         process.wait()
     shutil.rmtree(out / f"{STAGING}{process.pid}", ignore_errors=True)
+    with contextlib.suppress(OSError):  # the first that holds something, or was not made, ends it
+        for folder in new:
+            folder.rmdir()
 
 
 def _megabytes(usage: resource.struct_rusage) -> float:

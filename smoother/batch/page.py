@@ -19,7 +19,7 @@ from smoother.laps.clock import local_day
 from smoother.report.page_html import Child, element, row, table, whole_page
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.units import KMH
-from smoother.words import counted
+from smoother.words import counted, duration
 
 STATES = {
     "done": "ok",
@@ -92,8 +92,8 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     karts = {entry.kart for entry in entries if entry.counts and entry.kart}
     cards.append(_card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
     metres = sum(entry.facts.distance_m or 0.0 for entry in entries)
-    hours = sum(entry.facts.duration_s or 0.0 for entry in entries) / 3600.0
-    cards.append(_card("Driven", f"{metres / 1000.0:.1f} km", f"in {hours:.1f} h"))
+    lasts = sum(entry.facts.duration_s or 0.0 for entry in entries)
+    cards.append(_card("Driven", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
     return element("section", element("dl", *cards, class_="cards"), id="summary")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from smoother.cli.commands import COMMAND_NAMES
+from smoother.cli.output import warn
 from smoother.errors import UsageError
 
 EXIT_DONE, EXIT_UNUSABLE, EXIT_QUALITY, EXIT_INTERRUPTED = 0, 2, 3, 130  # 1 is Python's own, for bugs; 130 the shell's
@@ -37,6 +38,19 @@ def require_sessions(sessions: tuple[Path, ...], command: str) -> None:
             )
         near = difflib.get_close_matches(str(path), [*COMMAND_NAMES, *_neighbours(path)], n=1)
         raise UsageError(f"{path}: no such file or folder" + (f"; did you mean {near[0]}?" if near else ""))
+
+
+def each_once(sessions: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return the sessions without those that were named before, by whatever path; says so in a line."""
+    names: dict[Path, list[str]] = {}
+    for path in sessions:
+        names.setdefault(path.resolve(), []).append(str(path))
+    for first, *more in names.values():
+        if more:
+            others = dict.fromkeys(name for name in more if name != first)
+            also = f" (also as {', '.join(others)})" if others else ""
+            warn(f"{first}: named {len(more) + 1} times{also}; taken once")
+    return tuple(Path(first) for first, *_ in names.values())
 
 
 def _neighbours(path: Path) -> list[str]:

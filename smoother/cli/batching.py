@@ -24,6 +24,7 @@ from smoother.cli.arguments import (
 from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, say_pairs, say_table, warn
 from smoother.errors import UsageError
 from smoother.laps.clock import lap_clock
+from smoother.words import counted
 
 if TYPE_CHECKING:
     from smoother.batch.entries import Entry
@@ -126,12 +127,16 @@ def _title(folders: tuple[Path, ...]) -> str:
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Let a closed terminal or a polite kill stop the batch as Ctrl-C does: in order."""
+    """Let Ctrl-C, a closed terminal or a polite kill stop the batch at once and in order.
+
+    Ctrl-C too, although Python has a way for it: a library (polars) puts its own before that, under which a wait for a
+    session goes on to the end of the session.
+    """
 
     def stop(_: int, __: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
     finally:
@@ -162,9 +167,24 @@ def run(tasks: list[Task], plan: Plan, again: bool, quiet: bool) -> tuple[list[E
                 if time.monotonic() - written > INDEX_EVERY:
                     _write(entries, plan)
                     written = time.monotonic()
+    except KeyboardInterrupt as error:
+        click.echo(err=True)  # behind the ^C of the terminal
+        if not again:  # one may have ended while it was stopped
+            entries |= {task.session: Entry(task, finished(task)) for task in _without_outcome(entries)}
+        raise click.Abort(_stopped(list(entries.values()), again)) from error
     finally:
         document = _write(entries, plan)
     return list(entries.values()), document
+
+
+def _without_outcome(entries: dict[Path, Entry]) -> list[Task]:
+    return [entry.task for entry in entries.values() if entry.outcome is None]
+
+
+def _stopped(entries: list[Entry], again: bool) -> str:
+    done = sum(entry.outcome is not None and entry.outcome.has_results for entry in entries)
+    command = "the same command without --again" if again else "the same command"
+    return f"stopped; {done} of {counted(len(entries), 'session')} done. {command.capitalize()} does the rest"
 
 
 def _outcomes(tasks: list[Task], plan: Plan) -> Generator[tuple[Task, Outcome], None, None]:

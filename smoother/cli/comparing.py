@@ -16,7 +16,7 @@ from smoother.cli.output import number, plain, progress_on_terminal, say, say_js
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
-from smoother.laps.clock import lap_clock, local_time
+from smoother.laps.clock import lap_clock, local_time, local_zone
 
 if TYPE_CHECKING:
     from smoother.laps.results import Lap, LapAnalysis, ReferenceLap
@@ -191,7 +191,9 @@ def show(compared: list[Compared], units: str) -> None:
     for one in compared:
         if not any(lap.is_timed for lap in one.analysis.laps):
             warn(f"{one.name}: no whole lap on the reference line")
-    say_columns("best laps", *_best_table(compared, units))
+    starts = [start for one in compared if (start := one.start) is not None]
+    zone = f", times of day in {local_zone(starts)}" if starts else ""
+    say_columns(f"best laps{zone}", *_best_table(compared, units))
     say("")
     say_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
     say("")
@@ -208,14 +210,13 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
         *(f"S{i + 1}" for i in range(sectors)),
         "theoretical",
         "spread",
-        f"top {units}",
+        f"best lap's top {units}",
         "",
     ]
     rows = []
     for one in compared:
         said, laps = one.analysis.statistics, one.analysis.laps
         lap = None if said is None or said.best_lap is None else laps[said.best_lap]
-        unix = one.stored.unix_at_zero
         cells = ["-"] * (2 + sectors + 3)
         if said is not None and lap is not None:
             cells = [
@@ -227,8 +228,9 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
                 "in noise" if said.spread == 0.0 else number(said.spread, 3),
                 number(lap.top_speed / SPEED_UNITS[units], 1),
             ]
-        start = "-" if unix is None else local_time(unix + float(one.stored.trajectory.t[0]))
-        rows.append([start, str(0 if said is None else said.counted), *cells, one.name])
+        start = one.start
+        started = "-" if start is None else local_time(start)
+        rows.append([started, str(0 if said is None else said.counted), *cells, one.name])
     return header, rows
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from smoother.cli.output import number, say, say_pairs
-from smoother.laps.clock import lap_clock, local_time, spread_said
+from smoother.laps.clock import lap_clock, local_time, local_zone, spread_said
 from smoother.units import KMH, MPH
 from smoother.words import counted
 
@@ -30,6 +30,8 @@ def show_laps(
 ) -> None:
     """Print a row for every lap, and best, theoretical and rolling best, consistency, official times."""
     if laps:
+        if unix_at_zero is not None:
+            title += f", times of day in {local_zone(unix_at_zero + lap['start_s'] for lap in laps)}"
         say_columns(title, *lap_table(laps, analysis, unix_at_zero, units))
     odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:

@@ -67,7 +67,8 @@ def laps(
     """Show laps and sectors of a session, each time with one sigma; it is smoothed first where that was not done.
 
     Without --line it is the start/finish line of session.toml's track, else one that was found where timing is surest.
-    Times of day are those of this computer's time zone. --json has the laps as summary.json has them.
+    Times of day are those of this computer's time zone, which stands above them. --json has the laps as
+    summary.json has them.
     """
     require_sessions(sessions, "smooth laps")
     documents, passed = [], True

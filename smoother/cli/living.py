@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
 @click.option("--record", metavar="DIR", type=click.Path(path_type=Path), help="Write a session that smooth accepts.")
 @click.option("--headless", is_flag=True, help="Show nothing.")
-@click.option("--json", "as_json", is_flag=True, help="One line of JSON a second on stdout; implies --headless.")
+@click.option("--json", "as_json", is_flag=True, help="A line of JSON a second (of wall time); implies --headless.")
 @click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
 @click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
 @click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found after two laps].")

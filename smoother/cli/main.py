@@ -44,8 +44,8 @@ def run(arguments: Sequence[str]) -> int:
         warn(str(error))
     except click.ClickException as error:
         warn(f"{error.format_message()} (see `{name} --help`)")
-    except (click.Abort, KeyboardInterrupt):
-        warn("stopped")
+    except (click.Abort, KeyboardInterrupt) as error:
+        warn(str(error) or "stopped")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # the reader of our stdout has gone (`smooth ... | head`); keep Python from complaining about it at exit

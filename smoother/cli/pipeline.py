@@ -283,7 +283,7 @@ def write(
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
     from smoother.disc import settle
-    from smoother.estimate.true_time import unix_at_zero
+    from smoother.estimate.true_time import unix_at_start, unix_at_zero
     from smoother.laps.document import lap_table
     from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
 
@@ -309,7 +309,9 @@ def write(
     settle(smoothed, baseline)
     document = _summary(estimates, options, watch)
     write_json(directory / SUMMARY, document)
-    return Result(document, estimates.quality, directory, main_file, session.unix_at_zero)
+    start = unix_at_start(session, smoothed)
+    zero = None if start is None else start - float(smoothed.t[0])
+    return Result(document, estimates.quality, directory, main_file, zero)
 
 
 def _write_figures(shown: Estimates | None, title: str, directory: Path, options: Options, progress: Progress) -> None:

@@ -11,6 +11,7 @@ from smoother.cli.arguments import (
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
+    each_once,
     json_option,
     recording_option,
     require_sessions,
@@ -83,6 +84,7 @@ def smooth(
 ) -> int:
     """Smooth sessions; the text people read is HELP."""
     require_sessions(sessions, "smooth")
+    sessions = each_once(sessions)
     options = Options(rate, solver, not no_baseline, not no_figures, not no_pictures)
     outcomes: list[Result | SmootherError] = []
     places = zip(sessions, output_directories(out, sessions), strict=True)

@@ -28,12 +28,10 @@ _NAMES = {
     "imu_clock_drift": "samples' clock, fast by",
     "gps_offset_sigma": "GPS wander",
     "gps_offset_tau": "GPS wander time",
-    "accel_rectification": "push by shaking",
-    "accel_rectification_by_rate": "push by rocking",
+    "accel_rectification": "vibration offset",
+    "accel_rectification_by_rate": "rocking offset",
 }
-# drivers need not ask; most boxes show none of the others
-_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")
-_ONLY_IF_SEEN = ("accel_rectification", "accel_rectification_by_rate", "accel_delay", "imu_clock_drift")
+_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")  # drivers need not ask
 
 
 def show_result(result: Result, path: Path | None = None) -> None:
@@ -50,9 +48,7 @@ def show_result(result: Result, path: Path | None = None) -> None:
         pairs.append(("sure to", _sigma(document["sigma_median"])))
     pairs += _calibrated(document["calibration"])
     for name, identified in document["identified"].items():
-        if name in _ONLY_ON_THE_PAGE or (name in _ONLY_IF_SEEN and not identified.observable):
-            continue
-        if not is_told(name, identified, document["mode"]):
+        if name in _ONLY_ON_THE_PAGE or not is_told(name, identified, document["mode"]):
             continue
         pairs.append((_NAMES.get(name, name.replace("_", " ").replace("gps", "GPS")), _identified(name, identified)))
     problems: list[Problem] = document["problems"]

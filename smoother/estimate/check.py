@@ -13,10 +13,10 @@ from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.estimate.align import PathMotion, align
 from smoother.samples import DEAD_AXES, GnssFixes, ImuSamples, RawImu, RawMag, RawSession
-from smoother.session.clock import find_gaps, regularize
+from smoother.session.clock import regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
-from smoother.words import counted
+from smoother.words import counted, span
 
 SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slower is the kart's motion
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
@@ -30,6 +30,7 @@ _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that 
 class CheckLimits:
     """What is asked of a recording, each number with its unit; `stop` is where the data becomes useless."""
 
+    shortest: float = 10.0  # s of fixes; of less, hardly a rate can be told
     fix_rate: float = 4.0  # Hz; a kart goes 5 m between two fixes at 5 Hz
     fix_gap: float = 1.0  # s
     fix_gap_stop_share: float = 0.2  # of the recording spent in gaps
@@ -109,15 +110,15 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
     if len(fixes) < 2:
         text = "no GPS fix; wait in the open until the receiver has found its satellites"
         return _Part([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
-    span, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
+    lasts, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
     interval, gaps = _interval_and_gaps(fixes.t, limit)
     measures = {
-        "duration_s": span,
+        "duration_s": lasts,
         "fixes": float(len(fixes)),
         "fix_rate_hz": 1.0 / interval,
         "fix_gaps": float(gaps.size),
         "fix_gap_longest_s": float(np.max(gaps, initial=0.0)),
-        "fix_gap_share": float(np.sum(gaps)) / span,
+        "fix_gap_share": float(np.sum(gaps)) / lasts,
         "accuracy_median_m": _median(fixes.sigma_horizontal),
         "satellites_median": _median(_known_satellites(fixes)),
         "speed_known_share": float(np.mean(np.isfinite(fixes.velocity_n[:, 0]))),
@@ -127,6 +128,9 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
 
 
 def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+    if measures["duration_s"] < limits.shortest:
+        text = f"only {measures['duration_s']:.2g} s of fixes, too short to judge; record a minute"
+        yield Finding("stop", "GPS", text)
     rate = measures["fix_rate_hz"]
     text = f"{counted(int(measures['fixes']), 'fix')} in {measures['duration_s']:.0f} s, {rate:.3g} a second"
     slow = rate < limits.fix_rate
@@ -153,18 +157,15 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part
         return _Part([Finding("warning", "IMU", text)], {})
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
-    base = regularize(imu.t)
-    first = np.flatnonzero(find_gaps(base))
-    gaps = base.t[first + 1] - base.t[first]
-    span = float(imu.t[-1] - imu.t[0])
-    interval = (span - float(np.sum(gaps))) / max(len(imu.t) - 1 - gaps.size, 1)
+    lasts = float(imu.t[-1] - imu.t[0])
+    interval, gaps = _samples_and_gaps(imu)
     force = _motion(imu.accel, imu.accel_scale, interval, imu.accel_full_scale, SMALLEST_ACCEL_RANGE)
     turn = _motion(imu.gyro, imu.gyro_scale, interval, imu.gyro_full_scale, SMALLEST_GYRO_RANGE)
     measures = {
         "imu_rate_hz": 1.0 / interval,
         "imu_gaps": float(gaps.size),
         "imu_gap_longest_s": float(np.max(gaps, initial=0.0)),
-        "imu_gap_share": float(np.sum(gaps - base.period)) / span if gaps.size else 0.0,
+        "imu_gap_share": float(np.sum(gaps - interval)) / lasts,
         "accel_clipped_share": force.clipped,
         "gyro_clipped_share": turn.clipped,
         "accel_vibration_mps2": force.vibration,
@@ -183,7 +184,7 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
     if measures["imu_gaps"]:
         lost = measures["imu_gap_share"] > limits.imu_gap_stop_share
         long = measures["imu_gap_longest_s"] > limits.imu_gap
-        text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {measures['imu_gap_longest_s']:.2f} s"
+        text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {span(measures['imu_gap_longest_s'])}"
         level = "stop" if lost else "warning" if long else "ok"
         yield Finding(level, "IMU", text + ("; try another card" if lost or long else ", of samples that were lost"))
 
@@ -236,6 +237,17 @@ def _check_axes(fixes: GnssFixes, imu: RawImu) -> _Part:
     samples = ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
     found = align(samples, PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
     return _Part([Finding("stop", "IMU", problem.text) for problem in found.problems], {})
+
+
+def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
+    """Mean interval of samples (s), and the intervals in which some were lost, by the reader's measure where it looked.
+
+    Stamps that it has evened out already would tell another.
+    """
+    if imu.longest_step is not None:
+        return _interval_and_gaps(imu.t, imu.longest_step)
+    base = regularize(imu.t)
+    return _interval_and_gaps(base.t, base.longest_step)
 
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:

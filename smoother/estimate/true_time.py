@@ -43,6 +43,15 @@ def unix_at_zero(session: Session, report: EstimateReport) -> float | None:
     return by_stamps + latency.value
 
 
+def unix_at_start(session: Session, smoothed: Trajectory) -> float | None:
+    """UTC, seconds since 1970, of the first row, to the millisecond as results store it; None where nothing tells it.
+
+    Wherever a time of day is shown it is reckoned from here, so that it is the same in all places.
+    """
+    at_zero = unix_at_zero(session, smoothed.report)
+    return None if at_zero is None else round(at_zero + float(smoothed.t[0]), 3)
+
+
 def clock_problems(session: Session) -> tuple[Problem, ...]:
     """What is to be said of a clock that makes laps look longer or shorter than they were."""
     slope, lasts = _against_utc(session)

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import math
+from collections.abc import Iterable
 
 
 def lap_clock(seconds: float | None, digits: int = 3, unknown: str = "-") -> str:
@@ -26,14 +27,19 @@ def spread_said(spread: float | None, unknown: str = "-") -> str:
 
 
 def local_time(unix: float) -> str:
-    """Return the time of day as the clock of this machine would have shown it, 14:03:21."""
+    """Return the time of day as the clock of this machine would have shown it, 14:03:21; see :func:`local_zone`."""
     return _local(unix).strftime("%H:%M:%S")
 
 
-def local_day(unix: float) -> str:
-    """Return the day and time of day as this machine would have shown them, 2024-05-01 14:03."""
-    return _local(unix).strftime("%Y-%m-%d %H:%M")
+def local_day(unix: float, with_zone: bool = True) -> str:
+    """Return the day and time of day as this machine would have shown them, with its zone: 2024-05-01 14:03 CEST."""
+    return _local(unix).strftime("%Y-%m-%d %H:%M %Z" if with_zone else "%Y-%m-%d %H:%M")
+
+
+def local_zone(moments: Iterable[float]) -> str:
+    """Return the zone of times of day of this machine, CEST; CEST/CET where the clock was changed between them."""
+    return "/".join(dict.fromkeys(_local(unix).strftime("%Z") for unix in moments))
 
 
 def _local(unix: float) -> dt.datetime:
-    return dt.datetime.fromtimestamp(unix, dt.UTC).astimezone()
+    return dt.datetime.fromtimestamp(round(unix, 3), dt.UTC).astimezone()  # a start at noon is not 11:59:59.999999

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.laps.clock import local_day
+from smoother.laps.clock import local_day, local_zone
 from smoother.laps.results import Corner, LapAnalysis, Statistics, Traces
 from smoother.laps.sigma import least_real
 from smoother.laps.stored import Stored
@@ -57,6 +57,12 @@ class Compared:
         """Figures of the laps that count, None where none does."""
         said = self.analysis.statistics
         return said if said is not None and said.best_lap is not None else None
+
+    @property
+    def start(self) -> float | None:
+        """UTC of the first row, s since 1970; None where unknown."""
+        unix = self.stored.unix_at_zero
+        return None if unix is None else unix + float(self.stored.trajectory.t[0])
 
 
 def write_comparison(path: Path, compared: Sequence[Compared]) -> None:
@@ -153,18 +159,26 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     """The best lap of each session, what it lost, and how even the laps were."""
     sectors = max(one.analysis.sectors for one in compared)
     top = element("span", "top ", element("span", "km/h", class_="speed-unit"))
-    heads: list[Child] = ["session", "started", "laps", "best ± (s)", "lost (s)"]
+    starts = [start for one in compared if (start := one.start) is not None]
+    heads: list[Child] = [
+        "session",
+        f"started ({local_zone(starts)})" if starts else "started",
+        "laps",
+        "best ± (s)",
+        "lost (s)",
+    ]
     heads += [*(f"S{i + 1} ±" for i in range(sectors)), "theoretical", "spread (s)", top]
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     rows = [_best_row(one, sectors, least) for one in compared]
-    note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma."
+    note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma. "
+    note += "Top speed: of the best lap, not of the session."
     told = table(heads, rows, class_="tight")
     return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told]
 
 
 def _best_row(one: Compared, sectors: int, least: float) -> Element:
-    said, unix = one.statistics, one.stored.unix_at_zero
-    started = DASH if unix is None else local_day(unix + float(one.stored.trajectory.t[0]))
+    said, start = one.statistics, one.start
+    started = DASH if start is None else local_day(start, with_zone=False)
     if said is None or said.best_lap is None:
         return row(one.name, started, "0", *[DASH] * (sectors + 5), class_="out")
     lap = one.analysis.laps[said.best_lap]

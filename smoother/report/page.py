@@ -58,7 +58,9 @@ def recorded_check(session: Session) -> Check:
     raw_imu = None
     if imu is not None:
         reach = imu.accel_full_scale, imu.gyro_full_scale
-        raw_imu = RawImu(imu.t, imu.specific_force_s, imu.angular_rate_s, 1.0, 1.0, *reach)
+        raw_imu = RawImu(
+            imu.t, imu.specific_force_s, imu.angular_rate_s, 1.0, 1.0, *reach, longest_step=imu.longest_step
+        )
     raw_mag = None if mag is None else RawMag(mag.t, mag.field_s)
     return check(RawSession(session.name, session.gnss, raw_imu, raw_mag))
 

@@ -9,14 +9,23 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
-from smoother.laps.clock import local_day, local_time, spread_said
+from smoother.estimate.true_time import unix_at_start
+from smoother.laps.clock import local_day, local_time, local_zone, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, top_speed
+from smoother.report.summary import (
+    distance_driven,
+    is_told,
+    known_axes,
+    merged,
+    mounting_angles,
+    smoothing_time,
+    top_speed,
+)
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -51,6 +60,11 @@ class Told:
         return said if said is not None and said.counted else None
 
     @property
+    def started(self) -> float | None:
+        """UTC of the first row, seconds since 1970; None where the receiver never told it."""
+        return unix_at_start(self.session, self.smoothed)
+
+    @property
     def title(self) -> str:
         """What the session is called."""
         return self.session.config.title or self.session.name or "session"
@@ -65,11 +79,11 @@ def speed_cell(speed: float) -> Element:
 
 def header(told: Told) -> Element:
     """Title, who and where, the verdict in a line, and the settings."""
-    config, unix = told.session.config, told.session.unix_at_zero
+    config, started = told.session.config, told.started
     track = told.laps.track if told.laps is not None and told.laps.track else config.track
     pairs = [("driver", config.driver), ("kart", config.kart), ("track", track)]
     said = [f"{name}: {value}" for name, value in pairs if value]
-    said.append(local_day(unix + float(told.smoothed.t[0])) if unix is not None else config.date or "")
+    said.append(local_day(started) if started is not None else config.date or "")
     words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
     if config.notes:
         words.append(element("p", config.notes, class_="soft"))
@@ -140,9 +154,9 @@ def lap_section(told: Told) -> list[Element]:
     laps = told.laps
     if laps is None or not laps.laps:
         return []
-    unix, said = told.session.unix_at_zero, told.statistics
+    started, said = _starts(told), told.statistics
     official = {one.lap: one for one in laps.official if one.lap is not None}
-    heads = ["lap", *(["started"] if unix is not None else []), "time ± (s)", "gap"]
+    heads = ["lap", *([f"started ({local_zone(started)})"] if started else []), "time ± (s)", "gap"]
     heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
     top: list[Child] = [
         element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
@@ -151,8 +165,8 @@ def lap_section(told: Told) -> list[Element]:
     rows = []
     for i, lap in enumerate(laps.laps):
         cells: list[Child] = [str(lap.number)]
-        if unix is not None:
-            cells.append(local_time(unix + lap.start))
+        if started:
+            cells.append(local_time(started[i]))
         is_best = said is not None and said.best_lap == i  # of itself there is no gap
         gap = lap.time - said.best if said is not None and lap.is_valid and not is_best else np.nan
         cells += [time_cell(lap.time, lap.sigma), number(gap, 3, signed=True)]
@@ -174,6 +188,13 @@ def lap_section(told: Told) -> list[Element]:
     note = f"{line}{length}± is one sigma. {source_note}Raw GPS: straight lines between fixes."
     made = [element("h2", "Laps", id="laps"), element("p", note, class_="soft"), table(top, rows)]
     return [*made, *(element("p", p.text) for p in laps.problems)]
+
+
+def _starts(told: Told) -> list[float]:
+    """UTC at the start of each lap, s since 1970; none where the receiver never told it."""
+    if told.laps is None or told.started is None:
+        return []
+    return [told.started + lap.start - float(told.smoothed.t[0]) for lap in told.laps.laps]
 
 
 def _sector(lap: Lap, k: int) -> tuple[float, float]:
@@ -427,10 +448,10 @@ def residual_table(told: Told) -> Element:
 _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",
-    "gps_velocity_response": "the same, second order",
+    "gps_velocity_response": "time over which the receiver smooths its speed",
     "lever_arm_b": "antenna from the box: forward, left, up",
     "R_bs": "box in the kart: roll, pitch, yaw",
-    "slip_sigma": "slip, from one hard corner to another",
+    "slip_sigma": "slide of the kart, how it differs between hard corners",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
@@ -439,8 +460,8 @@ _NAMES = {
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",
     "gps_offset_tau": "GPS wander time",
-    "accel_rectification": "push by shaking, by axis of the box",
-    "accel_rectification_by_rate": "push by rocking, by axis of the box",
+    "accel_rectification": "false acceleration by vibration, on each axis of the box",
+    "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
 }
 
 
@@ -455,7 +476,9 @@ def _identified(name: str, found: Identified) -> Element:
     unit, factor, told = found.unit, 1.0, known_axes(name, found)
     if unit.startswith("rad"):
         unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
-    if name == "R_bs":
+    if name == "gps_velocity_response" and (time := smoothing_time(found)) is not None:
+        unit, (values, errors) = "s", ([time[0]], [time[1]])
+    elif name == "R_bs":
         unit, (values, errors) = "deg", mounting_angles(found)
     else:
         values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))

@@ -8,7 +8,7 @@ import numpy as np
 import smoother
 from smoother.arrays import are_near, median
 from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import unix_at_zero
+from smoother.estimate.true_time import unix_at_start
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Trajectory
@@ -17,7 +17,16 @@ from smoother.units import DEG
 Document = dict[str, object]
 
 SURE_SPEED = 0.1  # of a speed: one that is less sure than that and than others is an error of the fixes
+CLEARLY = 2.0  # sigma
 NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
+# says nothing but where a session shows it: most boxes have none
+ONLY_IF_SEEN = (
+    "gps_velocity_response",
+    "accel_rectification",
+    "accel_rectification_by_rate",
+    "accel_delay",
+    "imu_clock_drift",
+)
 OF_THE_IMU = ("lever_arm_b", "R_bs", "accel_noise", "gyro_noise")
 
 
@@ -55,7 +64,22 @@ def merged(problems: list[Problem]) -> list[Problem]:
 
 def is_told(name: str, found: Identified, mode: str) -> bool:
     """Whether an identified value says something: of fixes alone, those of the inertial sensor stand for nothing."""
+    if name in ONLY_IF_SEEN and found.source == "default":
+        return False
+    if name == "gps_velocity_response":
+        return smoothing_time(found) is not None
     return mode != "gps-only" or name not in OF_THE_IMU or found.source != "default"
+
+
+def smoothing_time(found: Identified) -> tuple[float, float] | None:
+    """Return over which time a receiver smooths its speed, and its sigma, s; None where it does not clearly.
+
+    found: `gps_velocity_response`, half the square of that time.
+    """
+    if not (isinstance(found.value, float) and isinstance(found.sigma, float) and found.value > CLEARLY * found.sigma):
+        return None
+    time = float(np.sqrt(2.0 * found.value))
+    return time, found.sigma / time
 
 
 def known_axes(name: str, found: Identified) -> slice:
@@ -100,7 +124,7 @@ def _about(session: Session, estimate: Trajectory) -> Document:
     return {
         "name": session.name,
         **{key: value for key, value in names.items() if value is not None},
-        "start_utc": _iso(unix_at_zero(session, estimate.report), float(estimate.t[0])),
+        "start_utc": _iso(unix_at_start(session, estimate)),
         "start_s": float(estimate.t[0]),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),
@@ -108,10 +132,10 @@ def _about(session: Session, estimate: Trajectory) -> Document:
     }
 
 
-def _iso(unix_at_zero: float | None, t: float) -> str | None:
-    if unix_at_zero is None:
+def _iso(unix: float | None) -> str | None:
+    if unix is None:
         return None
-    moment = dt.datetime(1970, 1, 1) + dt.timedelta(seconds=unix_at_zero + t)
+    moment = dt.datetime(1970, 1, 1) + dt.timedelta(milliseconds=round(1e3 * unix))
     return moment.isoformat(timespec="milliseconds") + "Z"
 
 

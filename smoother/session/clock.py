@@ -60,6 +60,11 @@ class TimeBase:
     jitter: float = 0.0
     is_steady: bool = True
 
+    @property
+    def longest_step(self) -> float:
+        """Seconds beyond which an interval holds lost samples: one at least where sampling is steady, else several."""
+        return (1.0 + SMALLEST_STEP if self.is_steady else UNSTEADY_GAP) * self.period
+
 
 def regularize(t: Array) -> TimeBase:
     """Even out the stamps t (N,) s, strictly increasing, of samples taken at a steady rate.
@@ -120,8 +125,8 @@ def _even(t: Array, lag: Array, steps: IntArray, block: int, period: float) -> A
 
 
 def find_gaps(base: TimeBase) -> BoolArray:
-    """Mask (N-1,) of the intervals that hold lost samples: at least one where sampling is steady, else several."""
-    longest = (1.0 + SMALLEST_STEP if base.is_steady else UNSTEADY_GAP) * base.period
+    """Mask (N-1,) of the intervals that hold lost samples."""
+    longest = base.longest_step
     mask = np.empty(max(0, base.t.size - 1), dtype=np.bool_)
     for part in pieces(mask.size):
         mask[part] = np.diff(base.t[part.start : part.stop + 1]) > longest

@@ -220,7 +220,7 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
         problems.append(Problem(code, f"{file}: {reason}: smoothed from GPS alone"))
         return None
     problems += describe_time_base(base, "imu", file)
-    imu = replace(imu, t=kept(base.t))
+    imu = replace(imu, t=kept(base.t), longest_step=base.longest_step)
     release(imu)
     return imu
 

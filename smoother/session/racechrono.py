@@ -24,6 +24,7 @@ from smoother.session.foreign import (
     seconds_since_first,
 )
 from smoother.session.records import head_of, read_records
+from smoother.words import listed
 
 WHAT = "RaceChrono CSV of version 3"
 MARKS = ("racechrono", "format,3")
@@ -57,7 +58,7 @@ def read_racechrono(path: Path) -> ForeignReading:
     places = {name: columns.place(name, "gps") for name in (*NEEDED, *OPTIONAL)}
     missing = [name for name in NEEDED if places[name] is None]
     if missing:
-        raise SessionError(f"{path.name}: no column {missing[0]}; has {', '.join(columns.names[:12])}")
+        raise SessionError(f"{path.name}: no column {missing[0]}; has {listed(columns.names)}")
     inertial = _inertial_places(columns)
     keys = columns.keys
     wanted = [keys[i] for i in dict.fromkeys([*(i for i in places.values() if i is not None), *inertial])]

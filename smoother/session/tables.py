@@ -23,6 +23,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
 from smoother.session.encoding import wide_encoding
+from smoother.words import UNREADABLE, listed
 
 HEAD_BYTES = 65536
 LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
@@ -38,6 +39,7 @@ _ISO_FORMATS = tuple(
 )
 _QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
 ENOUGH_LINES = 20  # to know how many cells a row has
+ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
@@ -121,8 +123,9 @@ def read_table(
     header = read_header(path)
     if not header:
         raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
-    _require_columns(path.name, header, required)
-    _require_points(path.name, header, _text_head(path))
+    head = _text_head(path)
+    _require_columns(path.name, header, required, head)
+    _require_points(path.name, header, head)
     numbers = tuple(name for name in (*required, *optional) if name in header)
     times = tuple(name for name in iso_times if name in header)
     separator = _separator(_header_line(path))
@@ -134,16 +137,25 @@ def read_table(
     return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times}, cut)
 
 
-def _require_columns(file: str, header: Sequence[str], required: Sequence[str]) -> None:
-    """Raise SessionError where a column is missing, or all of the first line, of names, is."""
+def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
+    """Raise SessionError where a column is missing, or all of the first line, of names, is, or the file is no text."""
     missing = [name for name in required if name not in header]
+    if missing and _is_binary(head):
+        raise SessionError(f"{file}: not a text table, but a file of another kind; wanted {', '.join(required)}, ..")
     if missing and not any(name in header for name in required) and _are_numbers(header):
         first = f"{', '.join(required)}, .." if len(header) > len(required) else ", ".join(required)
         raise SessionError(
             f"{file}: the first line is numbers, and no header; put a line with the column names above it ({first})"
         )
     if missing:
-        raise SessionError(f"{file}: no column {missing[0]}; has {_shortened(header)}")
+        raise SessionError(f"{file}: no column {missing[0]}; has {listed(header)}")
+
+
+def _is_binary(head: str) -> bool:
+    """Whether more than a few of the characters are none that a text holds; a card leaves zeros behind a text."""
+    text = head.rstrip("\0")
+    odd = sum(not (c.isprintable() or c in "\t\r\n") or c == UNREADABLE for c in text)
+    return odd > ODD_SHARE * len(text)
 
 
 def _are_numbers(header: Sequence[str]) -> bool:
@@ -335,11 +347,6 @@ def _unique_names(names: Sequence[str]) -> list[str]:
         seen[plain] = seen.get(plain, 0) + 1
         unique.append(plain if plain and seen[plain] == 1 else f"{plain} #{seen[plain]}")
     return unique
-
-
-def _shortened(header: Sequence[str], limit: int = 12) -> str:
-    shown = [name[:24] for name in header[:limit]]
-    return ", ".join(shown) + (", .." if len(header) > limit else "")
 
 
 def _source(path: Path) -> Path | bytes:

@@ -31,6 +31,7 @@ from smoother.session.foreign import (
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.rows import over_midnight
 from smoother.units import DAY
+from smoother.words import listed
 
 WHAT = "VBO file ([header], [column names], [data])"
 NAMES = {  # what is wanted: how programs call it, in lower case
@@ -96,7 +97,7 @@ def read_vbo(path: Path) -> ForeignReading:
     found = {key: next((name for name in choices if name in names), None) for key, choices in NAMES.items()}
     missing = [key for key in NEEDED if found[key] is None]
     if missing:
-        raise SessionError(f"{path.name}: no column for {missing[0]}; has {', '.join(names[:12])}")
+        raise SessionError(f"{path.name}: no column for {missing[0]}; has {listed(names)}")
     inertial = [triple for triple in IMU_NAMES if all(name in names for group in triple for name in group)][:1]
     wanted = [name for name in found.values() if name is not None]
     wanted += [name for triple in inertial for group in triple for name in group]

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -108,8 +109,20 @@ def test_a_stopped_session_leaves_nothing(make_task: MakeTask) -> None:
     threading.Timer(0.6, stop.set).start()
     with pytest.raises(Stopped):
         attempt(task, stop, STAND_IN)
-    assert left(task.out) == []
-    assert not (task.out / "batch.json").exists()
+    assert starts(task) == 1 and not task.out.exists()
+
+
+def test_folders_that_were_made_for_a_stopped_session_go_and_others_stay(make_task: MakeTask, tmp_path: Path) -> None:
+    for made in (tmp_path / "season", tmp_path / "there" / "kart1" / "run"):
+        made.mkdir(parents=True)
+    for out in ("season/kart1/run", "there/kart1/run"):
+        task, stop = replace(make_task("hang", out.replace("/", "-")), out=tmp_path / out), threading.Event()
+        threading.Timer(0.6, stop.set).start()
+        with pytest.raises(Stopped):
+            attempt(task, stop, STAND_IN)
+        assert starts(task) == 1
+    assert list((tmp_path / "season").iterdir()) == []
+    assert (tmp_path / "there" / "kart1" / "run").is_dir()
 
 
 def test_a_disk_that_is_full_costs_the_record_not_the_outcome(

@@ -169,6 +169,13 @@ def test_a_failed_write_leaves_the_old_index(day: list[Entry], tmp_path: Path, m
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
+def test_short_driving_is_told_in_minutes_and_long_in_hours(tmp_path: Path) -> None:
+    for seconds, said in ((240.0, "8 min 0 s"), (4000.0, "2 h 13 min")):
+        entries = [entry(tmp_path, name, distance_m=4700.0, duration_s=seconds) for name in ("a", "b")]
+        write_index(tmp_path, "day", entries)
+        assert f"9.4 kmin {said}" in Page(tmp_path / PAGE).text  # in a line of its own below
+
+
 def test_an_index_without_any_result_is_a_page_too(tmp_path: Path) -> None:
     entries = [Entry(Task(tmp_path / "a", tmp_path / "a", (), "a"))]
     made = write_index(tmp_path, "day", entries)

@@ -121,10 +121,15 @@ def test_a_batch_that_is_stopped_leaves_nothing_half_and_is_continued(
         batch.send_signal(number)
         assert batch.wait(30.0) == code
         assert batch.stderr is not None
-        assert b"Traceback" not in batch.stderr.read()
+        said = batch.stderr.read().decode()
     assert left(day) == []
     states = [session["state"] for session in index(day).values()]
     assert states.count("waiting") >= 1
+    assert [(day / name).is_dir() for name in ("kart1/run1/smoothed", "kart2/run1/smoothed")].count(True) == (
+        states.count("done")
+    )
+    wanted = f"smooth: stopped; {states.count('done')} of 2 sessions done. The same command does the rest"
+    assert said.splitlines()[-1] == wanted
     if number == signal.SIGINT:
         assert subprocess.run([*BATCH, day, *QUICK], capture_output=True, check=False).returncode == 0
         assert [session["state"] for session in index(day).values()] == ["done", "done"]
@@ -146,6 +151,18 @@ def test_a_batch_that_is_stopped_while_it_writes_its_first_index_has_one(
     assert left(day) == []
     assert (day / "sessions.html").is_file()
     assert [session["state"] for session in index(day).values()] == ["waiting"] * 3
+
+
+def test_a_stopped_batch_that_does_all_again_says_how_it_goes_on(
+    day: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("smoother.batch.local.run_here", stopped)
+    assert run(["batch", str(day), *QUICK, "--again"]) == 130
+    wanted = "smooth: stopped; 0 of 3 sessions done. The same command without --again does the rest"
+    assert capsys.readouterr().err.splitlines()[-1] == wanted
 
 
 def test_a_batch_that_is_killed_is_continued(day: Path) -> None:

@@ -32,6 +32,15 @@ def test_check_says_what_has_to_be_mended_with_exit_code_3(monday: Path, capsys:
     )
 
 
+def test_check_does_not_call_a_second_of_recording_good(monday: Path, capsys: Captured) -> None:
+    for name, rows in (("imu.csv", 200), ("gps.csv", 6)):
+        lines = (monday / name).read_text().splitlines(keepends=True)
+        (monday / name).write_text("".join(lines[: rows + 1]))
+    assert run(["check", str(monday)]) == 3
+    said = capsys.readouterr().out.rstrip("\n").splitlines()
+    assert said[-1] == "NOT GOOD TO DRIVE: only 1 s of fixes, too short to judge; record a minute"
+
+
 def test_check_says_of_a_gps_alone_that_it_is_good_for_what_that_tells(monday: Path, capsys: Captured) -> None:
     for name in ("imu.csv", "mag.csv"):
         (monday / name).unlink()

@@ -1,6 +1,8 @@
 """smooth laps and smooth compare as a person calls them, on two short simulated sessions."""
 
+import datetime as dt
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import polars as pl
 import pytest
 
 from smoother.cli.main import run
-from smoother.laps.clock import lap_clock
+from smoother.laps.clock import lap_clock, local_day, local_time, local_zone
 from smoother.sim.track import TRACKS
 
 Captured = pytest.CaptureFixture[str]
@@ -86,6 +88,39 @@ def test_the_table_shows_every_lap_with_its_error_bar(lapped: Path, capsys: Capt
         assert word in text
 
 
+def test_times_of_day_are_the_same_on_every_way_out(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    """The delay of the fixes counts in all of them: here it moves what is shown to the next second."""
+    recording = Path(shutil.copytree(lapped / "saturday", tmp_path / "saturday", ignore=lambda *_: ["smoothed"]))
+    fixes = pl.read_csv(recording / "gps.csv")
+    fixes.with_columns(pl.col("unix_s") - starts_late(lapped)).write_csv(recording / "gps.csv")
+    assert run([str(recording), "--no-baseline", "--no-pictures"]) == 0
+    summary = json.loads((recording / "smoothed" / "summary.json").read_text())
+    about = summary["session"]
+    assert summary["identified"]["gps_position_latency"]["observable"]
+    zero = dt.datetime.fromisoformat(about["start_utc"]).timestamp() - about["start_s"]
+    wanted = [local_time(zero + lap["start_s"]) for lap in summary["laps"]]
+    zone = local_zone([zero])
+    said = capsys.readouterr().out
+    assert times_of_day(said) == wanted and f"laps, times of day in {zone}\n" in said
+    assert run(["laps", str(recording)]) == 0
+    said = capsys.readouterr().out
+    assert times_of_day(said) == wanted and f"{recording}, times of day in {zone}\n" in said
+    page = (recording / "smoothed" / "report.html").read_text().partition("<script")[0]
+    assert times_of_day(page) == wanted and f"started ({zone})" in page and local_day(zero) in page
+
+
+def starts_late(lapped: Path) -> float:
+    """Seconds by which a session has to be earlier for its first lap to start a moment after a whole second."""
+    summary = json.loads((lapped / "saturday" / "smoothed" / "summary.json").read_text())
+    about = summary["session"]
+    start = dt.datetime.fromisoformat(about["start_utc"]).timestamp() - about["start_s"] + summary["laps"][1]["start_s"]
+    return start % 1.0 - 0.3 * float(summary["identified"]["gps_position_latency"]["value"])
+
+
+def times_of_day(text: str) -> list[str]:
+    return re.findall(r"\b\d\d:\d\d:\d\d\b", text)
+
+
 def test_official_times_are_shown_beside_ours(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
     true = pl.read_csv(lapped / "saturday" / "truth_laps.csv")
     official = tmp_path / "transponder.csv"
@@ -126,9 +161,11 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert len(one["lap_analysis"]["corners"]) == len(other["lap_analysis"]["corners"])
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
-    assert "best laps" in text and "lost against" in text
+    assert "best laps, times of day in " in text and "lost against" in text
+    assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
+    assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
 
 

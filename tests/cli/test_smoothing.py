@@ -272,6 +272,21 @@ def test_of_several_sessions_the_path_stands_above_each(
     assert {"a/run1", "b/run1: Final"} <= set(capsys.readouterr().out.splitlines())
 
 
+def test_a_session_that_is_named_by_several_paths_is_smoothed_once_and_said_to_be(
+    monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to(monday)
+    shutil.copytree(monday, tmp_path / "other" / "monday")
+    names = ["monday", "monday", "./monday", "link", "other/monday"]
+    assert run([*names, "--out", "out", *TABLES_ONLY]) == 0
+    said = capsys.readouterr()
+    assert said.err.splitlines() == ["smooth: monday: named 4 times (also as link); taken once"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["monday", "monday-2"]
+    assert run(["other/monday", "other/monday", *TABLES_ONLY]) == 0
+    assert capsys.readouterr().err.splitlines() == ["smooth: other/monday: named 2 times; taken once"]
+
+
 def test_an_unusable_session_does_not_keep_the_others_from_being_smoothed(
     monday: Path, tmp_path: Path, capsys: Captured
 ) -> None:

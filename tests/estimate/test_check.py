@@ -8,10 +8,13 @@ import pytest
 from smoother.disc import pieces
 from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
+from smoother.prepare import prepare
+from smoother.report.page import recorded_check
 from smoother.samples import GnssFixes, Problem, RawImu, RawSession
 from smoother.session.clock import describe_time_base, regularize
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import span
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +29,20 @@ def changed(raw: RawSession, **parts: object) -> RawSession:
 def with_imu(raw: RawSession, **columns: object) -> RawSession:
     assert raw.imu is not None
     return changed(raw, imu=dataclasses.replace(raw.imu, **columns))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def still() -> RawSession:
+    """A minute of a kart that stands, engine off, and the seconds in which it starts."""
+    return simulate_preset("kart", 5, duration=70.0, motion_standstill=65.0).raw
+
+
+def first_seconds(raw: RawSession, seconds: float) -> RawSession:
+    assert raw.imu is not None
+    end = raw.gnss.t[0] + seconds + 0.05
+    keep = raw.imu.t <= end
+    columns = {"t": raw.imu.t[keep], "accel": raw.imu.accel[keep], "gyro": raw.imu.gyro[keep], "temperature": None}
+    return with_imu(changed(raw, gnss=raw.gnss.select(raw.gnss.t <= end)), **columns)
 
 
 def texts(result: Check, level: str) -> str:
@@ -49,6 +66,27 @@ def test_one_outage_is_a_warning_with_its_length(kart: RawSession) -> None:
 def test_a_recording_without_fixes_is_not_good(kart: RawSession) -> None:
     none = changed(kart, gnss=kart.gnss.select(np.zeros(len(kart.gnss), dtype=bool)))
     assert "no GPS fix" in texts(check(none), "stop")
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 9.0])
+def test_a_few_seconds_are_too_short_to_judge(still: RawSession, seconds: float) -> None:
+    result = check(first_seconds(still, seconds))
+    assert not result.is_good
+    assert f"only {seconds:.0f} s of fixes, too short to judge; record a minute" in result.reasons
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0])
+def test_a_few_seconds_without_a_motion_sensor_are_too_short_as_well(still: RawSession, seconds: float) -> None:
+    alone = changed(first_seconds(still, seconds), imu=None, mag=None, inputs=("gps.csv",))
+    assert "too short to judge" in texts(check(alone), "stop")
+
+
+@pytest.mark.parametrize("seconds", [12.0, 60.0])
+def test_a_standing_kart_is_good_to_drive_when_it_was_recorded_for_long_enough(
+    still: RawSession, seconds: float
+) -> None:
+    result = check(first_seconds(still, seconds))
+    assert result.is_good, result.reasons
 
 
 def test_fixes_lost_for_most_of_the_time_are_not_good(kart: RawSession) -> None:
@@ -82,6 +120,24 @@ def test_gaps_of_the_motion_sensor_are_those_that_the_reader_tells(kart: RawSess
     few = {"t": kart.imu.t[keep], "accel": kart.imu.accel[keep], "gyro": kart.imu.gyro[keep], "temperature": None}
     short = with_imu(kart, **few)
     assert "1 gap, the longest 0.02" in texts(check(short), "ok")
+
+
+def test_gaps_are_one_count_for_the_reader_the_check_and_the_page(kart: RawSession) -> None:
+    """A logger whose clock wanders by half a percent: of stamps evened out, few gaps would be left."""
+    assert kart.imu is not None
+    n, rng = 9000, np.random.default_rng(5)
+    period = 0.01 * (1.0 + 0.005 * np.sin(np.arange(n) / 300.0))
+    period[[900, 2000, 3100, 6000, 7500]] *= [2.2, 1.7, 14.5, 2.5, 1.8]
+    stamps = np.cumsum(period) + rng.uniform(0.0, 0.002, n)
+    base = regularize(stamps)
+    (told,) = (p for p in describe_time_base(base, "imu", "imu.csv") if p.code == "imu_gap")
+    some = {"accel": kart.imu.accel[:n], "gyro": kart.imu.gyro[:n], "temperature": None}
+    read = with_imu(kart, t=base.t, longest_step=base.longest_step, **some)
+    result = check(read)
+    assert result.measures["imu_gaps"] == told.count == 5
+    longest = f"the longest {span(result.measures['imu_gap_longest_s'])}"
+    assert longest in told.text and f"5 gaps, {longest}" in texts(result, "warning")
+    assert recorded_check(prepare(read)).measures["imu_gaps"] == told.count
 
 
 @pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])

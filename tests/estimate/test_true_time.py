@@ -7,11 +7,18 @@ import pytest
 
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time, unix_at_zero
+from smoother.estimate.true_time import (
+    clock_problems,
+    clock_scale,
+    in_session_time,
+    in_true_time,
+    unix_at_start,
+    unix_at_zero,
+)
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset
-from smoother.trajectory import EstimateReport, Identified
+from smoother.trajectory import EstimateReport, Identified, Trajectory
 
 
 def drive(drift: float) -> Simulation:
@@ -96,3 +103,13 @@ def test_utc_is_that_of_the_motion_and_not_of_stamps_that_come_late(observable: 
     assert unix_at_zero(late, told) == pytest.approx(1.7e9 - 0.15 + later, abs=1e-3)
     without = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=5.0)
     assert unix_at_zero(without, told) == 5.0
+
+
+def test_the_start_is_told_to_the_millisecond_as_results_store_it() -> None:
+    n = 3
+    rows = np.zeros((n, 3))
+    smoothed = Trajectory(0.0004 + np.arange(n), rows, rows, np.zeros((n, 3, 3)), rows, rows)
+    given = session(0.0)
+    known = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=1.7e9 + 0.1)
+    assert unix_at_start(known, smoothed) == 1.7e9 + 0.1
+    assert unix_at_start(replace(known, unix_at_zero=None), smoothed) is None

@@ -278,6 +278,34 @@ def test_of_an_arm_that_was_not_stated_the_height_is_not_known(report: Report, s
     assert f"<td>antenna from the box: {row}<td>m</td><td>{source}</td>" in text
 
 
+def identified_on(report: Report, **found: Identified) -> str:
+    """The table of what was identified."""
+    estimate = replace(report.smoothed.report, identified=found)
+    text = page(replace(report, smoothed=replace(report.smoothed, report=estimate)))
+    return text.partition("What was identified")[2].partition("</table>")[0]
+
+
+def test_a_receiver_that_smooths_its_speed_is_told_in_seconds_and_only_where_that_is_clear(report: Report) -> None:
+    clear = Identified(0.0072, 0.0006, "s^2", True, "identified")
+    row = "smooths its speed</td><td>0.1200</td><td>0.0050</td><td>s</td><td>identified</td>"
+    assert row in identified_on(report, gps_velocity_response=clear)
+    for found in (replace(clear, value=0.0011), replace(clear, value=-0.0072), replace(clear, source="default")):
+        assert "smooths" not in identified_on(report, gps_velocity_response=found)
+
+
+def test_what_a_session_does_not_show_of_faults_that_few_boxes_have_is_left_out(report: Report) -> None:
+    found = Identified([0.2, 0.0, 0.1], [0.01, 0.01, 0.01], "m/s^2", True, "identified")
+    assert "false acceleration by vibration" in identified_on(report, accel_rectification=found)
+    unseen = replace(found, observable=False, source="default")
+    assert "<tbody></tbody>" in identified_on(
+        report,
+        accel_rectification=unseen,
+        accel_rectification_by_rate=unseen,
+        accel_delay=Identified(0.0, None, "s", False, "default"),
+        imu_clock_drift=Identified(0.0, 4.0, "ppm", False, "default"),
+    )
+
+
 def test_json_in_a_script_can_not_end_it() -> None:
     text = json_in_script({"a": "</script><!--\u2028&"})
     assert not set("<>&\u2028") & set(text)

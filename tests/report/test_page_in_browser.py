@@ -4,6 +4,7 @@ Needs Debian's chromium and chromium-driver (`make test` installs them where it 
 """
 
 import base64
+import io
 import itertools
 import json
 import shutil
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from smoother.cli.lap_stage import stated
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
@@ -406,6 +408,27 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])
     assert document.startswith(b"%PDF") and len(document) > 30_000
+
+
+def test_a_table_that_is_cut_at_an_edge_is_shaded_there_and_nowhere_on_paper(opened: Any) -> None:
+    with sized(opened, 390, 800):
+        wide = opened.find_element("css selector", ".scroll")
+        for share, cut in ((0.0, (False, True)), (0.5, (True, True)), (1.0, (True, False))):
+            opened.execute_script("const e = arguments[0]; e.scrollLeft = arguments[1] * e.scrollWidth", wide, share)
+            assert shaded_edges(wide) == cut, share
+    with sized(opened, 1280, 900):
+        assert shaded_edges(opened.find_element("css selector", ".scroll")) == (False, False)
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    look = opened.execute_script("return getComputedStyle(document.querySelector('.scroll')).backgroundImage")
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert look == "none"
+
+
+def shaded_edges(element: Any) -> tuple[bool, bool]:
+    """Whether what is seen of an element is darker than the paper at its left and at its right edge, all along."""
+    picture = np.asarray(Image.open(io.BytesIO(element.screenshot_as_png)).convert("L"), dtype=float)
+    edges = picture[:, 1], picture[:, -2]
+    return bool(np.median(edges[0]) < 240.0), bool(np.median(edges[1]) < 240.0)
 
 
 def test_the_tables_of_a_comparison_fit_a_small_laptop(opened_comparison: Any) -> None:

@@ -90,7 +90,7 @@ def test_gzip_is_read_and_a_cut_archive_gives_what_is_whole(tmp_path: Path, kept
         (IMU_HEADER + "\n\n", r"^imu.csv: a header line, but no rows"),
         ("t_s,ax,ay,az,gx,gy\n0,1,2,3,4,5\n", r"^imu.csv: no column gz; has t_s, ax, ay, az, gx, gy$"),
         ("t_s|ax|ay\n0|1|2\n", r"^imu.csv: no column t_s; has t_s\|ax\|ay$"),
-        (b"\x00\x01\xff" * 300, r"^imu.csv: no column t_s"),
+        (b"\x00\x01\xff" * 300, r"^imu.csv: not a text table, but a file of another kind; wanted t_s, ax, "),
     ],
 )
 def test_a_file_that_cannot_be_used_is_one_line_with_file_and_what_it_has(

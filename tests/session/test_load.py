@@ -100,6 +100,11 @@ def test_columns_make_a_session_without_a_word(folder: Folder) -> None:
     assert session.unix_at_zero is None
 
 
+def test_samples_tell_from_which_step_on_some_were_lost(folder: Folder) -> None:
+    session = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv()).load()
+    assert session.imu is not None and session.imu.longest_step == pytest.approx(0.015)
+
+
 @pytest.mark.parametrize("file", ["imu.csv", "gps.csv", "session.toml"])
 def test_a_file_of_a_session_stands_for_the_session(folder: Folder, file: str) -> None:
     folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), session__toml="")
@@ -610,6 +615,7 @@ def test_real_recordings_lose_no_row_and_tell_their_flaws(
     assert len(session.gnss) == fixes
     assert (0 if session.imu is None else session.imu.t.size) == samples
     assert {problem.code for problem in session.problems} == expected
+    assert check(session).measures.get("imu_gaps", 0) == codes(session).get("imu_gap", 0)  # one page shows both
 
 
 def test_stamps_rounded_to_10_ms_agree_with_doppler_once_they_are_evened(data_directory: Path) -> None:

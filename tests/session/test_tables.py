@@ -1,5 +1,6 @@
 """Tables that are none, and such as are too long to be read at once."""
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,39 @@ def test_an_endless_line_is_told_before_it_fills_the_memory(tmp_path: Path, star
         file.write(b"\n")
     with pytest.raises(SessionError, match=r"^gps.csv: a line of more than 1048576 characters"):
         read_table(path, ("t_s", "x"))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        np.random.default_rng(1).bytes(200_000),
+        np.random.default_rng(2).bytes(2_000_000),
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\3\x84\0\0\2X\x08\6\0\0\0\xa2\x9d\x7e",
+        gzip.compress(np.random.default_rng(3).bytes(5000)),
+        (Path(__file__).parent.parent / "data" / "golden.klg").read_bytes(),
+    ],
+)
+def test_a_file_of_another_kind_is_said_to_be_none_in_characters_of_a_line(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "gps.csv").write_bytes(data)
+    with pytest.raises(SessionError) as error:
+        read_table(tmp_path / "gps.csv", ("t_s", "lat_deg", "lon_deg"))
+    assert str(error.value) == (
+        "gps.csv: not a text table, but a file of another kind; wanted t_s, lat_deg, lon_deg, .."
+    )
+
+
+def test_a_table_in_another_encoding_with_zeros_behind_it_is_a_table(tmp_path: Path) -> None:
+    text = "Zeit,Länge,Höhe,Übergänge\n" + "1,2,3,4\n" * 9
+    (tmp_path / "gps.csv").write_bytes(text.encode("latin-1") + b"\0" * 4000)
+    with pytest.raises(SessionError, match=r"no column t_s; has zeit, l\?nge, h\?he, \?berg\?nge$"):
+        read_table(tmp_path / "gps.csv", ("t_s",))
+
+
+def test_names_of_columns_are_shown_without_control_characters_and_not_at_length(tmp_path: Path) -> None:
+    (tmp_path / "gps.csv").write_text("\x1b[31mred\x07,\u202eeman," + "n" * 200 + "\n" + "1,2,3\n" * 30)
+    with pytest.raises(SessionError) as error:
+        read_table(tmp_path / "gps.csv", ("t_s",))
+    assert str(error.value) == f"gps.csv: no column t_s; has ?[31mred?, ?eman, {'n' * 22}.."
 
 
 def test_a_long_table_whose_last_row_has_no_end_is_read_whole(tmp_path: Path) -> None:
