@@ -151,7 +151,7 @@ def _consistency(said: dict[str, Any]) -> str:
 
 
 def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: str) -> None:
-    """Print what every lap lost in each corner against the reference lap; `*`: more than two sigma, so real."""
+    """Print what every lap lost in each corner against the reference lap, and their median; `*`: real."""
     corners = analysis["corners"]
     if not corners:
         return
@@ -162,7 +162,10 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
         if all(cell is None for cell in cells):
             continue
         is_itself = lap["lap"] == analysis["reference_lap"]
-        rows.append([str(lap["lap"]), *("- " if is_itself else _lost(cell) for cell in cells), lap["reason"]])
+        rows.append([str(lap["lap"]), *("- " if is_itself else _lost_in(cell) for cell in cells), lap["reason"]])
+    usual = [_lost(c.get("usual_lost_s"), c.get("usual_is_real", False)) for c in corners]
+    if any(cell != "-" for cell in usual):
+        rows.append(["usual", *usual, "median of the other laps that count"])
     factor = SPEED_UNITS[units]
     say("")
     say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)
@@ -174,11 +177,14 @@ def _against(analysis: dict[str, Any]) -> str:
     return analysis["reference_name"] or f"lap {analysis['reference_lap']}"
 
 
-def _lost(cell: dict[str, Any] | None) -> str:
-    lost = None if cell is None else cell["time_lost_s"]
-    if cell is None or lost is None or not math.isfinite(lost):
+def _lost_in(cell: dict[str, Any] | None) -> str:
+    return "-" if cell is None else _lost(cell["time_lost_s"], cell["is_real"])
+
+
+def _lost(lost: float | None, is_real: bool) -> str:
+    if lost is None or not math.isfinite(lost):
         return "-"
-    return f"{round(lost, 2) + 0.0:+.2f}{'*' if cell['is_real'] else ' '}"
+    return f"{round(lost, 2) + 0.0:+.2f}{'*' if is_real else ' '}"
 
 
 def _slowest(corner: dict[str, Any], analysis: dict[str, Any]) -> float | None:

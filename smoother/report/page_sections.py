@@ -1,6 +1,6 @@
 """What report.html says in words and tables: summary, laps, corners, what is missing, whether it can be trusted."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -199,16 +199,29 @@ def corner_section(told: Told) -> list[Element]:
     if laps is None or not laps.corners:
         return []
     against = laps.reference_name if laps.reference_lap is None else f"lap {laps.laps[laps.reference_lap].number}"
-    note = (
-        f"Seconds lost to {against} between the fastest places before and after each corner. Bold with a star: real, "
-        "more than two sigma. The rest is within noise: do not chase it."
+    lost: list[Element] = []
+    if any(np.isfinite(c.time_lost[i]) for c in laps.corners for i in _compared(laps)):
+        note = (
+            f"Seconds lost to {against} between the fastest places before and after each corner. "
+            f"{stars_note(laps.corners)}"
+        )
+        heads = ["lap", *(corner_name(c) for c in laps.corners)]
+        lost = [element("p", note, class_="soft"), table(heads, _lost_rows(laps), class_="dense")]
+    return [element("h2", "Corners", id="corners"), *lost, *_corner_speeds(laps)]
+
+
+def stars_note(corners: Sequence[Corner]) -> str:
+    """What a star beside a loss says, with how many sigmas it takes."""
+    sure = number(corners[0].real_from, 1)
+    return (
+        f"Bold with a star: real, {sure} sigma or more; that is so much because of many losses, all against one lap, "
+        "some are large by luck, and few of the stars should be. The rest is within noise: do not chase it."
     )
-    return [
-        element("h2", "Corners", id="corners"),
-        element("p", note, class_="soft"),
-        table(["lap", *(corner_name(c) for c in laps.corners)], _lost_rows(laps), class_="dense"),
-        *_corner_speeds(laps),
-    ]
+
+
+def _compared(laps: LapAnalysis) -> list[int]:
+    """Indices of the laps shown that were timed, without the one that they are compared with."""
+    return [i for i in drawn_laps(laps) if laps.laps[i].is_timed and i != laps.reference_lap]
 
 
 def corner_name(corner: Corner) -> str:
@@ -231,12 +244,20 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
 
 def lost_cell(corner: Corner, i: int) -> Element:
     """A cell with what lap i lost in a corner, marked where it is real."""
-    lost, sigma = float(corner.time_lost[i]), float(corner.time_lost_sigma[i])
+    return _lost_cell(float(corner.time_lost[i]), float(corner.time_lost_sigma[i]), bool(corner.is_real[i]))
+
+
+def usual_cell(corner: Corner, *after: Child) -> Element:
+    """A cell with what is usually lost in a corner, marked where it is real."""
+    return _lost_cell(corner.usual_lost, corner.usual_lost_sigma, corner.usual_is_real, *after)
+
+
+def _lost_cell(lost: float, sigma: float, is_real: bool, *after: Child) -> Element:
     if not np.isfinite(lost):
         return element("td", DASH)
-    star, kind = ("*", "slower" if lost > 0.0 else "faster") if corner.is_real[i] else ("", "noise")
+    star, kind = ("*", "slower" if lost > 0.0 else "faster") if is_real else ("", "noise")
     small = element("small", f" ± {number(sigma, 2)}" if np.isfinite(sigma) and sigma > 0.0 else "")
-    return element("td", f"{number(lost, 2, signed=True)}{star}", small, class_=kind)
+    return element("td", f"{number(lost, 2, signed=True)}{star}", small, *after, class_=kind)
 
 
 def _corner_speeds(laps: LapAnalysis) -> list[Element]:
@@ -255,17 +276,17 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         "exit",
     ]
     slides = any(np.isfinite(c.slide[shown]) for c in laps.corners)
-    heads += [*(["slide (deg)"] if slides else []), "usual loss (s)", "real in"]
+    heads += [*(["slide (deg)"] if slides else []), *(["usual loss (s)", "real in"] if timed else [])]
     rows = []
     for c in laps.corners:
-        lost = c.time_lost[timed]
-        usual = float(np.median(lost[np.isfinite(lost)])) if np.isfinite(lost).any() else np.nan
-        real = f"{int(c.is_real[timed].sum())} of {len(timed)}" if timed else DASH
+        real = f"{int(c.is_real[timed].sum())} of {len(timed)}"
         braking = with_sigma(float(c.braking_point[shown]), float(c.braking_sigma[shown]), 0)
         speeds = [speed_cell(float(speed[shown])) for speed in (c.entry_speed, c.min_speed, c.exit_speed)]
         cells: list[Child] = [corner_name(c), number(c.radius, 0), braking, *speeds]
         slide = with_sigma(float(c.slide[shown]) / DEG, float(c.slide_sigma[shown]) / DEG, 1, signed=True)
-        rows.append(row(*cells, *([slide] if slides else []), number(usual, 2, True), real))
+        cells += [slide] if slides else []
+        cells += [usual_cell(c), real] if timed else []
+        rows.append(row(*cells))
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
     sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
     title = f"Corners on lap {laps.laps[shown].number}"
@@ -275,7 +296,8 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         if slides
         else ""
     )
-    note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}{slide}"
+    usual_note = " Usual loss: median of the other laps that count; with a star it is real." if timed else ""
+    note = f"Distances are metres from the line.{usual_note}{sure}{slide}"
     return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
 
 

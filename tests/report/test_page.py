@@ -171,6 +171,11 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     text = page(report)
     assert report.laps is not None
     real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
+    real += sum(corner.usual_is_real for corner in report.laps.corners)
+    assert f"{number(report.laps.corners[0].real_from, 1)} sigma or more" in text
+    corner = report.laps.corners[0]
+    usual = f"{number(corner.usual_lost, 2, signed=True)}{'*' if corner.usual_is_real else ''}"
+    assert f"{usual}<small> ± {number(corner.usual_lost_sigma, 2)}</small>" in text
     assert text.count('class="slower"') + text.count('class="faster"') == real
 
 
