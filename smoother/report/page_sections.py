@@ -12,11 +12,12 @@ from smoother.estimate.quality import Quality
 from smoother.laps.clock import local_day, local_time, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
+from smoother.laps.top_speed import top_speed
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, top_speed
+from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -89,8 +90,11 @@ def summary(told: Told) -> Element:
         within = f"{spread}{said.within_tenth} within 0.1 s of the best"
         cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
     fastest = top_speed(smoothed)
-    top = element("span", number(fastest / KMH, 1), data_mps=f"{fastest:.4f}")
-    cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
+    top = element("span", number(fastest.speed / KMH, 1), data_mps=f"{fastest.speed:.4f}")
+    unit, sure = element("span", "km/h", class_="speed-unit"), fastest.sigma
+    plus_minus = element("span", number(sure / KMH, 1), data_mps=f"{sure:.4f}")
+    below = element("span", "± ", plus_minus, " ", unit) if np.isfinite(sure) else unit
+    cards.append(_card("Top speed", top, below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
     cards.append(_card("Driven", driven, f"in {duration(length)}"))
