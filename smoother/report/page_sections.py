@@ -83,12 +83,10 @@ def summary(told: Told) -> Element:
     cards = []
     if said is not None and told.laps is not None and said.best_lap is not None:
         cards.append(_card("Best lap", lap_clock(said.best), _pm(said.best_sigma, told.laps.laps[said.best_lap])))
-        cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
-        start = "" if not said.rolling_from > 0.0 else f", from {said.rolling_from:.0f} m"
-        cards.append(_card("Rolling best", lap_clock(said.rolling), f"± {number(said.rolling_sigma, 3)} s{start}"))
-        spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
-        within = f"{spread}{said.within_tenth} within 0.1 s of the best"
-        cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
+        if np.isfinite(said.theoretical):
+            cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
+        cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
+        cards.append(_card("Consistency", counted(said.counted, "lap"), _consistency(said)))
     fastest = top_speed(smoothed)
     top = element("span", number(fastest.speed / KMH, 1), data_mps=f"{fastest.speed:.4f}")
     unit, sure = element("span", "km/h", class_="speed-unit"), fastest.sigma
@@ -119,7 +117,26 @@ def _theoretical(said: Statistics) -> str:
     text = f"± {number(said.theoretical_sigma, 3)} s" if np.isfinite(said.theoretical_sigma) else "best sectors"
     if said.theoretical - said.theoretical_raw > 0.0005:
         return f"{text}; best sectors {lap_clock(said.theoretical_raw)}, less the luck of the timing"
+    if said.theoretical > said.best - 0.0005:
+        return f"{text}; the best lap has all the best sectors"
     return text
+
+
+def _rolling(said: Statistics) -> str:
+    text = f"± {number(said.rolling_sigma, 3)} s" if np.isfinite(said.rolling_sigma) else "one lap long"
+    if said.rolling_from > 0.0:
+        text += f", from {said.rolling_from:.0f} m"
+    best = said.theoretical if np.isfinite(said.theoretical) else said.best
+    if said.rolling > best - 0.0005:
+        return text
+    return f"{text}; it may begin anywhere, also on laps that do not count, and the luck of the timing is in it"
+
+
+def _consistency(said: Statistics) -> str:
+    if said.counted == 1:
+        return "that counts: none to compare it with"
+    spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
+    return f"that count; {spread}{said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
 
 
 def _missing(told: Told) -> Iterator[str]:
