@@ -53,7 +53,7 @@ def compare(
 
     Writes a page with map, traces and corners of all; it needs no network. The reference line is that of the first
     session, so is the start/finish line unless --line says otherwise. Every difference carries one sigma; `*` marks
-    those that are larger than two and so not the luck of the timing.
+    those that are so many of it that they are hardly the luck of the timing.
     """
     require_sessions(sessions, "smooth compare")
     if len(sessions) < 2:
@@ -235,33 +235,24 @@ def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[l
 
 
 def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]:
+    from smoother.report.compare_page import losses
+
     corners = compared[0].analysis.corners
     header = [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), "lap", ""]
     rows = []
-    for one in compared:
+    for one, whole in zip(compared, losses(compared), strict=True):
         best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
         if best is None or len(one.analysis.corners) != len(corners):
             rows.append(["-"] * (len(corners) + 1) + [one.name])
             continue
-        traces, is_itself = one.analysis.traces, best == one.reference
-        cells = [
-            "- " if is_itself else _lost(c.time_lost[best], c.time_lost_sigma[best], c.is_real[best])
-            for c in one.analysis.corners
-        ]
-        whole = (
-            "- " if traces is None or is_itself else _lost(traces.delta[best, -1], traces.delta_sigma[best, -1], False)
-        )
-        rows.append([*cells, whole, one.name])
+        is_itself = best == one.reference
+        cells = ["- " if is_itself else _lost(c.time_lost[best], c.is_real[best]) for c in one.analysis.corners]
+        rows.append([*cells, "- " if is_itself else _lost(whole.lost, whole.is_real), one.name])
     return header, rows
 
 
-def _lost(lost: float, sigma: float, is_real: bool) -> str:
-    if lost != lost:
-        return "-"
-    from smoother.laps.sigma import least_real
-
-    mark = "*" if is_real or (sigma == sigma and abs(lost) > least_real(sigma) > 0.0) else " "
-    return f"{round(float(lost), 2) + 0.0:+.2f}{mark}"
+def _lost(lost: float, is_real: bool) -> str:
+    return "-" if lost != lost else f"{round(float(lost), 2) + 0.0:+.2f}{'*' if is_real else ' '}"
 
 
 def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:

@@ -93,7 +93,7 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
     if said is not None and said["counted"]:
         pairs += [
             ("best", f"{lap_clock(said['best_s'])} ± {number(said['best_sigma_s'], 3)} (lap {said['best_lap']})"),
-            ("theoretical", _theoretical(said)),
+            *([("theoretical", theoretical)] if (theoretical := _theoretical(said)) else []),
             ("rolling best", _rolling(said)),
             ("consistency", _consistency(said)),
         ]
@@ -130,30 +130,41 @@ def _slide(analysis: dict[str, Any]) -> str:
 
 
 def _theoretical(said: dict[str, Any]) -> str:
-    if said["theoretical_s"] is None or not math.isfinite(said["theoretical_s"]):
-        return "-"
+    if not _is_known(said["theoretical_s"]):
+        return ""
     luck = said["theoretical_s"] - said["theoretical_raw_s"]
     text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
-    return text + (
-        f" (best sectors {lap_clock(said['theoretical_raw_s'])}, luck of the timing taken out)" if luck > 0.0005 else ""
+    if luck > 0.0005:
+        return f"{text} (best sectors {lap_clock(said['theoretical_raw_s'])}, luck of the timing taken out)"
+    return (
+        f"{text} (the best lap has all the best sectors)" if said["theoretical_s"] > said["best_s"] - 0.0005 else text
     )
 
 
 def _rolling(said: dict[str, Any]) -> str:
     text = f"{lap_clock(said['rolling_s'])} ± {number(said['rolling_sigma_s'], 3)}"
-    start = said["rolling_from_m"]
-    return text if start is None or not math.isfinite(start) or start == 0.0 else f"{text} (from {start:.0f} m)"
+    start, best = said["rolling_from_m"], said["theoretical_s"]
+    about = [f"from {start:.0f} m"] if _is_known(start) and start != 0.0 else []
+    if said["rolling_s"] < (best if _is_known(best) else said["best_s"]) - 0.0005:
+        about.append("also on laps that do not count, luck of the timing in it")
+    return f"{text} ({'; '.join(about)})" if about else text
+
+
+def _is_known(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
 
 
 def _consistency(said: dict[str, Any]) -> str:
     count = said["counted"]
-    text = f"{counted(count, 'lap')} count{'s' if count == 1 else ''}, {said['within_tenth']} within 0.1 s of the best"
+    if count == 1:
+        return "1 lap counts, none to compare it with"
+    text = f"{counted(count, 'lap')} count, {said['within_tenth'] - 1 or 'none'} of the others within 0.1 s of the best"
     spread = spread_said(said["spread_s"], "")
     return f"{text}, spread {spread}" if spread else text
 
 
 def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: str) -> None:
-    """Print what every lap lost in each corner against the reference lap; `*`: more than two sigma, so real."""
+    """Print what every lap lost in each corner against the reference lap, and their median; `*`: real."""
     corners = analysis["corners"]
     if not corners:
         return
@@ -164,7 +175,10 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
         if all(cell is None for cell in cells):
             continue
         is_itself = lap["lap"] == analysis["reference_lap"]
-        rows.append([str(lap["lap"]), *("- " if is_itself else _lost(cell) for cell in cells), lap["reason"]])
+        rows.append([str(lap["lap"]), *("- " if is_itself else _lost_in(cell) for cell in cells), lap["reason"]])
+    usual = [_lost(c.get("usual_lost_s"), c.get("usual_is_real", False)) for c in corners]
+    if any(cell != "-" for cell in usual):
+        rows.append(["usual", *usual, "median of the other laps that count"])
     factor = SPEED_UNITS[units]
     say("")
     say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)
@@ -176,11 +190,14 @@ def _against(analysis: dict[str, Any]) -> str:
     return analysis["reference_name"] or f"lap {analysis['reference_lap']}"
 
 
-def _lost(cell: dict[str, Any] | None) -> str:
-    lost = None if cell is None else cell["time_lost_s"]
-    if cell is None or lost is None or not math.isfinite(lost):
+def _lost_in(cell: dict[str, Any] | None) -> str:
+    return "-" if cell is None else _lost(cell["time_lost_s"], cell["is_real"])
+
+
+def _lost(lost: float | None, is_real: bool) -> str:
+    if lost is None or not math.isfinite(lost):
         return "-"
-    return f"{round(lost, 2) + 0.0:+.2f}{'*' if cell['is_real'] else ' '}"
+    return f"{round(lost, 2) + 0.0:+.2f}{'*' if is_real else ' '}"
 
 
 def _slowest(corner: dict[str, Any], analysis: dict[str, Any]) -> float | None:

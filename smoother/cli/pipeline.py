@@ -346,12 +346,13 @@ def _shown(estimates: Estimates) -> Estimates:
 
 def heading(estimates: Estimates) -> str:
     """Return the line that names a session everywhere: its title, length, distance and top speed."""
-    from smoother.report.summary import distance_driven, top_speed
+    from smoother.laps.top_speed import top_speed
+    from smoother.report.summary import distance_driven
 
     smoothed = estimates.smoothed
     length, kilometres = duration(float(smoothed.t[-1] - smoothed.t[0])), distance_driven(smoothed) / 1000.0
     name = estimates.session.config.title or estimates.session.name
-    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top_speed(smoothed) / KMH:.1f} km/h"
+    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top_speed(smoothed).speed / KMH:.1f} km/h"
 
 
 def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:

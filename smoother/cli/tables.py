@@ -88,7 +88,9 @@ def _calibrated(applied: list[AppliedValue]) -> list[tuple[str, str]]:
 
 def _driven(about: Any) -> str:
     kilometres, top = about["distance_m"] / 1000.0, about["top_speed_mps"] / KMH
-    return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f} km/h"
+    sigma = about.get("top_speed_sigma_mps")
+    sure = f" ± {sigma / KMH:.1f}" if sigma is not None and math.isfinite(sigma) else ""
+    return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f}{sure} km/h"
 
 
 def _recorded(document: Any) -> str:

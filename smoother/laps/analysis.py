@@ -30,6 +30,7 @@ from smoother.laps.sideslip import why_hidden
 from smoother.laps.sigma import Drift, position_errors
 from smoother.laps.statistics import official_times, statistics_of
 from smoother.laps.timing import BESIDE, raw_crossings
+from smoother.laps.top_speed import likely_tops, speed_sigma, steadied
 from smoother.samples import Problem
 from smoother.trajectory import JointPosition, Trajectory
 
@@ -188,7 +189,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
 
 def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passage, ...], given: _Given) -> LapAnalysis:
     """A track and a line, but no whole lap on it."""
-    laps = tuple(_untimed(given, passage) for passage in passages)
+    laps = tuple(_untimed(given, *each) for each in zip(passages, _tops(given, passages), strict=True))
     return replace(
         nothing,
         laps=laps,
@@ -200,10 +201,10 @@ def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passa
     )
 
 
-def _untimed(given: _Given, passage: Passage) -> Lap:
+def _untimed(given: _Given, passage: Passage, top_speed: float) -> Lap:
     reason: Reason = "in-lap" if passage.starts_at_line else "out-lap"
     empty = np.full(1, np.nan)
-    return _lap(given, passage, (reason,), np.nan, empty, empty, empty, np.nan)
+    return _lap(given, passage, (reason,), np.nan, empty, empty, empty, np.nan, top_speed)
 
 
 def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
@@ -250,11 +251,21 @@ def _laps(
 ) -> tuple[Lap, ...]:
     times = line_times(given.path, circuit, passages, lines)
     sigma, sector_sigma, gap_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors, best)
-    raw = _raw_times(given, circuit, passages)
+    raw, tops = _raw_times(given, circuit, passages), _tops(given, passages)
     return tuple(
-        _lap(given, passage, why[i], float(sigma[i]), np.diff(times[i]), sector_sigma[i], gap_sigma[i], float(raw[i]))
+        _lap(given, passage, why[i], sigma[i], np.diff(times[i]), sector_sigma[i], gap_sigma[i], raw[i], tops[i])
         for i, passage in enumerate(passages)
     )
+
+
+def _tops(given: _Given, passages: tuple[Passage, ...]) -> Array:
+    """Top speed (L,) m/s of every lap, without the luck that the highest of many rows and laps has."""
+    path = given.path
+    speed, sigma = steadied(path.speed, path.t), speed_sigma(given.trajectory)
+    rows = [path.rows_between(p.start, p.end) for p in passages]
+    highest = [int(r[np.argmax(speed[r])]) if r.size else -1 for r in rows]
+    tops = np.array([speed[k] if k >= 0 else np.nan for k in highest])
+    return likely_tops(tops, np.array([sigma[k] if k >= 0 else np.nan for k in highest]))
 
 
 def _lap(
@@ -266,6 +277,7 @@ def _lap(
     sector_sigma: Array,
     sector_gap_sigma: Array,
     raw_time: float,
+    top_speed: float,
 ) -> Lap:
     path = given.path
     rows = path.rows_between(passage.start, passage.end)
@@ -276,14 +288,14 @@ def _lap(
         start=passage.start,
         end=passage.end,
         time=passage.end - passage.start if passage.is_timed else np.nan,
-        sigma=sigma if passage.is_timed else np.nan,
+        sigma=float(sigma) if passage.is_timed else np.nan,
         reasons=why,
         sector_time=sector_time,
         sector_sigma=sector_sigma,
         sector_gap_sigma=sector_gap_sigma,
-        raw_time=raw_time,
+        raw_time=float(raw_time),
         distance=float(driven[1] - driven[0]),
-        top_speed=float(speed.max()),
+        top_speed=float(top_speed),
         min_speed=float(speed.min()),
     )
 

@@ -16,7 +16,7 @@ from smoother.laps.path import PlanPath, interpolated
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward
-from smoother.laps.sigma import Crossed, least_real, sigma_of, time_covariances
+from smoother.laps.sigma import Crossed, are_real, sigma_of, sure_from, time_covariances
 from smoother.trajectory import JointPosition, Trajectory
 from smoother.units import DEG
 
@@ -27,6 +27,8 @@ JOINED = 8.0  # m; two bends to the same side closer than this are one corner
 ACCELERATION_SIGMA = 0.7  # m/s^2, of the smoothed acceleration that starts a braking zone
 EARLY = 30.0  # m before its segment that the braking for a corner may begin
 LEAST_JERK = 3.0  # m/s^3; nobody brakes more softly
+MOST_LAPS = 60  # of which it is worked out how much their losses have in common; more say no more
+OF_MEDIAN = 0.5 * np.pi  # variance of a median of normal values over that of their mean, of three or more
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,41 @@ def make_corners(
     if elapsed is not None:
         lost = spent - np.diff(np.interp(bounds, traces.distance, elapsed))
     sigma = _lost_sigma(curve, bounds, at_bounds, path, reference, errors)
+    losses = _judged(lost, sigma, counting, reference)
+    others = np.array([lap for lap in np.flatnonzero(counting) if lap != reference], dtype=np.int64)
+    usual = _judged_usual(lost[others], _usual_sigma(curve, bounds, at_bounds, path, reference, others, errors))
     return tuple(
-        _corner(i, bend, bounds, traces, trajectory, spent[:, i], lost[:, i], sigma[:, i])
-        for i, bend in enumerate(bends)
+        _corner(i, bend, bounds, traces, trajectory, spent[:, i], losses, usual) for i, bend in enumerate(bends)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Losses:
+    """Time lost (L, C) or (C,) s, its sigma, and whether it is real, which it is from `sure` sigmas on."""
+
+    lost: Array
+    sigma: Array
+    is_real: BoolArray
+    sure: float
+
+
+def _judged(lost: Array, sigma: Array, counting: BoolArray, reference: int | None) -> _Losses:
+    """Losses (L, C) with what is real of them: those of the laps that count tell how many sigmas that takes."""
+    compared = counting.copy() if counting.any() else np.ones(len(lost), dtype=np.bool_)
+    if reference is not None:
+        compared[reference] = False
+    sure = sure_from(lost[compared], sigma[compared])
+    return _Losses(lost, sigma, are_real(lost, sigma, sure), sure)
+
+
+def _judged_usual(lost: Array, sigma: Array) -> _Losses:
+    """Medians (C,) of the losses (K, C) of some laps, with their sigma (C,)."""
+    known = np.isfinite(lost)
+    usual = np.full(lost.shape[1], np.nan)
+    for i in np.flatnonzero(known.any(axis=0)):
+        usual[i] = np.median(lost[known[:, i], i])
+    sure = sure_from(usual, sigma)
+    return _Losses(usual, sigma, are_real(usual, sigma, sure), sure)
 
 
 def _mean_speed(traces: Traces, counting: BoolArray) -> Array:
@@ -160,6 +193,59 @@ def _lost_sigma(
     return out
 
 
+def _usual_sigma(
+    curve: Curve,
+    bounds: Array,
+    at_bounds: Array,
+    path: PlanPath,
+    reference: int | None,
+    others: IntArray,
+    errors: JointPosition | None,
+) -> Array:
+    """Sigma (C,) of the median of what the laps `others` (K,) lost in each segment.
+
+    What their losses have in common, most of it the error of the lap compared with, is not less in the middle of many;
+    the rest is. A reference from elsewhere counts as just as unsure.
+    """
+    corners = len(bounds) - 1
+    out = np.full(corners, np.nan)
+    if errors is None or not others.size:
+        return out
+    normal = curve.tangent(bounds)
+    groups, places = [], []
+    for i in range(corners):
+        known = others[np.isfinite(at_bounds[others, i : i + 2]).all(axis=1)]
+        if known.size == 0 or (reference is not None and not np.isfinite(at_bounds[reference, i : i + 2]).all()):
+            continue
+        taken = known[np.linspace(0, len(known) - 1, min(MOST_LAPS, len(known))).round().astype(np.int64)]
+        times = at_bounds[taken if reference is None else np.append(taken, reference), i : i + 2].ravel()
+        groups.append(Crossed(times, np.tile(normal[i : i + 2], (len(times) // 2, 1)), path.at(times)[1]))
+        places.append((i, len(known)))
+    for (i, count), covariance in zip(places, time_covariances(errors, groups), strict=True):
+        out[i] = np.sqrt(_median_variance(_covariance_of_lost(covariance, reference is not None), count))
+    return out
+
+
+def _covariance_of_lost(covariance: Array, has_reference: bool) -> Array:
+    """Covariance (K, K) s^2 of what K laps lost, from that of when they, and last the reference lap if it is one of
+    the session, crossed both ends of a segment."""
+    laps = len(covariance) // 2
+    spent = np.kron(np.eye(laps), np.array([[-1.0, 1.0]]))
+    if has_reference:
+        spent = spent[:-1] - spent[-1:]
+    lost = spent @ covariance @ spent.T
+    return lost if has_reference else lost + np.mean(np.diag(lost))
+
+
+def _median_variance(covariance: Array, count: int) -> float:
+    """Variance of the median of `count` values, of some of which this is the covariance (K, K)."""
+    each, laps = float(np.mean(np.diag(covariance))), len(covariance)
+    if laps < 2:
+        return each
+    shared = min(max((float(covariance.sum()) - laps * each) / (laps * (laps - 1)), 0.0), each)
+    return shared + (OF_MEDIAN if count > 2 else 1.0) * (each - shared) / count
+
+
 def _corner(
     i: int,
     bend: Bend,
@@ -167,8 +253,8 @@ def _corner(
     traces: Traces,
     trajectory: Trajectory,
     spent: Array,
-    lost: Array,
-    lost_sigma: Array,
+    losses: _Losses,
+    usual: _Losses,
 ) -> Corner:
     d = traces.distance
     inside = (d >= bend.start) & (d <= bend.end)
@@ -178,8 +264,6 @@ def _corner(
     ends = _at(traces.speed, d, np.array([bend.start, bend.end]))
     braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
-    with np.errstate(invalid="ignore"):
-        is_real = np.abs(lost) > least_real(lost_sigma)
     return Corner(
         number=i + 1,
         start=bend.start,
@@ -195,11 +279,15 @@ def _corner(
         braking_point=braking,
         braking_sigma=braking_sigma,
         time=spent,
-        time_lost=lost,
-        time_lost_sigma=lost_sigma,
-        is_real=is_real & np.isfinite(lost_sigma) & (lost_sigma > 0.0),
+        time_lost=losses.lost[:, i],
+        time_lost_sigma=losses.sigma[:, i],
+        is_real=losses.is_real[:, i],
+        real_from=losses.sure,
         slide=slide,
         slide_sigma=slide_sigma,
+        usual_lost=float(usual.lost[i]),
+        usual_lost_sigma=float(usual.sigma[i]),
+        usual_is_real=bool(usual.is_real[i]),
     )
 
 

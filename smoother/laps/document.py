@@ -160,6 +160,10 @@ def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
         "end_m": corner.end,
         "direction": "left" if corner.turns_left else "right",
         "radius_m": corner.radius,
+        "real_from_sigmas": round(corner.real_from, DIGITS),
+        "usual_lost_s": round(corner.usual_lost, TIME_DIGITS),
+        "usual_lost_sigma_s": round(corner.usual_lost_sigma, TIME_DIGITS),
+        "usual_is_real": corner.usual_is_real,
         "laps": laps,
     }
 

@@ -149,8 +149,11 @@ class Corner:
     segment (2,) m: the stretch whose time is compared, from the braking zone before to the acceleration after; the
     segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, with speed_sigma
     m/s (of each of the three, typical). braking_point m, NaN where the lap did not brake, braking_sigma m. time s spent
-    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above two sigma. slide
-    rad, mean sideslip between start and end, positive: the nose points into the corner, with slide_sigma.
+    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above real_from of
+    them, the same in all corners, so many that few of all that is called real is luck. slide rad, mean sideslip between
+    start and end, positive: the nose points into the corner, with slide_sigma. usual_lost s, the median of the other
+    laps that count, with usual_lost_sigma, in which the reference lap's error counts as one; usual_is_real as above,
+    among all corners.
     """
 
     number: int
@@ -170,8 +173,12 @@ class Corner:
     time_lost: Array
     time_lost_sigma: Array
     is_real: BoolArray
+    real_from: float
     slide: Array
     slide_sigma: Array
+    usual_lost: float
+    usual_lost_sigma: float
+    usual_is_real: bool
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,11 @@ time ("stored"); failing both, a model of the receiver's offset does ("model").
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
-from smoother.arrays import Array, frozen, require_increasing
+from smoother.arrays import Array, BoolArray, frozen, require_increasing
 from smoother.laps.results import SigmaSource
 from smoother.trajectory import JointPosition, Trajectory
 
@@ -20,13 +21,39 @@ TRACK_TAU = 1.0  # s over which the fast part of the position error is forgotten
 SLOWEST = 1.0  # m/s; a time is not known from a position that hardly changes
 LAGS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 90.0, 150.0, 300.0, 600.0)  # s at which drift is stored
 SAMPLES = 40  # pairs of positions per lag
-SURE = 2.0  # sigmas of a difference from which on it is real
+SURE = 2.0  # sigmas of one difference from which on it is real
+LUCK = 0.05  # of what is called real, where many differences are looked at together, may be luck
 TOGETHER = 240  # positions whose covariance is asked for together; beyond, their pairs cost more than the asking
 
 
 def least_real(sigma: float | Array) -> float | Array:
-    """Return how large a difference must be to be more than the noise of its two sides, by its sigma."""
+    """Return how large a difference that is looked at alone must be to be more than the noise of its two sides."""
     return SURE * sigma
+
+
+def sure_from(difference: Array, sigma: Array) -> float:
+    """Return from how many sigmas on differences that are looked at together, of any shape, are real: never below SURE.
+
+    Of many comparisons some exceed two sigmas by luck alone, and those of one table have a lap in common, whose error
+    shifts them all at once, some up and some down. The false discovery rate is held at LUCK whatever they have in
+    common. Source: Benjamini and Yekutieli, The control of the false discovery rate in multiple testing under
+    dependency, 2001. A difference without a sigma above zero is none.
+    """
+    known = np.isfinite(difference) & np.isfinite(sigma) & (sigma > 0.0)
+    ratio = np.sort(np.abs(difference[known] / sigma[known]))[::-1]
+    if not ratio.size:
+        return SURE
+    rank = np.arange(1, len(ratio) + 1)
+    share = LUCK * rank / (len(ratio) * np.sum(1.0 / rank))
+    needed = np.array([-NormalDist().inv_cdf(0.5 * p) for p in share.tolist()])
+    passing = np.flatnonzero(ratio >= needed)
+    return max(SURE, float(needed[passing[-1] if passing.size else 0]))
+
+
+def are_real(difference: Array, sigma: Array, sure: float) -> BoolArray:
+    """Mask of differences beyond `sure` of their sigmas; one without a sigma above zero is not."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((np.abs(difference) >= sure * sigma) & np.isfinite(sigma) & (sigma > 0.0))
 
 
 @dataclass(frozen=True, eq=False)

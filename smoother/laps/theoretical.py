@@ -36,10 +36,11 @@ def theoretical_best(
     """Return the theoretical best of laps that count, its sigma, and the plain sum of the best sectors, s; NaN unknown.
 
     gates (S + 1,): start, ends of the sectors, finish. Never above the best lap, whose sectors were driven, nor below
-    the plain sum. Where all best sectors are one lap's it is that lap, as sure as that is.
+    the plain sum. Where all best sectors are one lap's it is that lap, as sure as that is. One lap has nothing that
+    could be put together.
     """
     whole = [lap for lap in laps if len(lap.sector_time) == len(gates) - 1 and np.isfinite(lap.sector_time).all()]
-    if not whole:
+    if len(whole) < 2:
         return np.nan, np.nan, np.nan
     times = np.stack([lap.sector_time for lap in whole])
     best = min(whole, key=lambda lap: lap.time)

@@ -1,7 +1,8 @@
 """comparison.html: several sessions on one reference line, in the look of report.html and as safe and self-contained.
 
-Which laps: of every session its best few that count. Differences carry their sigma and are called real only beyond two;
-places of different days share no GPS offset, so most differences of the line are within noise, and drawn so.
+Which laps: of every session its best few that count. Differences carry their sigma and are called real only beyond so
+many of it that luck hardly ever is; places of different days share no GPS offset, so most differences of the line are
+within noise, and drawn so.
 """
 
 from collections.abc import Sequence
@@ -13,8 +14,8 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.laps.clock import local_day, local_zone
-from smoother.laps.results import Corner, LapAnalysis, Statistics, Traces
-from smoother.laps.sigma import least_real
+from smoother.laps.results import Corner, LapAnalysis, Statistics
+from smoother.laps.sigma import are_real, sure_from
 from smoother.laps.stored import Stored
 from smoother.report.files import replacing
 from smoother.report.page_charts import grip, linked, picker, settings, styled
@@ -31,7 +32,7 @@ from smoother.report.page_data import (
     stretches,
 )
 from smoother.report.page_html import Child, element, row, table
-from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell
+from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.words import counted
 
@@ -169,14 +170,42 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     ]
     heads += [*(f"S{i + 1} ±" for i in range(sectors)), "theoretical", "spread (s)", top]
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
-    rows = [_best_row(one, sectors, least) for one in compared]
-    note = "Laps: how many count. Lost: to the best of all, with a star where it is real, more than two sigma. "
+    lost = losses(compared)
+    rows = [_best_row(one, sectors, least, lost[k]) for k, one in enumerate(compared)]
+    sure = f"{number(lost[0].sure, 1)} sigma or more"
+    note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
     told = table(heads, rows, class_="tight")
     return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told]
 
 
-def _best_row(one: Compared, sectors: int, least: float) -> Element:
+@dataclass(frozen=True)
+class Loss:
+    """What the best lap of a session lost over the whole lap, s, with its sigma; NaN unknown or compared with itself.
+    is_real: from `sure` sigmas on."""
+
+    lost: float
+    sigma: float
+    is_real: bool
+    sure: float
+
+
+def losses(compared: Sequence[Compared]) -> list[Loss]:
+    """Return what the best lap of each session lost to the lap that all are compared with."""
+    lost, sigma = np.array([_whole_lap(one) for one in compared]).T
+    sure = sure_from(lost, sigma)
+    real = are_real(lost, sigma, sure)
+    return [Loss(float(a), float(b), bool(c), sure) for a, b, c in zip(lost, sigma, real, strict=True)]
+
+
+def _whole_lap(one: Compared) -> tuple[float, float]:
+    said, traces = one.statistics, one.analysis.traces
+    if said is None or traces is None or said.best_lap is None or said.best_lap == one.reference:
+        return np.nan, np.nan
+    return float(traces.delta[said.best_lap, -1]), float(traces.delta_sigma[said.best_lap, -1])
+
+
+def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
     said, start = one.statistics, one.start
     started = DASH if start is None else local_day(start, with_zone=False)
     if said is None or said.best_lap is None:
@@ -194,23 +223,18 @@ def _best_row(one: Compared, sectors: int, least: float) -> Element:
         started,
         str(said.counted),
         time_cell(said.best, said.best_sigma),
-        _lost(one, said.best_lap),
+        _lost(lost),
     ]
     return row(*first, *times, *known, class_="best" if said.best == least else "")
 
 
-def _lost(one: Compared, lap: int) -> Element:
+def _lost(loss: Loss) -> Element:
     """A cell with what a whole lap lost to the lap that all are compared with."""
-    traces: Traces | None = one.analysis.traces
-    if traces is None or lap == one.reference:
+    if not np.isfinite(loss.lost):
         return element("td", DASH)
-    lost, sigma = float(traces.delta[lap, -1]), float(traces.delta_sigma[lap, -1])
-    if not np.isfinite(lost):
-        return element("td", DASH)
-    is_real = np.isfinite(sigma) and abs(lost) > least_real(sigma)
-    small = element("small", f" ± {number(sigma, 3)}" if np.isfinite(sigma) else "")
-    kind = ("slower" if lost > 0.0 else "faster") if is_real else "noise"
-    return element("td", f"{number(lost, 3, signed=True)}{'*' if is_real else ''}", small, class_=kind)
+    small = element("small", f" ± {number(loss.sigma, 3)}" if np.isfinite(loss.sigma) else "")
+    kind = ("slower" if loss.lost > 0.0 else "faster") if loss.is_real else "noise"
+    return element("td", f"{number(loss.lost, 3, signed=True)}{'*' if loss.is_real else ''}", small, class_=kind)
 
 
 def _corners(compared: Sequence[Compared]) -> list[Element]:
@@ -221,7 +245,8 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         return []
     note = (
         f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
-        "corner. Bold with a star: real, more than two sigma. The rest is within noise: do not chase it."
+        "corner. Bold with a star: real; of many losses some are large by luck, so each session's must be so many "
+        "sigma that few of its stars are luck. The rest is within noise: do not chase it."
     )
     heads = ["", *(corner_name(corner) for corner in corners)]
     lost, usual, slowest = [], [], []
@@ -230,7 +255,7 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         assert said is not None and said.best_lap is not None
         best = said.best_lap
         lost.append(row(_lap_name(one, best), *(_lost_in(one, corner, best) for corner in mine)))
-        counting = [i for i, lap in enumerate(one.analysis.laps) if lap.is_valid]
+        counting = [i for i, lap in enumerate(one.analysis.laps) if lap.is_valid and i != one.reference]
         usual.append(row(f"{one.name}, {counted(len(counting), 'lap')}", *(_usual(c, counting) for c in mine)))
         slowest.append(row(_lap_name(one, best), *(speed_cell(float(corner.min_speed[best])) for corner in mine)))
     unit = element("span", "km/h", class_="speed-unit")
@@ -238,7 +263,7 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         element("h2", "Corners", id="corners"),
         element("p", note, class_="soft"),
         table(heads, lost, "Best laps: time lost (s)", class_="dense"),
-        table(heads, usual, "All laps that count: median of the time lost (s), and in how many it is real", "dense"),
+        table(heads, usual, "The laps that count: median of the time lost (s), and in how many it is real", "dense"),
         element("h3", "Slowest in the corner, ", unit),
         table(heads, slowest, class_="dense"),
     ]
@@ -249,10 +274,4 @@ def _lost_in(one: Compared, corner: Corner, lap: int) -> Element:
 
 
 def _usual(corner: Corner, laps: list[int]) -> Element:
-    lost = corner.time_lost[laps]
-    known = lost[np.isfinite(lost)]
-    if not known.size:
-        return element("td", DASH)
-    real = int(np.count_nonzero(corner.is_real[laps]))
-    kind = "noise" if 2 * real < len(laps) else "slower" if np.median(known) > 0.0 else "faster"
-    return element("td", number(float(np.median(known)), 2, signed=True), element("small", f" {real}"), class_=kind)
+    return usual_cell(corner, element("small", f", {int(np.count_nonzero(corner.is_real[laps]))}"))

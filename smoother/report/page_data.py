@@ -28,6 +28,7 @@ MOST_DRAWN = 300  # laps, five hours of them; a page with a day's would take a b
 MOST_ROWS = 150_000  # of the whole session where it has no laps, four hours at their usual rate
 MOST_SLOW = 60_000  # of what is drawn of quality over time, likewise
 SHADES = 16
+OF_LINE = ("offset", "offset_sigma", "is_off")
 Document = dict[str, object]
 
 
@@ -108,6 +109,8 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
     drawn = drawn_laps(laps)
     columns = grid_columns(numbers.smoothed, traces)
     named = lap_traces(traces, numbers.smoothed, numbers.middle, drawn, columns)
+    if sum(lap.is_valid for lap in laps.laps) < 2:  # beside the mean of one lap there is nothing to see
+        named = {name: values for name, values in named.items() if name not in OF_LINE}
     main = drawn.index(main_lap(laps))
     against = laps.reference_lap
     return {

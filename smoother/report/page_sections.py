@@ -1,6 +1,6 @@
 """What report.html says in words and tables: summary, laps, corners, what is missing, whether it can be trusted."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -13,19 +13,12 @@ from smoother.estimate.true_time import unix_at_start
 from smoother.laps.clock import local_day, local_time, local_zone, spread_said
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
+from smoother.laps.top_speed import top_speed
 from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import (
-    distance_driven,
-    is_told,
-    known_axes,
-    merged,
-    mounting_angles,
-    smoothing_time,
-    top_speed,
-)
+from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, smoothing_time
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -96,15 +89,16 @@ def summary(told: Told) -> Element:
     cards = []
     if said is not None and told.laps is not None and said.best_lap is not None:
         cards.append(_card("Best lap", lap_clock(said.best), _pm(said.best_sigma, told.laps.laps[said.best_lap])))
-        cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
-        start = "" if not said.rolling_from > 0.0 else f", from {said.rolling_from:.0f} m"
-        cards.append(_card("Rolling best", lap_clock(said.rolling), f"± {number(said.rolling_sigma, 3)} s{start}"))
-        spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
-        within = f"{spread}{said.within_tenth} within 0.1 s of the best"
-        cards.append(_card("Consistency", counted(said.counted, "lap"), f"that count; {within}"))
+        if np.isfinite(said.theoretical):
+            cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
+        cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
+        cards.append(_card("Consistency", counted(said.counted, "lap"), _consistency(said)))
     fastest = top_speed(smoothed)
-    top = element("span", number(fastest / KMH, 1), data_mps=f"{fastest:.4f}")
-    cards.append(_card("Top speed", top, element("span", "km/h", class_="speed-unit")))
+    top = element("span", number(fastest.speed / KMH, 1), data_mps=f"{fastest.speed:.4f}")
+    unit, sure = element("span", "km/h", class_="speed-unit"), fastest.sigma
+    plus_minus = element("span", number(sure / KMH, 1), data_mps=f"{sure:.4f}")
+    below = element("span", "± ", plus_minus, " ", unit) if np.isfinite(sure) else unit
+    cards.append(_card("Top speed", top, below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
     cards.append(_card("Driven", driven, f"in {duration(length)}"))
@@ -129,7 +123,26 @@ def _theoretical(said: Statistics) -> str:
     text = f"± {number(said.theoretical_sigma, 3)} s" if np.isfinite(said.theoretical_sigma) else "best sectors"
     if said.theoretical - said.theoretical_raw > 0.0005:
         return f"{text}; best sectors {lap_clock(said.theoretical_raw)}, less the luck of the timing"
+    if said.theoretical > said.best - 0.0005:
+        return f"{text}; the best lap has all the best sectors"
     return text
+
+
+def _rolling(said: Statistics) -> str:
+    text = f"± {number(said.rolling_sigma, 3)} s" if np.isfinite(said.rolling_sigma) else "one lap long"
+    if said.rolling_from > 0.0:
+        text += f", from {said.rolling_from:.0f} m"
+    best = said.theoretical if np.isfinite(said.theoretical) else said.best
+    if said.rolling > best - 0.0005:
+        return text
+    return f"{text}; it may begin anywhere, also on laps that do not count, and the luck of the timing is in it"
+
+
+def _consistency(said: Statistics) -> str:
+    if said.counted == 1:
+        return "that counts: none to compare it with"
+    spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
+    return f"that count; {spread}{said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
 
 
 def _missing(told: Told) -> Iterator[str]:
@@ -220,16 +233,29 @@ def corner_section(told: Told) -> list[Element]:
     if laps is None or not laps.corners:
         return []
     against = laps.reference_name if laps.reference_lap is None else f"lap {laps.laps[laps.reference_lap].number}"
-    note = (
-        f"Seconds lost to {against} between the fastest places before and after each corner. Bold with a star: real, "
-        "more than two sigma. The rest is within noise: do not chase it."
+    lost: list[Element] = []
+    if any(np.isfinite(c.time_lost[i]) for c in laps.corners for i in _compared(laps)):
+        note = (
+            f"Seconds lost to {against} between the fastest places before and after each corner. "
+            f"{stars_note(laps.corners)}"
+        )
+        heads = ["lap", *(corner_name(c) for c in laps.corners)]
+        lost = [element("p", note, class_="soft"), table(heads, _lost_rows(laps), class_="dense")]
+    return [element("h2", "Corners", id="corners"), *lost, *_corner_speeds(laps)]
+
+
+def stars_note(corners: Sequence[Corner]) -> str:
+    """What a star beside a loss says, with how many sigmas it takes."""
+    sure = number(corners[0].real_from, 1)
+    return (
+        f"Bold with a star: real, {sure} sigma or more; that is so much because of many losses, all against one lap, "
+        "some are large by luck, and few of the stars should be. The rest is within noise: do not chase it."
     )
-    return [
-        element("h2", "Corners", id="corners"),
-        element("p", note, class_="soft"),
-        table(["lap", *(corner_name(c) for c in laps.corners)], _lost_rows(laps), class_="dense"),
-        *_corner_speeds(laps),
-    ]
+
+
+def _compared(laps: LapAnalysis) -> list[int]:
+    """Indices of the laps shown that were timed, without the one that they are compared with."""
+    return [i for i in drawn_laps(laps) if laps.laps[i].is_timed and i != laps.reference_lap]
 
 
 def corner_name(corner: Corner) -> str:
@@ -252,12 +278,20 @@ def _lost_rows(laps: LapAnalysis) -> list[Element]:
 
 def lost_cell(corner: Corner, i: int) -> Element:
     """A cell with what lap i lost in a corner, marked where it is real."""
-    lost, sigma = float(corner.time_lost[i]), float(corner.time_lost_sigma[i])
+    return _lost_cell(float(corner.time_lost[i]), float(corner.time_lost_sigma[i]), bool(corner.is_real[i]))
+
+
+def usual_cell(corner: Corner, *after: Child) -> Element:
+    """A cell with what is usually lost in a corner, marked where it is real."""
+    return _lost_cell(corner.usual_lost, corner.usual_lost_sigma, corner.usual_is_real, *after)
+
+
+def _lost_cell(lost: float, sigma: float, is_real: bool, *after: Child) -> Element:
     if not np.isfinite(lost):
         return element("td", DASH)
-    star, kind = ("*", "slower" if lost > 0.0 else "faster") if corner.is_real[i] else ("", "noise")
+    star, kind = ("*", "slower" if lost > 0.0 else "faster") if is_real else ("", "noise")
     small = element("small", f" ± {number(sigma, 2)}" if np.isfinite(sigma) and sigma > 0.0 else "")
-    return element("td", f"{number(lost, 2, signed=True)}{star}", small, class_=kind)
+    return element("td", f"{number(lost, 2, signed=True)}{star}", small, *after, class_=kind)
 
 
 def _corner_speeds(laps: LapAnalysis) -> list[Element]:
@@ -276,17 +310,17 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         "exit",
     ]
     slides = any(np.isfinite(c.slide[shown]) for c in laps.corners)
-    heads += [*(["slide (deg)"] if slides else []), "usual loss (s)", "real in"]
+    heads += [*(["slide (deg)"] if slides else []), *(["usual loss (s)", "real in"] if timed else [])]
     rows = []
     for c in laps.corners:
-        lost = c.time_lost[timed]
-        usual = float(np.median(lost[np.isfinite(lost)])) if np.isfinite(lost).any() else np.nan
-        real = f"{int(c.is_real[timed].sum())} of {len(timed)}" if timed else DASH
+        real = f"{int(c.is_real[timed].sum())} of {len(timed)}"
         braking = with_sigma(float(c.braking_point[shown]), float(c.braking_sigma[shown]), 0)
         speeds = [speed_cell(float(speed[shown])) for speed in (c.entry_speed, c.min_speed, c.exit_speed)]
         cells: list[Child] = [corner_name(c), number(c.radius, 0), braking, *speeds]
         slide = with_sigma(float(c.slide[shown]) / DEG, float(c.slide_sigma[shown]) / DEG, 1, signed=True)
-        rows.append(row(*cells, *([slide] if slides else []), number(usual, 2, True), real))
+        cells += [slide] if slides else []
+        cells += [usual_cell(c), real] if timed else []
+        rows.append(row(*cells))
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
     sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
     title = f"Corners on lap {laps.laps[shown].number}"
@@ -296,7 +330,8 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         if slides
         else ""
     )
-    note = f"Distances are metres from the line. Usual loss: median of the other laps that count.{sure}{slide}"
+    usual_note = " Usual loss: median of the other laps that count; with a star it is real." if timed else ""
+    note = f"Distances are metres from the line.{usual_note}{sure}{slide}"
     return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
 
 

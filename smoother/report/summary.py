@@ -10,13 +10,13 @@ from smoother.arrays import are_near, median
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_start
 from smoother.frames import euler_from_rotation, euler_jacobian
+from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
 from smoother.samples import Problem, Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG
 
 Document = dict[str, object]
 
-SURE_SPEED = 0.1  # of a speed: one that is less sure than that and than others is an error of the fixes
 CLEARLY = 2.0  # sigma
 NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer outage than a minute does not
 # says nothing but where a session shows it: most boxes have none
@@ -106,20 +106,12 @@ def distance_driven(estimate: Trajectory) -> float:
 
 def fastest_row(estimate: Trajectory) -> int:
     """Return the row of the highest speed of those as sure as most of the session or to a tenth of themselves."""
-    speed, sigmas = estimate.speed, estimate.sigmas
-    if sigmas is None or not np.isfinite(sigmas.speed).any():
-        return int(np.argmax(speed))
-    usual = float(np.nanmedian(sigmas.speed))
-    return int(np.argmax(np.where(sigmas.speed <= np.maximum(SURE_SPEED * speed, 2.0 * usual), speed, -np.inf)))
-
-
-def top_speed(estimate: Trajectory) -> float:
-    """Return the speed of the fastest row, m/s."""
-    return float(estimate.speed[fastest_row(estimate)])
+    speed = estimate.speed
+    return int(np.argmax(np.where(sure_rows(speed, speed_sigma(estimate)), speed, -np.inf)))
 
 
 def _about(session: Session, estimate: Trajectory) -> Document:
-    config = session.config
+    config, top = session.config, top_speed(estimate)
     names = {"title": config.title, "driver": config.driver, "kart": config.kart, "track": config.track}
     return {
         "name": session.name,
@@ -128,7 +120,8 @@ def _about(session: Session, estimate: Trajectory) -> Document:
         "start_s": float(estimate.t[0]),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),
-        "top_speed_mps": top_speed(estimate),
+        "top_speed_mps": top.speed,
+        "top_speed_sigma_mps": top.sigma,
     }
 
 

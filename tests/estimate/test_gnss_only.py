@@ -16,8 +16,8 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gps_alone import GpsAlone
 from smoother.estimate.quality import assess
 from smoother.frames import Origin, nwu_to_geodetic
+from smoother.laps.top_speed import top_speed
 from smoother.prepare import prepare
-from smoother.report.summary import top_speed
 from smoother.samples import GnssFixes, Session
 from smoother.session.load import load_raw
 from smoother.sim.simulation import simulate_preset
@@ -146,7 +146,7 @@ def test_where_positions_alone_step_aside_speed_and_line_say_so(circle: Session)
     assert np.all(estimate.sigmas.speed[during] > 0.5 * wrong)
     assert estimate.sigmas.track[during].min() > 3.0
     assert estimate.sigmas.speed[before].max() < 1.5 and estimate.sigmas.track[before].max() < 1.0
-    assert top_speed(estimate) < 8.0  # 4.2 m/s were driven
+    assert top_speed(estimate).speed < 8.0  # 4.2 m/s were driven
 
 
 def test_a_single_fix_gives_one_row(lap_fixes: Make) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from smoother.laps.clock import lap_clock
 from smoother.laps.delta import zones
 from smoother.laps.document import analysis_document, lap_rows, lap_table
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
+from smoother.laps.sigma import are_real, sure_from
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
 from smoother.samples import Problem
@@ -145,7 +147,7 @@ def test_time_lost_in_all_corners_adds_up_to_the_lap(found: LapAnalysis) -> None
 
 
 @pytest.mark.parametrize("metres", [0.1, 0.3, 1.0])
-def test_a_loss_is_real_only_beyond_two_of_its_sigma(driven: Trajectory, fixes: Fixes, metres: float) -> None:
+def test_a_loss_is_real_only_beyond_as_many_sigma_as_it_says(driven: Trajectory, fixes: Fixes, metres: float) -> None:
     class Independent:
         def covariance(self, t: Array, direction_n: Array) -> Array:
             return metres**2 * np.where(t[:, None] == t[None, :], 1.0, 0.0) * (direction_n @ direction_n.T)
@@ -155,10 +157,58 @@ def test_a_loss_is_real_only_beyond_two_of_its_sigma(driven: Trajectory, fixes: 
     for corner in analysis.corners:
         known = np.isfinite(corner.time_lost) & (corner.time_lost_sigma > 0.0)
         times_sigma += (np.abs(corner.time_lost[known]) / corner.time_lost_sigma[known]).tolist()
-        expected = np.abs(corner.time_lost) > 2.0 * corner.time_lost_sigma
+        expected = np.abs(corner.time_lost) >= corner.real_from * corner.time_lost_sigma
         np.testing.assert_array_equal(corner.is_real[known], expected[known])
+    (sure,) = {corner.real_from for corner in analysis.corners}
+    assert sure > 2.0
     assert min(times_sigma) < 2.0 or metres < 0.3
     assert max(times_sigma) > 1.0 or metres > 0.3
+
+
+@pytest.mark.parametrize("has_reference", [True, False])
+def test_the_usual_loss_is_no_surer_than_the_lap_compared_with(
+    driven: Trajectory, fixes: Fixes, *, has_reference: bool
+) -> None:
+    class Independent:
+        def covariance(self, t: Array, direction_n: Array) -> Array:
+            return 0.04 * np.where(t[:, None] == t[None, :], 1.0, 0.0) * (direction_n @ direction_n.T)
+
+    known = Trajectory(**{**vars(driven), "joint": Independent()})
+    analysis = analyse(known, fixes(driven))
+    if not has_reference:
+        lap = reference_lap_of(analysis, known, fixes(driven), "another")
+        analysis = analyse(known, fixes(driven), LapOptions(reference=analysis.reference, reference_lap=lap))
+    others = [i for i, lap in enumerate(analysis.laps) if lap.is_valid and i != analysis.reference_lap]
+    assert len(others) == (2 if has_reference else 3)
+    for corner in analysis.corners:
+        cell = corner.time_lost_sigma[others]  # half of its variance is the reference lap's
+        assert corner.usual_lost == pytest.approx(float(np.median(corner.time_lost[others])))
+        of_median = np.pi / 2.0 if len(others) > 2 else 1.0
+        expected = np.sqrt(0.5 + 0.5 * of_median / len(others)) * cell.mean()
+        assert corner.usual_lost_sigma == pytest.approx(expected, rel=0.1)
+
+
+def test_of_luck_alone_hardly_anything_is_real_however_much_is_compared() -> None:
+    rng = np.random.default_rng(3)
+    called, by_two_sigma = [], []
+    for _ in range(200):
+        lap, reference = rng.standard_normal((40, 1)), rng.standard_normal((1, 1))
+        offset = lap - reference  # of the GPS, and one for a whole lap: each corner shows it in its own way
+        lost = offset * np.tile([0.9, -0.9, 0.5], 4) + 0.5 * rng.standard_normal((40, 12))
+        sigma = np.broadcast_to(np.hypot(np.sqrt(2.0) * np.tile([0.9, 0.9, 0.5], 4), 0.5), lost.shape)
+        called.append(bool(are_real(lost, sigma, sure_from(lost, sigma)).any()))
+        by_two_sigma.append(float(np.mean(are_real(lost, sigma, 2.0))))
+    assert np.mean(called) < 0.05
+    assert 0.03 < np.mean(by_two_sigma) < 0.06
+
+
+def test_one_difference_alone_is_real_from_two_sigma_and_more_need_more() -> None:
+    assert sure_from(np.array([3.0]), np.array([1.0])) == 2.0
+    assert sure_from(np.array([np.nan, 5.0]), np.array([1.0, 0.0])) == 2.0
+    least = NormalDist().inv_cdf(1.0 - 0.5 * 0.05 / (4 * (1.0 + 1.0 / 2.0 + 1.0 / 3.0 + 1.0 / 4.0)))
+    assert sure_from(np.full((2, 2), 0.5), np.ones((2, 2))) == pytest.approx(least)
+    large = np.where(np.arange(100) < 60, 20.0, 0.5)  # many that are surely real lower what each needs
+    assert 2.0 < sure_from(large, np.ones(100)) < sure_from(np.where(large > 1.0, 0.5, large), np.ones(100))
 
 
 def test_zones_have_hysteresis() -> None:

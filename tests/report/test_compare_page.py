@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.report.compare_page import MOST_LAPS, Compared, comparison
+from smoother.report.compare_page import MOST_LAPS, Compared, comparison, losses
 from smoother.report.page_words import number
 from smoother.trajectory import Trajectory
 
@@ -79,7 +79,7 @@ def test_a_name_is_text_wherever_it_stands(compared: list[Compared]) -> None:
     assert not re.findall(r"(?:href|src)=[\"'](?!#)", text)
 
 
-def test_a_loss_is_called_real_only_beyond_two_sigma(compared: list[Compared]) -> None:
+def test_a_loss_is_called_real_only_where_it_is(compared: list[Compared]) -> None:
     text = comparison(compared)
     starred = len(re.findall(r"<td class=\"(?:slower|faster)\">[+-][0-9.]+\*", text))
     real = 0
@@ -87,11 +87,11 @@ def test_a_loss_is_called_real_only_beyond_two_sigma(compared: list[Compared]) -
         said = one.statistics
         assert said is not None and said.best_lap is not None
         real += sum(bool(corner.is_real[said.best_lap]) for corner in one.analysis.corners)
-        traces = one.analysis.traces
-        assert traces is not None
-        delta, sigma = traces.delta[said.best_lap, -1], traces.delta_sigma[said.best_lap, -1]
-        real += bool(abs(delta) > 2.0 * sigma)
-    assert starred == real
+        real += sum(corner.usual_is_real for corner in one.analysis.corners)
+    whole = losses(compared)
+    assert all(loss.is_real == (abs(loss.lost) >= loss.sure * loss.sigma) for loss in whole)
+    assert [np.isfinite(loss.lost) for loss in whole] == [one.reference is None for one in compared]
+    assert starred == real + sum(loss.is_real for loss in whole)
 
 
 def test_a_session_without_a_whole_lap_stands_in_the_table_and_is_not_drawn(compared: list[Compared]) -> None:

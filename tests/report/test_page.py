@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from smoother.cli.lap_stage import fix_path
+from smoother.cli.lap_tables import figures
 from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
 from smoother.laps.analysis import analyse
+from smoother.laps.document import analysis_document
 from smoother.laps.results import FixPath, LapAnalysis
 from smoother.report import page as page_module
 from smoother.report import page_data
+from smoother.report.files import to_json
 from smoother.report.page import Report, page, write_page
 from smoother.report.page_html import LONG, element, json_in_script, row, table, whole_page
 from smoother.report.page_words import lap_clock, number, with_sigma
@@ -171,6 +175,11 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     text = page(report)
     assert report.laps is not None
     real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
+    real += sum(corner.usual_is_real for corner in report.laps.corners)
+    assert f"{number(report.laps.corners[0].real_from, 1)} sigma or more" in text
+    corner = report.laps.corners[0]
+    usual = f"{number(corner.usual_lost, 2, signed=True)}{'*' if corner.usual_is_real else ''}"
+    assert f"{usual}<small> ± {number(corner.usual_lost_sigma, 2)}</small>" in text
     assert text.count('class="slower"') + text.count('class="faster"') == real
 
 
@@ -379,3 +388,34 @@ def test_without_laps_the_time_shown_is_around_the_top_speed_that_is_told(
     speed[step], sigma[step] = [200.0, 0.0, 0.0], 100.0
     stepped = replace(trajectory, velocity_n=speed, sigmas=replace(trajectory.sigmas, speed=sigma))
     assert page_data.compared_times(page_data.Numbers(session, stepped, None, None)) == told
+
+
+def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, LapAnalysis, Session]) -> None:
+    trajectory, laps, session = driven
+    second = next(lap for lap in laps.laps if lap.number == 2)
+    rows = slice(0, int(np.searchsorted(trajectory.t, second.start + 10.0)))
+    few = trajectory.rows(rows)
+    one = analyse(few, fix_path(session))
+    assert one.statistics is not None and one.statistics.counted == 1
+    assert np.isnan(one.statistics.theoretical) and np.isnan(one.statistics.theoretical_raw)
+    text = page(Report(session, few, None, one, GOOD))
+    assert "Theoretical best" not in text and "usual loss" not in text and "Seconds lost to" not in text
+    assert "that counts: none to compare it with" in text
+    assert "offset" not in numbers(text)["traces"]  # type: ignore[operator]
+    assert all("<td>–</td>" * len(one.corners) not in part for part in text.split("<tr"))
+    said = dict(figures(json.loads(to_json(analysis_document(one, session.origin)))))
+    assert "theoretical" not in said and said["consistency"] == "1 lap counts, none to compare it with"
+
+
+@pytest.mark.parametrize("faster", [0.2, -0.2])
+def test_a_rolling_best_below_the_theoretical_says_why(report: Report, faster: float) -> None:
+    assert report.laps is not None and report.laps.statistics is not None
+    said = report.laps.statistics
+    theoretical = said.best - 0.1
+    statistics = replace(said, theoretical=theoretical, theoretical_raw=theoretical, rolling=theoretical - faster)
+    laps = replace(report.laps, statistics=statistics)
+    assert ("the luck of the timing is in it" in page(replace(report, laps=laps))) == (faster > 0.0)
+    document = json.loads(to_json(analysis_document(laps, report.session.origin)))
+    assert ("luck of the timing in it" in dict(figures(document))["rolling best"]) == (faster > 0.0)
+    driven_so = replace(said, theoretical=said.best, theoretical_raw=said.best)
+    assert "the best lap has all the best sectors" in page(replace(report, laps=replace(laps, statistics=driven_so)))
