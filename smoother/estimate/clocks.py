@@ -45,6 +45,8 @@ BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the sessi
 UNLIKE = 1.0 / 3.0  # of the drift, by which no axis may differ from it, unless by its own sigmas
 SIGNIFICANT = 5.0  # sigmas
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
+# s likewise of a session of less than LONG s: a spin or two is as much of it
+SMALLEST_OF_SHORT, LONG = 0.1, 150.0
 # s likewise where velocities are those of positions, whose wander along the track is a delay that changes, or fixes are
 # more than QUICK s apart: of 1 Hz, what is between them is not known as well
 SMALLEST_OF_FEW, QUICK = 1.0, 0.3
@@ -76,9 +78,9 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
     lasts = float(path.t[-1] - path.t[0])
     if use.size < FEWEST or lasts < SHORTEST:
         return UNSEEN_DRIFT
-    axes, tells_much = path_axes(path), has_doppler and median(np.diff(path.t)) <= QUICK
+    axes = path_axes(path)
     if alignment.share_explained < EXPLAINED:
-        alignment, clock = _first_clock(imu, path, float(path.t[use[0]]))
+        alignment, clock = _first_clock(imu, path, _first_driven(path.t[use]))
     else:
         clock = _Clock(_liveliest(path.t[use], axes[use]), alignment.lag, 0.0)
     reach = 0.5 * FIRST
@@ -93,7 +95,9 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
         if not (math.isfinite(clock.drift) and abs(clock.drift) < LARGEST):
             return UNSEEN_DRIFT
         if is_all:
-            return _judged(slopes, clock, (SMALLEST if tells_much else SMALLEST_OF_FEW) / lasts)
+            smallest = _smallest(lasts, has_doppler and median(np.diff(path.t)) <= QUICK)
+            found = _judged(slopes, clock, smallest / lasts)
+            return replace(found, is_found=found.is_found and _is_even(felt, path.t[rows], axes[rows], clock))
         reach *= WIDER
 
 
@@ -118,7 +122,7 @@ def drift_problems(found: ClockDrift, session: Session) -> tuple[Problem, ...]:
     apart = abs(found.drift) * float(session.gnss.t[-1] - session.gnss.t[0])
     text = (
         f"the samples' clock runs {1e6 * abs(found.drift):.0f} ppm {runs} against that of the fixes, "
-        f"{apart:.2f} s over the session; taken out: times are those of the fixes"
+        f"{apart:.2f} s over the session; taken out"
     )
     return (Problem("clock_drift", text),)
 
@@ -156,6 +160,32 @@ class _Slope:
 
     off: Array
     covariance: Array
+
+
+def _smallest(lasts: float, tells_much: bool) -> float:
+    """What clocks must part by in a session of `lasts` s, s, for it to be more than what else changes a delay."""
+    if not tells_much:
+        return SMALLEST_OF_FEW
+    return SMALLEST if lasts > LONG else SMALLEST_OF_SHORT
+
+
+def _is_even(felt: _Felt, t: Array, told: Array, clock: _Clock) -> bool:
+    """Whether both halves of the fixes at t (N,) s drift as the whole does: a step between clocks is no drift."""
+    at, middle = clock.of_samples(t), len(t) // 2
+    here, change = felt.at(at), (felt.at(at + TURN) - felt.at(at - TURN)) / (2.0 * TURN)
+    for half in (slice(None, middle), slice(middle, None)):
+        since = t[half] - float(np.mean(t[half]))
+        slopes = [_slope(told[half, i], here[i, half], change[i, half], since) for i in range(3)]
+        off, sigma = _common(slopes, 1)
+        if not abs(off) < max(3.0 * sigma, UNLIKE * abs(clock.drift)):
+            return False
+    return True
+
+
+def _first_driven(t: Array) -> float:
+    """When the first stretch begins in which the kart mostly drives, by the times t (N,) s of fixes at speed."""
+    count = np.searchsorted(t, t + FIRST) - np.arange(len(t))
+    return float(t[int(np.argmax(2 * count > np.max(count)))])
 
 
 def _liveliest(t: Array, axes: Array) -> float:

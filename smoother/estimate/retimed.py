@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from smoother.arrays import Array
+from smoother.disc import pieces, release, roomy
 from smoother.samples import Session
 from smoother.trajectory import JointPosition
 
@@ -15,9 +16,18 @@ def with_samples_at(session: Session, change: Change) -> Session:
     imu, mag = session.imu, session.mag
     return replace(
         session,
-        imu=None if imu is None else replace(imu, t=change(imu.t)),
-        mag=None if mag is None else replace(mag, t=change(mag.t)),
+        imu=None if imu is None else replace(imu, t=_changed(imu.t, change)),
+        mag=None if mag is None else replace(mag, t=_changed(mag.t, change)),
     )
+
+
+def _changed(t: Array, change: Change) -> Array:
+    """Times (N,) s changed, a piece at a time: those of a day are in a file."""
+    out = roomy(t.shape)
+    for part in pieces(len(t)):
+        out[part] = change(t[part])
+        release(t, out)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

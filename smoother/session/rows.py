@@ -20,6 +20,8 @@ WRAP_TOLERANCE = 60.0  # s; longest silence across a wrap that is still recognis
 GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has a cause of its own
 GLITCH_ROWS = 10
 COARSE_STEP = 1.5  # units of the last decimal from stamp to stamp; more is no want of decimals
+MOSTLY = 0.95  # share; single stamps may be damaged
+MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
@@ -134,7 +136,7 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     place, count = np.arange(index.size) - first[group], int(np.count_nonzero(shares))
     said = f"{counted(count, 'row')} with the time of the row before; "
-    if _are_read_together(time[first], typical):
+    if _are_read_together(time[first], size, typical):
         room = np.append(typical, steps)
         place = place - (size - 1)[group]
         rows.say("coarse_time", f"{said}read out together, spread evenly up to it", count)
@@ -147,15 +149,23 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     return spread
 
 
-def _are_read_together(stamps: Array, step: float) -> bool:
-    """Whether stamps (G,) s, one of each group and usually `step` s apart, are finer than these steps are.
+def _are_read_together(stamps: Array, size: IntArray, step: float) -> bool:
+    """Whether groups of `size` (G,) rows with these stamps (G,) s, usually `step` s apart, were read out together.
 
-    Those of a clock with few decimals are whole multiples of the step from one to the next.
+    A clock that is too coarse goes on by the same step, to the last of its decimals, whatever the rows do: what reads a
+    sensor out is late now more, now less, or waits for the same number of rows.
     """
     decimals = 10.0 ** -np.arange(7)
-    whole = [np.all(np.abs(stamps / unit - np.round(stamps / unit)) < 1e-3) for unit in decimals]
-    unit = float(decimals[int(np.argmax(whole))]) if any(whole) else 0.0
-    return step > COARSE_STEP * unit
+    whole = [np.mean(np.abs(stamps / unit - np.round(stamps / unit)) < 1e-3) >= MOSTLY for unit in decimals]
+    unit = float(decimals[int(np.argmax(whole))]) if any(whole) else float(decimals[-1])
+    steps = np.diff(stamps)
+    usual = steps[steps < 1.5 * step]
+    if not usual.size:
+        return False
+    if np.mean(np.abs(usual - step) < 1.01 * unit) < MOSTLY:
+        return True
+    counted_out = np.median(size)
+    return bool(step > COARSE_STEP * unit and counted_out >= MANY and np.mean(size == counted_out) >= MOSTLY)
 
 
 def unwrap(t: Array) -> tuple[Array, int]:

@@ -23,6 +23,7 @@ from smoother.estimate.pauses import pauses_of
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw
+from smoother.sim.motion import Stop
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import Trajectory
 
@@ -84,6 +85,40 @@ def test_fixes_a_second_apart_tell_clocks_that_are_far_off_alone(session: Sessio
     assert not found_in(with_drift(slow, 1e-3)).is_found
     assert found_in(with_drift(slow, 1e-3)).drift == pytest.approx(1e-3, abs=2e-4)
     assert found_in(with_drift(slow, 8e-3)).is_found
+
+
+def test_a_step_between_the_clocks_is_no_drift(session: Session) -> None:
+    assert session.imu is not None
+    t = session.imu.t
+    for later in (0.3 * (t > t[0] + 150.0), 1e-3 * np.maximum(t - t[0] - 150.0, 0.0)):
+        found = found_in(replace(session, imu=replace(session.imu, t=t + later)))
+        assert abs(found.drift) > 1e-4
+        assert not found.is_found
+
+
+def test_in_a_minute_or_two_only_clocks_that_are_far_off_show() -> None:
+    short = prepare(simulate_preset("kart", 3, duration=120.0, gnss_outages=()).raw)
+    assert not found_in(with_drift(short, 5e-4)).is_found
+    assert found_in(with_drift(short, 3e-3)).is_found
+
+
+@pytest.mark.parametrize("seed", [83, 431])
+def test_what_slow_karts_show_by_chance_is_no_clock(seed: int) -> None:
+    slow = simulate_preset("kart_harsh", seed, duration=90.0, motion_top_speed=7.0, motion_grip_g=0.8, imu_rate=100.0)
+    assert not begin_module.begin(prepare(slow.raw), GraphOptions(), pauses_of).drift.is_found
+
+
+def test_a_fit_that_fails_costs_the_drift_alone(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> ClockDrift:
+        raise np.linalg.LinAlgError("no convergence")
+
+    monkeypatch.setattr(begin_module, "clock_drift", fails)
+    assert begin_module.begin(session, GraphOptions(), pauses_of).drift == UNSEEN_DRIFT
+
+
+def test_a_kart_that_drives_off_and_waits_is_looked_at_where_it_drives() -> None:
+    stop = simulate_preset("kart", 3, duration=400.0, motion_stops=(Stop(25.0, 200.0),), imu_rate=100.0)
+    assert found_in(with_drift(prepare(stop.raw), 1e-2)).is_found
 
 
 def test_turns_alone_that_are_later_and_later_are_no_clock(session: Session) -> None:

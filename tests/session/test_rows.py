@@ -213,6 +213,25 @@ def test_samples_that_were_read_out_together_end_with_their_stamp(decimals: int)
     assert "read out together" in rows.problems[0].text
 
 
+@pytest.mark.parametrize(("tick", "decimals"), [(1 / 64, 3), (0.0156, 4), (1 / 60, 6), (0.01, 2), (1.0, 0)])
+def test_a_clock_with_coarse_ticks_is_no_read_out(tick: float, decimals: int) -> None:
+    true = 100.0 + 0.0031 + np.arange(12000) / 200.0
+    stamps = np.round(np.floor(true / tick) * tick, decimals)
+    stamps[5000] += 1.3e-4  # one stamp that is damaged
+    rows = rows_of(12000)
+    spread = spread_coarse_times(rows, stamps, np.arange(12000.0)[:, None])
+    assert rows.problems[0].text.endswith("spread evenly")
+    assert abs(np.median(spread - true)) < 0.007
+
+
+def test_batches_of_one_size_end_with_their_stamp_even_on_a_grid() -> None:
+    true = 0.035 + np.arange(4000) / 200.0
+    rows = rows_of(4000)
+    stamps = np.repeat(np.round(true[19::20], 2), 20)
+    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    assert abs(np.median(spread - true)) < 0.006
+
+
 def test_rows_written_twice_are_not_spread() -> None:
     rows, t = rows_of(400), np.repeat(np.arange(200) * 0.01, 2)
     np.testing.assert_array_equal(spread_coarse_times(rows, t, np.repeat(np.arange(200.0), 2)[:, None]), t)

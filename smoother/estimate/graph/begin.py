@@ -1,6 +1,7 @@
 """What a session is before it is solved: on one clock, force and rate of one time, without pauses, and aligned."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from smoother.samples import Session
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
-LEAST_EXPLAINED = 0.6  # of both, by samples and fixes of one clock; less is noise or another motion
+LEAST_EXPLAINED = 0.8  # of both, by samples and fixes of one clock; less is noise or another motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     if not begun.start.alignment.is_level_only:
         driven = PathMotion(given.gnss.t, begun.start.driven.velocity_n)  # pauses are not closed in which clocks drift
         has_doppler = bool(np.mean(np.isfinite(given.gnss.velocity_n[:, 0])) > 0.5)
-        drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
+        with suppress(np.linalg.LinAlgError):  # then nothing is known of a drift, and that is all
+            drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
