@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.estimate.align import PathMotion, align
+from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
@@ -28,13 +29,29 @@ class Begun:
     start: Start
     delay: ForceDelay
     drift: ClockDrift = UNSEEN_DRIFT
+    offset: ClockOffset = NO_OFFSET
 
 
 def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
-    """Begin with a session, whose samples' clock may drift against that of its fixes.
+    """Begin with a session, whose samples' clock may show another time than that of its fixes, or drift against it."""
+    begun = _at_one_pace(given, options, cut_out)
+    if _explains(begun) >= EXPLAINED or begun.start.alignment.is_level_only:
+        return begun
+    assert given.imu is not None
+    offset = clock_offset(given.imu, PathMotion(given.gnss.t, begun.start.driven.velocity_n))
+    if not offset.is_found:
+        return begun
+    better = _at_one_pace(without_offset(given, offset), options, cut_out)
+    return replace(better, offset=offset) if _explains(better) > max(_explains(begun), LEAST_EXPLAINED) else begun
 
-    It does where samples and fixes then explain more of one another.
-    """
+
+def _explains(begun: Begun) -> float:
+    """Share of rate and force that the fixes explain."""
+    return begun.start.alignment.share_explained
+
+
+def _at_one_pace(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
+    """Begin with a session whose clocks may drift: they do where samples and fixes then explain more of one another."""
     begun, drift = _begun(given, options, cut_out(given)), UNSEEN_DRIFT
     assert given.imu is not None
     if not begun.start.alignment.is_level_only:
@@ -45,7 +62,7 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
-        if better.start.alignment.share_explained > max(begun.start.alignment.share_explained, LEAST_EXPLAINED):
+        if _explains(better) > max(_explains(begun), LEAST_EXPLAINED):
             return replace(better, drift=drift)
         drift = replace(drift, is_found=False)
     return replace(begun, drift=drift)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import BoolArray
+from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_settling import settled
@@ -178,6 +179,7 @@ class GraphSmoother:
                 *solution.problems,
                 *_shaken(session, solution.noise),
                 *_early(told.identified),
+                *offset_problems(begun.offset),
                 *drift_problems(begun.drift, given),
             ),
         )
