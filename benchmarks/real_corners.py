@@ -1,6 +1,7 @@
 """Losses in corners that are called real, against the truth: how many are luck, and how many true ones are called so.
 
     python benchmarks/real_corners.py --seeds 4 --durations 600 1500 3400     # 24 sessions; two minutes on two cores
+    python benchmarks/real_corners.py --lapses 4                              # drivers who brake too early now and then
     python benchmarks/real_corners.py --seeds 2 --durations 600               # a look
 
 Seeds take the tracks in turn, standing and rolling starts; each is driven by a `kart` and a `kart_harsh`. A loss of a
@@ -124,11 +125,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4, help="number of seeds, each on the next track")
     parser.add_argument("--first-seed", type=int, default=3)
     parser.add_argument("--durations", type=float, nargs="+", default=[600.0, 1500.0, 3400.0], help="s")
+    parser.add_argument("--lapses", type=float, default=0.0, help="of the driver, a km")
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     wanted = [
-        case
+        dataclasses.replace(case, changes={"motion_lapse_rate": arguments.lapses})
         for duration in arguments.durations
         for preset in ("kart", "kart_harsh")
         for case in cases(preset, seeds, duration)

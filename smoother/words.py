@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 
 UNREADABLE = "\ufffd"  # what a decoder leaves of bytes that are no character
+SLOWER_WHERE = {"entry": "into it", "minimum": "at its slowest", "exit": "out of it"}  # of a corner
 MOST_DIGITS = 7  # behind the point; a sigma below a millionth is that of something exact
 
 

@@ -13,6 +13,7 @@ from smoother.cli.simulating import TRACKS, write
 from smoother.cli.tables import show_result
 
 PRESET, SEED = "kart", 2026  # the seed is a date, not a choice: nothing is tuned to it
+LAPSES = 4.0  # a km: a hobby driver's, so that there is something to be found in the corners
 
 
 @click.command(short_help="No recording yet? Simulate one and smooth it.", epilog=ABOUT_EXIT)
@@ -40,7 +41,8 @@ def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool)
 
     with progress_on_terminal() as progress:
         progress("simulating", 0.0)
-        write(simulate_preset(PRESET, seed, track=track, duration=duration), directory, "klg")
+        simulation = simulate_preset(PRESET, seed, track=track, duration=duration, motion_lapse_rate=LAPSES)
+        write(simulation, directory, "klg")
         result = smooth_session(directory, directory / OUTPUT_DIRECTORY, Options(), progress)
     if not result.quality.passed:
         warn(f"{directory}: the result failed its quality gate: {'; '.join(result.quality.reasons)}")

@@ -10,7 +10,7 @@ from typing import Any
 from smoother.cli.output import number, say, say_pairs
 from smoother.laps.clock import lap_clock, local_time, local_zone, spread_said
 from smoother.units import KMH, MPH
-from smoother.words import counted
+from smoother.words import SLOWER_WHERE, counted
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
@@ -97,6 +97,8 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
             ("rolling best", _rolling(said)),
             ("consistency", _consistency(said)),
         ]
+    if lost := analysis.get("largest_losses"):
+        pairs.append(("most lost", _most_lost(lost[0])))
     if slide := _slide(analysis):
         pairs.append(("sideslip", slide))
     if source := SIGMA_SOURCES.get(analysis["sigma_source"], ""):
@@ -127,6 +129,25 @@ def _slide(analysis: dict[str, Any]) -> str:
         return ""
     n, most = max(known, key=lambda pair: pair[1]["slide_deg"])
     return f"most in corner {n}: {most['slide_deg']:.1f} ± {most['slide_sigma_deg']:.1f} deg, nose inwards (lap {best})"
+
+
+def _most_lost(loss: dict[str, Any]) -> str:
+    lost = f"{loss['lost_s']:.2f} ± {loss['lost_sigma_s']:.2f} s"
+    return f"{lost} in corner {loss['corner']} {loss['direction']} on lap {loss['lap']}"
+
+
+def _differences(loss: dict[str, Any], units: str) -> str:
+    """What was different where time was lost."""
+    braked: list[str] = []
+    slower: list[str] = []
+    factor = SPEED_UNITS[units]
+    if (by := loss.get("braking_earlier_m")) is not None:
+        braked = [f"braked {by:.0f} ± {loss['braking_earlier_sigma_m']:.0f} m earlier"]
+    for name, where in SLOWER_WHERE.items():
+        if (by := loss.get(f"{name}_slower_mps")) is not None:
+            sigma = loss[f"{name}_slower_sigma_mps"]
+            slower.append(f"{by / factor:.1f} ± {sigma / factor:.1f}{'' if slower else f' {units}'} {where}")
+    return ", ".join([*braked, *([f"slower by {', '.join(slower)}"] if slower else [])])
 
 
 def _theoretical(said: dict[str, Any]) -> str:
@@ -184,6 +205,18 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
     say_columns(f"lost in each corner against {_against(analysis)}, s (* real, else within noise)", header, rows)
     slowest = [["-" if (v := _slowest(c, analysis)) is None else number(v / factor, 1) for c in corners]]
     say_columns(f"slowest in the corner on the best lap, {units}", [*header[1:-1], ""], [[*slowest[0], ""]])
+
+
+def show_losses(analysis: dict[str, Any], units: str) -> None:
+    """Print the largest real losses, one a line, with what was different."""
+    lost = analysis.get("largest_losses") or []
+    if not lost:
+        return
+    say("")
+    say(f"where time was lost, against {_against(analysis)}")
+    for loss in lost:
+        what = _differences(loss, units)
+        say(f"  {_most_lost(loss)}{': ' if what else ''}{what}")
 
 
 def _against(analysis: dict[str, Any]) -> str:

@@ -20,7 +20,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import each
 from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
-from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps
+from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps, show_losses
 from smoother.cli.output import Progress, progress_on_terminal, say_json
 from smoother.cli.pipeline import SUMMARY, Options, Stopwatch, calibrated, estimate, naming, read, session_directory
 from smoother.cli.results import results_of
@@ -82,6 +82,7 @@ def laps(
         show_laps(document["laps"], document["lap_analysis"], unix, units, title=str(path))
         if corners:
             show_corners(document["laps"], document["lap_analysis"], units)
+            show_losses(document["lap_analysis"], units)
     if as_json:
         from smoother.report.files import to_json
 

@@ -7,6 +7,7 @@ import polars as pl
 
 from smoother.arrays import Array
 from smoother.frames import Origin, nwu_to_geodetic
+from smoother.laps.lost import Loss, largest_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
 from smoother.units import DEG
@@ -82,6 +83,7 @@ def analysis_document(analysis: LapAnalysis, origin: Origin, drift: Drift | None
         "reference_name": analysis.reference_name,
         "statistics": _statistics(analysis.statistics, analysis),
         "corners": [_corner(corner, analysis) for corner in analysis.corners],
+        "largest_losses": [_loss(loss, analysis) for loss in largest_losses(analysis)],
         "no_sideslip": analysis.no_sideslip or None,
         "problems": [{"code": p.code, "text": p.text} for p in analysis.problems],
         "official": [
@@ -131,6 +133,21 @@ def _statistics(statistics: Statistics | None, analysis: LapAnalysis) -> Documen
         "spread_s": statistics.spread,
         "within_tenth": statistics.within_tenth,
     }
+
+
+def _loss(loss: Loss, analysis: LapAnalysis) -> Document:
+    """What was different has the name of what was: `braking_earlier_m`, `minimum_slower_mps` and so on, each with ±."""
+    row: Document = {
+        "lap": analysis.laps[loss.lap].number,
+        "corner": loss.corner.number,
+        "direction": "left" if loss.corner.turns_left else "right",
+        "lost_s": round(loss.lost, TIME_DIGITS),
+        "lost_sigma_s": round(loss.sigma, TIME_DIGITS),
+    }
+    for each in loss.differences:
+        name, unit = ("braking_earlier", "m") if each.kind == "braking" else (f"{each.kind}_slower", "mps")
+        row |= {f"{name}_{unit}": round(each.by, DIGITS), f"{name}_sigma_{unit}": round(each.sigma, DIGITS)}
+    return row
 
 
 def _corner(corner: Corner, analysis: LapAnalysis) -> Document:

@@ -11,6 +11,7 @@ from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_start
 from smoother.laps.clock import local_day, local_time, local_zone, spread_said
+from smoother.laps.lost import Loss, largest_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
 from smoother.laps.top_speed import top_speed
@@ -22,7 +23,7 @@ from smoother.report.summary import distance_driven, is_told, known_axes, merged
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
-from smoother.words import counted, duration, measured, repeated
+from smoother.words import SLOWER_WHERE, counted, duration, measured, repeated
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -93,6 +94,10 @@ def summary(told: Told) -> Element:
             cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
         cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
         cards.append(_card("Consistency", counted(said.counted, "lap"), _consistency(said)))
+        if lost := largest_losses(told.laps, 1):
+            at = element("a", _where(lost[0], told.laps), href="#lost")
+            below = element("span", f"± {number(lost[0].sigma, 2)} s, ", at)
+            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, 2)} s", below))
     fastest = top_speed(smoothed)
     top = element("span", number(fastest.speed / KMH, 1), data_mps=f"{fastest.speed:.4f}")
     unit, sure = element("span", "km/h", class_="speed-unit"), fastest.sigma
@@ -241,7 +246,42 @@ def corner_section(told: Told) -> list[Element]:
         )
         heads = ["lap", *(corner_name(c) for c in laps.corners)]
         lost = [element("p", note, class_="soft"), table(heads, _lost_rows(laps), class_="dense")]
-    return [element("h2", "Corners", id="corners"), *lost, *_corner_speeds(laps)]
+    return [element("h2", "Corners", id="corners"), *_where_lost(laps, against), *lost, *_corner_speeds(laps)]
+
+
+def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
+    """The largest real losses, one a line; that there is none is said too."""
+    if not any(lap.is_valid and i != laps.reference_lap for i, lap in enumerate(laps.laps)):
+        return []
+    lost, title = largest_losses(laps), element("h3", "Where time was lost", id="lost")
+    if not lost:
+        text = f"Nowhere for sure: what the laps lost to {against} in single corners is within what luck does."
+        return [title, element("p", text)]
+    note = f"The largest losses to {against} that are real, and what was clearly different there."
+    items = (_lost_item(loss, laps) for loss in lost)
+    return [title, element("p", note, class_="soft"), element("ol", *items)]
+
+
+def _lost_item(loss: Loss, laps: LapAnalysis) -> Element:
+    item: list[Child] = [element("b", f"{number(loss.lost, 2)} ± {number(loss.sigma, 2)} s"), f" {_where(loss, laps)}"]
+    braked = [each for each in loss.differences if each.kind == "braking"]
+    slower = [each for each in loss.differences if each.kind != "braking"]
+    item += [f": braked {number(each.by, 0)} ± {number(each.sigma, 0)} m earlier" for each in braked]
+    for k, each in enumerate(slower):
+        by, sigma = (element("span", number(v / KMH, 1), data_mps=f"{v:.4f}") for v in (each.by, each.sigma))
+        unit: list[Child] = [" ", element("span", "km/h", class_="speed-unit")] if k == 0 else []
+        before = (", slower by " if braked else ": slower by ") if k == 0 else ", "
+        item += [before, by, " ± ", sigma, *unit, f" {SLOWER_WHERE[each.kind]}"]
+    drawn = drawn_laps(laps)
+    if laps.reference_lap in drawn and loss.lap in drawn:
+        places = {name: f"{at:.1f}" for name, at in zip(("data_from", "data_to"), loss.corner.segment, strict=True)}
+        both = f"{drawn.index(laps.reference_lap)} {drawn.index(loss.lap)}"
+        item += [" ", element("button", "show", type="button", class_="look", data_laps=both, **places)]
+    return element("li", *item)
+
+
+def _where(loss: Loss, laps: LapAnalysis) -> str:
+    return f"in corner {corner_name(loss.corner)} on lap {laps.laps[loss.lap].number}"
 
 
 def stars_note(corners: Sequence[Corner]) -> str:

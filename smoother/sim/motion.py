@@ -64,6 +64,9 @@ class Motion:
     line_length: float = 45.0  # m between independent values of the line
     grip_sigma: float = 0.03  # how much of the grip the driver leaves unused, one sigma
     grip_length: float = 120.0  # m
+    lapse_rate: float = 0.0  # 1/km: places where the driver brakes too early or misses the apex
+    lapse_depth: tuple[float, float] = (0.15, 0.45)  # of the grip that is left unused there, from the least to the most
+    lapse_length: float = 15.0  # m to either side, one sigma
     slip_per_acceleration: float = 0.0045  # rad per m/s^2 of lateral acceleration: about 4.5 deg at 1.75 g
     slip_sigma: float = 0.25  # of that, how differently each corner is taken
     slip_length: float = 25.0  # m
@@ -120,8 +123,21 @@ def _choose_path(track: Track, motion: Motion, time: Array, rng: np.random.Gener
     heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(step, axis=1))])
     curvature = np.gradient(heading, 0.5 * (length[1:] + length[:-1]))
-    grip = STANDARD_GRAVITY * motion.grip_g * (1.0 - np.abs(unused(distance)))
+    used = (1.0 - np.abs(unused(distance))) * (1.0 - _lapses(motion, distance, rng.spawn(1)[0]))
+    grip = STANDARD_GRAVITY * motion.grip_g * used
     return _Path(distance, length, np.append(curvature, curvature[-1]), grip, offset)
+
+
+def _lapses(motion: Motion, distance: Array, rng: np.random.Generator) -> Array:
+    """Share (K,) of the grip that is left unused by lapses, over the distance (K,) m driven; the larger of two."""
+    share = np.zeros_like(distance)
+    count = rng.poisson(motion.lapse_rate * (distance[-1] - distance[0]) / 1000.0)
+    places, depths = rng.uniform(distance[0], distance[-1], count), rng.uniform(*motion.lapse_depth, count)
+    for place, depth in zip(places, depths, strict=True):
+        i, j = np.searchsorted(distance, [place - 5.0 * motion.lapse_length, place + 5.0 * motion.lapse_length])
+        bump = depth * np.exp(-0.5 * ((distance[i:j] - place) / motion.lapse_length) ** 2)
+        share[i:j] = np.maximum(share[i:j], bump)
+    return share
 
 
 def wander(start: float, stop: float, length: float, rng: np.random.Generator, sigma: float) -> BSpline:

@@ -144,6 +144,17 @@ def test_kart_that_is_not_driven_stays():
     assert len(truth.crossings(TRACKS["larkfield"].start_line)) == 0
 
 
+def test_lapses_cost_time():
+    track = TRACKS["larkfield"]
+    even = drive(track, Motion(), 300.0, np.random.default_rng(5))
+    hobby = drive(track, Motion(lapse_rate=4.0), 300.0, np.random.default_rng(5))
+    laps, slower = (np.diff(truth.crossings(track.start_line)) for truth in (even, hobby))
+    assert np.ptp(slower[:4]) > 2.0 * np.ptp(laps[:4])
+    assert np.min(slower[:4]) > np.min(laps[:4]) - 0.01
+    nowhere = drive(track, Motion(lapse_depth=(0.9, 0.9)), 300.0, np.random.default_rng(5))
+    np.testing.assert_array_equal(speed_of(states_of(nowhere, 300.0)), speed_of(states_of(even, 300.0)))
+
+
 def test_kerbs_are_the_only_bumps():
     track = TRACKS["tinbarn"]
     rough = drive(track, Motion(), 60.0, np.random.default_rng(6))

@@ -584,6 +584,14 @@
     range.named = true;
     show(range);
   });
+  for (const button of document.querySelectorAll("button.look")) button.addEventListener("click", () => {
+    const laps = button.dataset.laps.split(" ").map(Number);
+    state.slots = new Map(laps.map((lap, slot) => [lap, slot]));
+    state.coloured = laps[laps.length - 1];
+    showPicked();
+    show([nearest(grid, Number(button.dataset.from)), nearest(grid, Number(button.dataset.to))]);
+    place("driving").scrollIntoView();
+  });
   place("cursor").addEventListener("keydown", keys);
   control("cursor", "input", (value) => moveTo(Number(value)));
   for (const lap of data.first) state.slots.set(lap, state.slots.size);

@@ -1,0 +1,68 @@
+"""Where time was lost: the largest losses that are no luck, and what was done differently there.
+
+What is said of a loss is only what is beyond two sigma of the difference between both laps, in the direction that
+loses: braked earlier, or slower into, in or out of the corner. It is what went with the loss, not a proof of its cause.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.laps.results import Corner, LapAnalysis
+
+MOST = 5  # that are told; the table has them all
+CLEARLY = 2.0  # sigmas
+
+Kind = Literal["braking", "entry", "minimum", "exit"]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How a lap did it otherwise than the lap compared with: `by` m earlier (braking) or m/s slower, and its sigma."""
+
+    kind: Kind
+    by: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A real loss: lap, index in `LapAnalysis.laps`; the corner; s lost and its sigma; what was different."""
+
+    lap: int
+    corner: Corner
+    lost: float
+    sigma: float
+    differences: tuple[Difference, ...]
+
+
+def largest_losses(laps: LapAnalysis, most: int = MOST) -> tuple[Loss, ...]:
+    """Return the largest real losses of the laps that count, largest first."""
+    found = [
+        Loss(i, corner, float(corner.time_lost[i]), float(corner.time_lost_sigma[i]), _differences(corner, i, laps))
+        for corner in laps.corners
+        for i, lap in enumerate(laps.laps)
+        if lap.is_valid and corner.is_real[i] and corner.time_lost[i] > 0.0
+    ]
+    return tuple(sorted(found, key=lambda loss: -loss.lost)[:most])
+
+
+def _differences(corner: Corner, lap: int, laps: LapAnalysis) -> tuple[Difference, ...]:
+    """What lap `lap` did otherwise in a corner than the lap compared with; nothing where that is of another session."""
+    reference = laps.reference_lap
+    if reference is None:
+        return ()
+
+    def by(kind: Kind, values: Array, sigma: Array) -> Difference:
+        less = float(values[reference] - values[lap])
+        return Difference(kind, less, float(np.hypot(sigma[reference], sigma[lap])))
+
+    all_of_them = (
+        by("braking", corner.braking_point, corner.braking_sigma),
+        by("entry", corner.entry_speed, corner.speed_sigma),
+        by("minimum", corner.min_speed, corner.speed_sigma),
+        by("exit", corner.exit_speed, corner.speed_sigma),
+    )
+    return tuple(each for each in all_of_them if each.by > CLEARLY * each.sigma)
