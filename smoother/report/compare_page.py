@@ -274,4 +274,5 @@ def _lost_in(one: Compared, corner: Corner, lap: int) -> Element:
 
 
 def _usual(corner: Corner, laps: list[int]) -> Element:
-    return usual_cell(corner, element("small", f", {int(np.count_nonzero(corner.is_real[laps]))}"))
+    real = int(np.count_nonzero(corner.is_real[laps]))
+    return usual_cell(corner, element("small", f"real in {real}") if real else None)
