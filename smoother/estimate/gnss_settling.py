@@ -2,8 +2,9 @@
 
 After a start, or after a tunnel, positions may drift to the truth for a minute while the velocity is right at once.
 Taken for a slow error they would bend the rest of the session: no Gauss-Markov offset goes so far, so that the bias of
-the velocity and the path would. Positions minus the integrated velocity show how fast the error of the fixes changes;
-where it changes at the beginning by far more than it ever does later, the receiver had not settled.
+the velocity and the path would. Positions minus the integrated velocity show how the error of the fixes changes. Where
+it changes in the first minutes by far more than it ever does later, and for good, the receiver had not settled; an
+error that comes and goes is another matter.
 """
 
 from dataclasses import replace
@@ -20,6 +21,9 @@ LATER = 20.0  # s over which a change is looked at: positions wander less in it 
 AVERAGED = 3.0  # s, by a median
 SETTLING, SETTLINGS = 6.0, 3.0  # m, and times the usual change; a Gauss-Markov error does it in 2 runs of 1000
 LEAST = 5.0  # s; what is over sooner is a jump, LATER or now
+LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a shorter hole is one of the recording
+EARLY = 120.0  # s, in which a receiver settles
+FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
 SETTLED = 1.2  # times the usual change, from which on a receiver wanders as it always does
 
 
@@ -48,20 +52,41 @@ def unsettled(session: Session) -> BoolArray:
     runs = [rows for rows in unbroken_runs(t, known) if t[rows[-1]] - t[rows[0]] > 2.0 * LATER]
     if 2 * known.size < len(t) or not runs:
         return out
-    changes = [_changes(t[rows], position_n[rows], velocity_n[rows]) for rows in runs]
-    usual = median(np.concatenate(changes))
-    for rows, change in zip(runs, changes, strict=True):
-        if change[0] > max(SETTLING, SETTLINGS * usual):
-            calm = np.flatnonzero(change <= SETTLED * usual)
-            if calm.size and t[rows[calm[0]]] - t[rows[0]] > LEAST:
-                out[rows[0] : rows[calm[0]]] = True
+    errors = [_error(t[rows], position_n[rows], velocity_n[rows]) for rows in runs]
+    changes = [_changes(t[rows], error) for rows, error in zip(runs, errors, strict=True)]
+    late = [change[t[rows[: len(change)]] - t[rows[0]] > EARLY] for rows, change in zip(runs, changes, strict=True)]
+    usual = median(np.concatenate(late if sum(map(len, late)) > FEWEST else changes))
+    for rows, error, change in zip(runs, errors, changes, strict=True):
+        if rows[0] > known[0] and t[rows[0]] - t[known[known < rows[0]][-1]] < LOST:
+            continue
+        out[rows[0] : rows[_settled_at(t[rows], error, change, usual)]] = True
     return out
 
 
-def _changes(t: Array, position: Array, velocity: Array) -> Array:
-    """How far, m, the error of positions (M, 2) goes in the LATER s from each fix at t (M,) s on, of those that can."""
+def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
+    """Index of the first fix of a receiver that has settled, at t (M,) s with errors (M, 2) m; 0 if it always had.
+
+    change (K,) m in the LATER s from each of the first K on, `usual` m in the mean of the session.
+    """
+    early = np.flatnonzero((change > max(SETTLING, SETTLINGS * usual)) & (t[: len(change)] - t[0] < EARLY))
+    calm = np.flatnonzero(change <= SETTLED * usual)
+    calm = calm[calm > early[-1]] if early.size else calm[:0]
+    if not calm.size or t[calm[0]] - t[0] < LEAST:
+        return 0
+    # an error that wanders goes as far as this, the root of the time, in as long
+    steps = max(1.0, float(t[calm[0]] - t[0]) / LATER)
+    far = max(SETTLING, SETTLINGS * usual * float(np.sqrt(steps)))
+    return int(calm[0]) if np.hypot(*(error[calm[0]] - error[0])) > far else 0
+
+
+def _error(t: Array, position: Array, velocity: Array) -> Array:
+    """Errors (M, 2) m of positions (M, 2) m at t (M,) s, but for a constant, steadied."""
     interval = float(np.median(np.diff(t)))
-    error = running_median(beside_dead_reckoning(t, position, velocity), min(AVERAGED / interval, len(t)))
+    return running_median(beside_dead_reckoning(t, position, velocity), min(AVERAGED / interval, len(t)))
+
+
+def _changes(t: Array, error: Array) -> Array:
+    """How far, m, errors (M, 2) m go in the LATER s from each fix at t (M,) s on, of those that can."""
     later = np.searchsorted(t, t + LATER)
     later = later[later < len(t)]
     return np.asarray(np.hypot(*(error[later] - error[: len(later)]).T))

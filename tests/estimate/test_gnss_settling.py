@@ -55,6 +55,31 @@ def test_fixes_before_the_receiver_had_settled_are_found(session: Session) -> No
     assert 10.0 < np.sum(again) / 5.0 < 50.0
 
 
+@pytest.mark.parametrize("hold", [15.0, 30.0, 60.0])
+def test_a_receiver_may_wait_before_it_settles(session: Session, hold: float) -> None:
+    t = session.gnss.t - session.gnss.t[0]
+    waits = moved(session, np.exp(-np.maximum(t - hold, 0.0) / 10.0)[:, None] * OFF)
+    out = unsettled(waits)
+    assert out[t < hold].all()
+    assert hold + 10.0 < t[out][-1] < hold + 50.0
+
+
+@pytest.mark.parametrize(("first", "lasts"), [(10.0, 15.0), (30.0, 20.0), (60.0, 8.0)])
+def test_an_error_that_comes_and_goes_is_not_settling(session: Session, first: float, lasts: float) -> None:
+    t = session.gnss.t - session.gnss.t[0]
+    assert not unsettled(moved(session, ((t > first) & (t < first + lasts))[:, None] * OFF)).any()
+
+
+def test_behind_a_short_hole_a_receiver_has_its_satellites(session: Session) -> None:
+    t = session.gnss.t - session.gnss.t[0]
+    kept = (t < 60.0) | (t > 63.0)
+    gnss = {
+        name: v[kept] if isinstance(v, np.ndarray) and len(v) == len(t) else v for name, v in vars(session.gnss).items()
+    }
+    holed = replace(session, gnss=replace(session.gnss, **gnss))
+    assert not unsettled(coming_in(holed, 63.0)).any()
+
+
 def test_what_is_said(session: Session) -> None:
     cold, (problem,) = settled(coming_in(session, 0.0))
     assert problem.code == "gps_settling"
