@@ -9,15 +9,18 @@ import numpy as np
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
+from smoother.estimate.gnss_coasting import coasting, coasting_problems, without_coasting
+from smoother.estimate.gnss_settling import settled
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.fit.force_delay import UNSEEN, ForceDelay
-from smoother.samples import Session
+from smoother.samples import Problem, Session
 
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
+LOOKS = 3  # for such fixes; those that are left out first hid others
 LEAST_EXPLAINED = 0.8  # of both, by samples and fixes of one clock; less is noise or another motion
 
 
@@ -30,9 +33,26 @@ class Begun:
     delay: ForceDelay
     drift: ClockDrift = UNSEEN_DRIFT
     offset: ClockOffset = NO_OFFSET
+    problems: tuple[Problem, ...] = ()
 
 
 def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
+    """Begin with a session, without the fixes of a receiver that went straight on or had not settled."""
+    begun = _on_one_clock(given, options, cut_out)
+    out = np.zeros(len(given.gnss), dtype=np.bool_)
+    for _ in range(LOOKS):
+        more = coasting(begun.session, begun.start.alignment, begun.start.driven) & ~out
+        if not more.any():
+            break
+        out |= more
+        begun = _on_one_clock(without_coasting(given, out), options, cut_out)
+    rest, problems = settled(without_coasting(given, out) if out.any() else given)
+    if problems:
+        begun = _on_one_clock(rest, options, cut_out)
+    return replace(begun, problems=(*coasting_problems(out), *problems))
+
+
+def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
     """Begin with a session, whose samples' clock may show another time than that of its fixes, or drift against it."""
     begun = _at_one_pace(given, options, cut_out)
     if _explains(begun) >= EXPLAINED or begun.start.alignment.is_level_only:

@@ -19,7 +19,6 @@ from smoother.arrays import BoolArray
 from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.gnss_settling import settled
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
@@ -90,12 +89,11 @@ class GraphSmoother:
         Where the force is late behind the rate (`accel_delay`), latencies are those against the rate.
         """
         scale, problems = clock_scale(session), clock_problems(session)
-        session, settling = settled(session)
         if scale == 1.0:
             found = self._in_true_time(session)
         else:
             found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
-        return replace(found, report=replace(found.report, problems=(*found.report.problems, *settling, *problems)))
+        return replace(found, report=replace(found.report, problems=(*found.report.problems, *problems)))
 
     def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None:
@@ -180,6 +178,7 @@ class GraphSmoother:
                 *_shaken(session, solution.noise),
                 *_early(told.identified),
                 *offset_problems(begun.offset),
+                *begun.problems,
                 *drift_problems(begun.drift, given),
             ),
         )

@@ -1,0 +1,114 @@
+"""Fixes of a receiver that has lost its satellites for a second or two and goes straight on: dead reckoning of its own.
+
+Under a bridge, beside a stand or upside down a receiver may send on the velocity it had last, and places along it, as
+if they were measured. Place and Doppler agree with one another and with their neighbours, and both are wrong. The
+samples tell: they feel the kart turn or brake while the receiver says straight on. Where the velocity that was sent
+changes far less than the samples say, by more than they ever are off else, what was sent at that velocity is left out.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.estimate.align import Alignment, Averages, PathMotion, initial_attitude
+from smoother.samples import ImuSamples, Problem, Session
+from smoother.words import counted
+
+COASTING = "gps_coasting"  # code of the problem that says so
+WINDOW = 0.6  # s, over which velocity must change as is felt
+QUICK = 0.3  # s between fixes; of slower ones single fixes are wrong, and lose against their neighbours
+SIGMAS = 4.5  # beyond the usual scatter; without coasting 4 is not reached, in real karts and hairpins 5 and 8 once
+STRAIGHT = 0.25  # of the change that is felt is what was sent at most
+MIN_SPEED = 5.0  # m/s; nobody who crawls goes straight on
+ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise included
+SHORTEST = 0.8  # s
+STEP = 0.05  # s, over which felt force is summed up
+LONGEST = 6 * 3600.0  # s of a session that is looked at
+MEDIAN_TO_SIGMA = 1.177  # of the length of two normal numbers
+FEWEST = 100  # windows that tell what is usual
+
+
+def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolArray:
+    """Mask (N,) of the fixes of a receiver that went straight on; none without Doppler or at less than 4 Hz.
+
+    alignment, path: of the session, as it begins.
+    """
+    gnss, imu = session.gnss, session.imu
+    out = np.zeros(len(gnss), dtype=np.bool_)
+    rows = np.flatnonzero(np.isfinite(gnss.velocity_n[:, :2]).all(axis=1))
+    if imu is None or rows.size < FEWEST or alignment.is_level_only or np.ptp(gnss.t) > LONGEST:
+        return out
+    t, velocity = gnss.t[rows], gnss.velocity_n[rows, :2]
+    felt_at = t - alignment.lag
+    if median(np.diff(t)) > QUICK:
+        return out
+    first, last = _windows(t, felt_at, imu)
+    if first.size < FEWEST:
+        return out
+    felt = _summed_up(imu, path, alignment, felt_at)
+    told, felt = velocity[last] - velocity[first], felt[last] - felt[first]
+    off = told - felt
+    off = off - np.median(off, axis=0)
+    beyond = np.hypot(*off.T) / max(median(np.hypot(*off.T)) / MEDIAN_TO_SIGMA, 1e-3)
+    goes_straight = np.hypot(*told.T) < STRAIGHT * np.hypot(*felt.T)
+    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
+    for k in np.flatnonzero((beyond > SIGMAS) & goes_straight & is_fast).tolist():
+        alike = _alike(t, velocity, int(first[k]), int(last[k]))
+        if t[alike.stop - 1] - t[alike.start] > SHORTEST:
+            out[rows[alike]] = True
+    return out
+
+
+def without_coasting(session: Session, out: BoolArray) -> Session:
+    """Return the session without what the fixes `out` (N,) say; their times stay."""
+    gnss = session.gnss
+    lat_deg, lon_deg, alt_m = (np.where(out, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
+    velocity_n = np.where(out[:, None], np.nan, gnss.velocity_n)
+    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, velocity_n=velocity_n))
+
+
+def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:
+    """Say so where fixes were left out."""
+    count, times = int(np.count_nonzero(out)), int(np.count_nonzero(np.diff(out.astype(np.int8), prepend=0) > 0))
+    if not count:
+        return ()
+    text = (
+        f"{counted(times, 'time')} the receiver went straight on at constant speed while the kart turned or braked, as "
+        f"without satellites; {counted(count, 'fix')} left out. Give the antenna a free view of the sky"
+    )
+    return (Problem(COASTING, text, count),)
+
+
+def _windows(t: Array, felt_at: Array, imu: ImuSamples) -> tuple[IntArray, IntArray]:
+    """First and last fix (W,) of the windows about WINDOW s long, with samples all the way."""
+    last = np.searchsorted(t, t + WINDOW - 1e-6)
+    first = np.flatnonzero(last < len(t))
+    last = last[first]
+    holes = np.flatnonzero(np.diff(imu.t) > STEP)
+    before = np.searchsorted(imu.t[holes], felt_at)
+    sampled = (felt_at[first] > imu.t[0]) & (felt_at[last] < imu.t[-1]) & (before[first] == before[last])
+    keep = sampled & (t[last] - t[first] < 1.6 * WINDOW)
+    return first[keep], last[keep]
+
+
+def _summed_up(imu: ImuSamples, path: PathMotion, alignment: Alignment, t: Array) -> Array:
+    """What the force felt makes of the horizontal velocity until t (N,) s, (N, 2) m/s, up to a steady drift."""
+    grid = np.arange(imu.t[0] + STEP, imu.t[-1] - STEP, STEP)
+    force, _ = Averages(imu).around(grid, STEP)
+    force_n = np.einsum("nij,nj->ni", initial_attitude(grid, imu, path, alignment)[:, :2], force)
+    velocity = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * STEP * (force_n[1:] + force_n[:-1]), axis=0)])
+    return np.stack([np.interp(t, grid, velocity[:, i]) for i in range(2)], axis=1)
+
+
+def _alike(t: Array, velocity: Array, first: int, last: int) -> slice:
+    """The fixes around those from first to last whose velocity is that of these, without a hole, and one beyond."""
+    usual = np.median(velocity[first : last + 1], axis=0)
+    reach = np.hypot(*(velocity - usual).T) < ALIKE
+    reach[1:] &= np.diff(t) < 2.0 * QUICK
+    begin, end = first, last
+    while begin > 0 and reach[begin - 1] and reach[begin]:
+        begin -= 1
+    while end + 1 < len(t) and reach[end + 1]:
+        end += 1
+    return slice(begin, end + 1)

@@ -1,0 +1,130 @@
+"""A receiver that goes straight on without satellites: its fixes are found by the samples, and left out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.arrays import BoolArray
+from smoother.estimate.gnss_coasting import COASTING, coasting, coasting_problems
+from smoother.estimate.graph.begin import Begun, begin
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.graph.start import GraphOptions
+from smoother.estimate.pauses import pauses_of
+from smoother.frames import nwu_to_geodetic
+from smoother.prepare import prepare
+from smoother.samples import Session
+from smoother.session.load import load_raw
+from smoother.sim.motion import Spin
+from smoother.sim.simulation import Simulation, simulate_preset
+
+DURATION = 200.0
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate_preset("kart", 3, duration=DURATION, gnss_rate=10.0, gnss_outages=())
+
+
+@pytest.fixture(scope="module")
+def session(simulation: Simulation) -> Session:
+    return prepare(simulation.raw)
+
+
+def coasted(session: Session, starts: list[float], lasts: float) -> tuple[Session, BoolArray]:
+    """The session of a receiver that goes straight on for `lasts` s from each of the starts, s; and which fixes do."""
+    gnss = session.gnss
+    t, position_n, velocity_n = gnss.t - gnss.t[0], session.fix_position_n.copy(), gnss.velocity_n.copy()
+    out = np.zeros(len(t), dtype=np.bool_)
+    for start in starts:
+        k = int(np.searchsorted(t, start))
+        rows = np.flatnonzero((t > t[k]) & (t <= t[k] + lasts))
+        position_n[rows] = position_n[k] + velocity_n[k] * (t[rows] - t[k])[:, None]
+        velocity_n[rows] = velocity_n[k]
+        out[rows] = True
+    lat_deg, lon_deg, alt_m = nwu_to_geodetic(position_n, session.origin)
+    gnss = replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, velocity_n=velocity_n)
+    return replace(session, gnss=gnss), out
+
+
+def in_corners(session: Session) -> list[float]:
+    """A quarter of a second before the kart turns hardest, once in every 40 s, s."""
+    t, velocity = session.gnss.t - session.gnss.t[0], session.gnss.velocity_n
+    turning = np.abs(np.gradient(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])), t)) * np.hypot(
+        *velocity[:, :2].T
+    )
+    return [
+        float(t[(t > a) & (t < a + 40.0)][np.argmax(turning[(t > a) & (t < a + 40.0)])] - 0.25)
+        for a in (25.0, 75.0, 125.0)
+    ]
+
+
+def begun(session: Session) -> Begun:
+    return begin(session, GraphOptions(), pauses_of)
+
+
+def found_in(session: Session) -> BoolArray:
+    start = begun(session).start
+    return coasting(session, start.alignment, start.driven)
+
+
+def horizontal_error(session: Session, simulation: Simulation) -> tuple[float, float]:
+    """Rms error m/s of velocity, and of the change of position over a second, m."""
+    found = GraphSmoother().estimate(session)
+    rows = (found.t > 15.0) & (found.t < DURATION - 10.0)
+    truth = simulation.truth.trajectory(found.t[rows], simulation.scenario.lever_arm_b, session.origin)
+    velocity = np.hypot(*(found.velocity_n[rows] - truth.velocity_n)[:, :2].T)
+    off = (found.position_n[rows] - truth.position_n)[:, :2]
+    change = np.hypot(*(off[50:] - off[:-50]).T)
+    return float(np.sqrt(np.mean(velocity**2))), float(np.sqrt(np.mean(change**2)))
+
+
+@pytest.mark.parametrize("lasts", [1.2, 2.0, 4.0])
+def test_fixes_that_go_straight_on_are_found(session: Session, lasts: float) -> None:
+    given, out = coasted(session, in_corners(session), lasts)
+    start = begun(session).start
+    found = coasting(given, start.alignment, start.driven)
+    assert np.mean(found[out]) > 0.9
+    assert np.sum(found & ~out) < 0.5 * np.sum(out) + 12  # some before, that were as fast; nothing elsewhere
+    assert not found[np.abs(np.convolve(out, np.ones(41), "same")) < 0.5].any()
+
+
+def test_they_cost_next_to_nothing(session: Session, simulation: Simulation) -> None:
+    plain = horizontal_error(session, simulation)
+    given, _ = coasted(session, in_corners(session), 2.0)
+    spoiled = horizontal_error(given, simulation)
+    assert spoiled[0] < 1.3 * plain[0]
+    assert spoiled[1] < 1.3 * plain[1]
+    (said,) = [p for p in GraphSmoother().estimate(given).report.problems if p.code == COASTING]
+    assert said.text.startswith("3 times the receiver went straight on")
+
+
+def test_nothing_is_left_out_where_every_fix_is_measured(session: Session) -> None:
+    assert not found_in(session).any()
+    for changes in (
+        {"motion_spins": tuple(Spin(30.0 * k, 2.5) for k in range(1, 6))},
+        {"imu_accel_range": 2.0 * 9.80665},
+        {"imu_gyro_range": 1.0},
+        {"gnss_rate": 1.0},
+    ):
+        other = prepare(simulate_preset("kart", 4, duration=DURATION, **changes).raw)
+        assert not found_in(other).any(), changes
+    assert not found_in(prepare(simulate_preset("kart_harsh", 4, duration=DURATION).raw)).any()
+
+
+def test_without_doppler_or_samples_nothing_is_said(session: Session) -> None:
+    start = begun(session).start
+    velocity_n = np.full_like(session.gnss.velocity_n, np.nan)
+    blind = replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
+    assert not coasting(blind, start.alignment, start.driven).any()
+    assert not coasting(replace(session, imu=None), start.alignment, start.driven).any()
+    assert coasting_problems(np.zeros(5, dtype=np.bool_)) == ()
+
+
+@pytest.mark.parametrize(
+    ("recording", "most"),
+    [("kart_adria_first_half", 20), ("kart_lignano_racebox", 0), ("car_hi600_twin_a", 0), ("car_hi600_twin_b", 0)],
+)
+def test_real_recordings(recording: str, most: int, data_directory: Path) -> None:
+    assert np.sum(found_in(prepare(load_raw(data_directory / recording)))) <= most
