@@ -21,7 +21,7 @@ LATER = 20.0  # s over which a change is looked at: positions wander less in it 
 AVERAGED = 3.0  # s, by a median
 SETTLING, SETTLINGS = 6.0, 3.0  # m, and times the usual change; a Gauss-Markov error does it in 2 runs of 1000
 LEAST = 5.0  # s; what is over sooner is a jump, LATER or now
-STEPWISE = 0.7  # of the whole change within AVERAGED s: a step, as of false Doppler, and no settling
+STEPWISE = 0.7  # of the whole change within LEAST s: a step, as of false Doppler, and no settling
 LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a shorter hole is one of the recording
 EARLY = 120.0  # s, in which a receiver settles
 FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
@@ -78,7 +78,7 @@ def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
     steps = max(1.0, float(t[calm[0]] - t[0]) / LATER)
     far = max(SETTLING, SETTLINGS * usual * float(np.sqrt(steps)))
     total = float(np.hypot(*(error[calm[0]] - error[0])))
-    soon = np.minimum(np.searchsorted(t, t[: calm[0]] + AVERAGED), len(t) - 1)
+    soon = np.minimum(np.searchsorted(t, t[: calm[0]] + LEAST), len(t) - 1)
     at_once = float(np.max(np.hypot(*(error[soon] - error[: calm[0]]).T)))
     return int(calm[0]) if total > far and at_once < STEPWISE * total else 0
 
