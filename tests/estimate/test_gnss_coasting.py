@@ -123,8 +123,7 @@ def test_without_doppler_or_samples_nothing_is_said(session: Session) -> None:
 
 
 @pytest.mark.parametrize(
-    ("recording", "most"),
-    [("kart_adria_first_half", 20), ("kart_lignano_racebox", 0), ("car_hi600_twin_a", 0), ("car_hi600_twin_b", 0)],
+    "recording", ["kart_adria_first_half", "kart_lignano_racebox", "car_hi600_twin_a", "car_hi600_twin_b"]
 )
-def test_real_recordings(recording: str, most: int, data_directory: Path) -> None:
-    assert np.sum(found_in(prepare(load_raw(data_directory / recording)))) <= most
+def test_real_recordings(recording: str, data_directory: Path) -> None:
+    assert not found_in(prepare(load_raw(data_directory / recording))).any()
