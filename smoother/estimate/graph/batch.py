@@ -5,7 +5,7 @@ returns the covariance of every keyframe in the same sweep.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class Noise:
     of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
     slip is that of the wheels, None where they are not asked.
     offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
-    population's.
+    population's. offset_most (3,) m is what offset_sigma may be found to be: of a receiver that fixes carrier phases.
     """
 
     inertial: InertialNoise
@@ -94,6 +94,7 @@ class Noise:
     sensor_error: Array
     offset_tau_spread: float = math.inf
     slip: SlipNoise | None = None
+    offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or density to those of `other`."""

@@ -131,7 +131,7 @@ def update_noise(
         inertial=new,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
-        offset_sigma=noise.offset_sigma * _offset_ratio(solved),
+        offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 

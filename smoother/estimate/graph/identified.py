@@ -22,6 +22,15 @@ class _Latency:
     configured: float | None
 
 
+def unsure_moment(sampled_every: float) -> float:
+    """Sigma, s, of when a sample is true that comes every `sampled_every` s.
+
+    It is taken for the mean since the one before. Of a logger that stamps what is at that moment all latencies are
+    longer by half of that, and no file says which it does.
+    """
+    return 0.5 * sampled_every / math.sqrt(3.0)
+
+
 def identified_values(
     constants: Constants,
     covariance: Array,
@@ -37,8 +46,7 @@ def identified_values(
 
     covariance (29, 29) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
-    sampled_every s: a sample is taken for the mean since the one before. Of a logger that stamps what is at that moment
-    all latencies are longer by half of that, and no file says which it does.
+    sampled_every s: see :func:`unsure_moment`.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
     sigma, values = np.sqrt(np.diag(S)), constants.as_vector()
@@ -49,7 +57,7 @@ def identified_values(
     ):
         i = latency.index
         observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
-        own = math.hypot(sigma[i], 0.5 * sampled_every / math.sqrt(3.0)) if priors.drives else sigma[i]
+        own = math.hypot(sigma[i], unsure_moment(sampled_every)) if priors.drives else sigma[i]
         out[latency.key] = _value(values[i], own, "s", observable, latency.configured is not None)
     response = VELOCITY_RESPONSE.start
     observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])

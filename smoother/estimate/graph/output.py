@@ -12,7 +12,7 @@ from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
-from smoother.estimate.graph.identified import identified_values
+from smoother.estimate.graph.identified import identified_values, unsure_moment
 from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
@@ -156,6 +156,7 @@ def build_trajectory(
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         _widen(keyframes, swing)
+    sampled_every = float(median(np.diff(session.imu.t))) if session.imu is not None else 0.0
     report = EstimateReport(
         identified=identified_values(
             found.state.constants,
@@ -166,7 +167,7 @@ def build_trajectory(
             mounting,
             session.config,
             unseen,
-            float(median(np.diff(session.imu.t))) if session.imu is not None else 0.0,
+            sampled_every,
         ),
         residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
         fixes=_fix_residuals(found.rows["gps_position"]),
@@ -183,6 +184,7 @@ def build_trajectory(
     rows = _Rows.empty(len(t))
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
+        rows.unsure_of_time(part, unsure_moment(sampled_every))
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
 
@@ -268,6 +270,11 @@ class _Rows:
         track = np.column_stack([track, _bridge(track[:, 0], noise, state.interval)])
         for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
             self.sigmas[name][part] = values
+
+    def unsure_of_time(self, part: slice, sigma: float) -> None:
+        """Let the rows `part` be where the kart is `sigma` s sooner or later, all that RTK fixes are off by."""
+        along = sigma * self.velocity_n[part]
+        self.sigmas["position_n"][part] = np.hypot(self.sigmas["position_n"][part], along)
 
     def trajectory(self, t: Array, report: EstimateReport, joint: JointPosition | None) -> Trajectory:
         """Return the rows, all of which are filled."""

@@ -28,6 +28,9 @@ DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specifica
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
+# m: an accuracy that only fixed carrier phases have, and their scatter and wander beside Doppler at most; of all other
+# receivers these are 0.06 and 0.35 or more, of those 0.02 and 0.13 or less. The least error that is left to them.
+RTK, RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.1, 0.03, 0.25, 0.01
 MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
 # m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
@@ -134,6 +137,7 @@ def make_start(
     constants = Constants.from_vector(priors.constants, alignment.R_bs)
     fine, binned = _bins(session, t, path, alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, driven, alignment)
+    noise = _first_noise(session, path, alignment, binned, options)
     return Start(
         path,
         driven,
@@ -141,10 +145,10 @@ def make_start(
         _first_guess(path, t, R_ns, constants, (np.zeros(3), alignment.gyro_bias_s)),
         fine,
         binned,
-        _first_noise(session, path, alignment, binned, options),
+        noise,
         _data(session, path, t, (driven.t >= begin) & (driven.t <= end), doubted),
         priors,
-        _receiver(session, options),
+        min(_receiver(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
         session.config.imu,
         spans,
         options.wheels and priors.drives,
@@ -272,6 +276,20 @@ def _receiver(session: Session, options: GraphOptions) -> float:
     return float(np.clip(np.nanmedian(reported) / options.offset_sigma[0], 0.1, 1.0))
 
 
+def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
+    """Reported horizontal accuracy, m, of a receiver that fixes carrier phases (RTK), None of others.
+
+    It is believed where the fixes say the same: they scatter by hardly more than a digit and stay beside the Doppler,
+    which wanders by more than they do; taken for white, it would outvote them.
+    """
+    reported = session.gnss.sigma_horizontal
+    if reported is None or not np.any(np.isfinite(reported)):
+        return None
+    claimed = float(np.nanmedian(reported))
+    is_one = claimed < RTK and path.position_sigma[0] < RTK_SCATTER and offset.sigma[0] < RTK_WALK
+    return max(claimed, RTK_LEAST) if is_one else None
+
+
 def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
@@ -320,6 +338,10 @@ def _first_noise(
     )
     usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
     offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
+    most = np.full(3, np.inf)
+    if (claimed := _centimetres(session, path, offset)) is not None:
+        most = usual.sigma * (claimed / usual.sigma[0])
+        offset = OffsetModel(most, usual.tau)
     position = path.position_sigma
     if follows_positions(session.gnss.t, path):
         position = np.maximum(position, MOST_SCATTER if has_doppler(path) else SOME_SCATTER)
@@ -331,6 +353,7 @@ def _first_noise(
         offset.tau,
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
         offset.tau_spread,
+        offset_most=most,
     )
 
 
