@@ -42,6 +42,7 @@ from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
+from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
@@ -177,6 +178,7 @@ class GraphSmoother:
                 *solution.problems,
                 *_shaken(session, solution.noise),
                 *_early(told.identified),
+                *leaning_problems(trajectory),
                 *offset_problems(begun.offset),
                 *begun.problems,
                 *drift_problems(begun.drift, given),
