@@ -27,7 +27,7 @@ def leaning_problems(trajectory: Trajectory) -> tuple[Problem, ...]:
         return ()
     text = (
         f"it leans into corners by {usual / DEG:.0f} deg, as two wheels do, and is smoothed as a kart is: line, speed "
-        "and laps hold; roll may be off by some degrees, delays of the GPS by hundredths of a second, beyond their sigmas"
+        "and laps hold; roll may be off by some degrees, delays of the GPS by hundredths of a second, beyond their ±"
     )
     return (Problem(LEANS, text),)
 
