@@ -8,7 +8,9 @@ from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
 from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.heights import without_height_jumps
+from smoother.session.interpolated import measured_rows
 from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.words import counted
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
 ABSURD_CLIMB = 50.0  # m/s
@@ -40,7 +42,17 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
         mask[index[bad]] = True
         rows.drop(mask, code, reason)
         time, index, ordered = time[~bad], index[~bad], ordered.take(np.flatnonzero(~bad))
+    measured = measured_rows(time, [ordered.lat_deg, ordered.lon_deg, ordered.alt_m, ordered.speed])
+    if measured is not None:
+        rows.problems += interpolated_note(file, time.size - measured.size)
+        time, ordered = time[measured], ordered.take(measured)
     return _to_fixes(rows, time, ordered), rows.problems
+
+
+def interpolated_note(file: str, count: int) -> list[Problem]:
+    """Say that a file has rows between its fixes."""
+    text = f"{file}: positions between fixes were interpolated by the exporter; {counted(count, 'row')} left out"
+    return [Problem("gps_interpolated", text, count)] if count else []
 
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:

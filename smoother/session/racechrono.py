@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.errors import SessionError
 from smoother.samples import Problem, RawImu
+from smoother.session.fixes import interpolated_note
 from smoother.session.foreign import (
     ACCELERATION_UNITS,
     LENGTH_UNITS,
@@ -23,6 +24,7 @@ from smoother.session.foreign import (
     imu_from,
     seconds_since_first,
 )
+from smoother.session.interpolated import FEW_BETWEEN, between_samples, rows_at_knots
 from smoother.session.records import head_of, read_records
 from smoother.words import listed
 
@@ -30,6 +32,7 @@ WHAT = "RaceChrono CSV of version 3"
 MARKS = ("racechrono", "format,3")
 NEEDED = ("timestamp", "latitude", "longitude")
 OPTIONAL = ("altitude", "speed", "bearing", "accuracy", "satellites", "fix_type")
+FEWEST_SAMPLES = 100  # that show by noise which of them were measured
 ACCELERATIONS = ("x_acc", "y_acc", "z_acc")
 RATES = ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")
 
@@ -84,12 +87,29 @@ def read_racechrono(path: Path) -> ForeignReading:
         "unix_s": unix,
     }
     rows = np.flatnonzero(has_position)  # rows of other sensors alone are no fixes that failed
+    measured = _measured(t[rows], chosen["course_deg"][rows])
+    note = interpolated_note(path.name, rows.size - measured.size)
+    rows = rows[measured]
     gnss, problems = fixes_from(
         path.name, t[rows], value("latitude")[rows], value("longitude")[rows], **{k: v[rows] for k, v in chosen.items()}
     )
     values = [records.column(keys[i]) for i in inertial]
     imu, imu_problems = _imu(path.name, t, values, [columns.units[i] for i in inertial])
-    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu)
+    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *note, *problems], imu)
+
+
+def _measured(t: Array, bearing: Array) -> IntArray:
+    """Which rows of t (N,) s are fixes, all unless there is one at the stamps of other sensors too.
+
+    Position and speed are interpolated there, the bearing is that of the fix before.
+    """
+    everything = np.arange(t.size)
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(bearing))
+    if known.size < 2 or np.any(np.diff(t[known]) < 0.0):
+        return everything
+    new = known[1:][np.diff(bearing[known]) != 0.0]
+    rows = rows_at_knots(t[known], t[new]) if new.size else None
+    return everything if rows is None else known[rows]
 
 
 def _header(path: Path) -> tuple[_Columns, int]:
@@ -123,4 +143,18 @@ def _imu(file: str, t: Array, values: Sequence[Array], units: Sequence[str]) -> 
         return None, []
     accel = np.stack(values[:3], axis=-1) * factor(units[0], ACCELERATION_UNITS, "g")
     gyro = np.stack(values[3:], axis=-1) * factor(units[3], RATE_UNITS, "deg/s")
-    return imu_from(file, t, accel, gyro)
+    rows = _sampled(t, [*accel.T, *gyro.T])
+    return imu_from(file, t[rows], accel[rows], gyro[rows])
+
+
+def _sampled(t: Array, channels: Sequence[Array]) -> IntArray:
+    """Which rows of t (N,) s are samples of the channels (N,), all unless many lie between samples, interpolated.
+
+    Noise keeps six channels that were measured from lying on the lines between their neighbours.
+    """
+    known = np.flatnonzero(np.all(np.isfinite(channels), axis=0) & np.isfinite(t))
+    if known.size < FEWEST_SAMPLES or np.any(np.diff(t[known]) < 0.0):
+        return np.arange(t.size)
+    known = known[np.append(True, np.diff(t[known]) > 0.0)]  # of rows of one time, the first
+    between = between_samples(t[known], [channel[known] for channel in channels])
+    return known[~between] if np.mean(between) > FEW_BETWEEN else np.arange(t.size)

@@ -74,6 +74,43 @@ def test_inertial_samples_in_rows_of_their_own_are_no_failed_fixes(tmp_path: Pat
     np.testing.assert_allclose(reading.imu.gyro[0], np.radians([1.0, 2.0, -90.0]))
 
 
+def union(fix_rate: float = 5.0, imu_rate: float = 50.0) -> str:
+    """A minute with a row at every stamp of every source: all is interpolated there, and only the bearing is held."""
+    rng = np.random.default_rng(1)
+    fix_t, imu_t = np.arange(0.0, 60.0, 1.0 / fix_rate), np.arange(0.0, 60.0, 1.0 / imu_rate)
+    t = np.unique(np.round(np.concatenate([fix_t, imu_t, np.arange(0.013, 59.7, 0.05)]), 3))
+    t = t[t <= fix_t[-1]]
+    course, speed = np.degrees(fix_t / 5.0) % 360.0, 12.0 + 3.0 * np.sin(fix_t / 4.0)
+    way = np.cumsum(speed * np.array([np.cos(np.radians(course)), np.sin(np.radians(course))]), axis=1) / fix_rate
+    lat, lon = (np.interp(t, fix_t, x) for x in (45 + way[0] / 111_195, 13 + way[1] / 78_600))
+    bearing = course[np.searchsorted(fix_t, t + 1e-6) - 1]
+    samples = np.array([[0.1], [-0.2], [1.0], [1.0], [2.0], [-90.0]]) + 0.1 * rng.standard_normal((6, imu_t.size))
+    imu = np.column_stack([np.interp(t, imu_t, x) for x in samples])
+    rows = [
+        f"{START + s:.3f},0,,{s:.3f},0.42,4.5,{b:.3f},3,{a:.7f},{o:.7f},16,99.0,{v:.3f},0.1,0.2,"
+        + ",".join(f"{x:.5f}" for x in values)
+        for s, b, a, o, v, values in zip(t, bearing, lat, lon, np.interp(t, fix_t, speed), imu, strict=True)
+    ]
+    return csv(rows)
+
+
+@pytest.mark.parametrize("fix_rate", [1.0, 5.0, 10.0, 25.0])
+def test_rows_at_the_stamps_of_other_sensors_are_neither_fixes_nor_samples(tmp_path: Path, fix_rate: float) -> None:
+    reading = read(tmp_path, union(fix_rate))
+    gnss = reading.gnss
+    np.testing.assert_allclose(gnss.t[:-1], np.arange(len(gnss) - 1) / fix_rate, atol=2e-3)
+    assert abs(len(gnss) - 60 * fix_rate) <= 1
+    (said,) = reading.problems
+    assert said.code == "gps_interpolated" and "positions between fixes were interpolated" in said.text
+    assert reading.imu is not None and abs(reading.imu.t.size - 50 * reading.imu.t[-1]) <= 3
+
+
+def test_a_bearing_that_does_not_change_on_the_straight_costs_no_fix(tmp_path: Path) -> None:
+    bearings = [10.0 * (k // 40 if k % 80 < 40 else k // 40 + k % 40) for k in range(600)]  # straights, and bends
+    rows = [fix_row(k).replace(",0.0,3,", f",{bearing % 360:.1f},3,") for k, bearing in enumerate(bearings)]
+    assert len(read(tmp_path, csv(rows)).gnss) == 600
+
+
 def test_a_folder_with_the_file_is_a_session_and_the_file_too(tmp_path: Path) -> None:
     rows = sorted([fix_row(k) for k in range(60)] + [imu_row(k) for k in range(600)])
     read(tmp_path, csv(rows))
