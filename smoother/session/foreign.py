@@ -1,13 +1,13 @@
 """What recordings of other programs have in common: columns of fixes and samples to the types, sanity of rates."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.fix_columns import FixColumns
+from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import LATEST
@@ -56,11 +56,7 @@ class ForeignReading:
 
 def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> tuple[GnssFixes, list[Problem]]:
     """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd."""
-    unknown = np.full(t.size, np.nan)
-    columns = {column.name: unknown for column in fields(FixColumns)}
-    columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
-    blank = ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)
-    gnss, problems = screen_fixes(FixColumns(**{**columns, "is_blank": blank}), file)
+    gnss, problems = screen_fixes(fix_columns(t, lat_deg, lon_deg, **known), file)
     _require_sane_times(file, t, gnss, problems)
     return gnss, problems
 

@@ -16,6 +16,8 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.degrees import scale_by_way
+from smoother.session.fix_columns import fix_columns
 from smoother.session.foreign import (
     ACCELERATION_UNITS,
     RATE_UNITS,
@@ -60,6 +62,11 @@ IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to 
 NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
 MINUTES = 1.0 / 60.0  # of a degree
+OTHER_FORMS = {  # than minutes, to the west: what is to be multiplied with, and how it is said
+    (1.0, -1.0): "longitudes count to the east",
+    (60.0, -60.0): "positions are in degrees, not minutes, and longitudes count to the east",
+    (60.0, 60.0): "positions are in degrees, not minutes",
+}
 CREATED = re.compile(r"File created on\s+(\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 STARTED = re.compile(r"UTC Date Started\s*:\s*(\d{1,2})/(\d{1,2})/(\d{4})(?:\s+(\d{1,2}):(\d{2}))?", re.IGNORECASE)
 LINE = re.compile(r"^(start|finish|split)\s+" + r"([-+]?\d+(?:\.\d*)?)[\s,]+" * 3 + r"([-+]?\d+(?:\.\d*)?)(.*)", re.I)
@@ -148,11 +155,12 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
     speed = columns["speed"] * factor(head.unit_of("velocity"), SPEED_UNITS, "km/h")
     velocity_n = velocity_n_from_course(speed, columns["heading"])  # components, so that the climb counts too
     midnight, date_problems = _midnight(file, head, utc)
+    lat_deg, lon_deg, form_problems = _degrees(file, columns, t, speed)
     gnss, problems = fixes_from(
         file,
         t,
-        columns["lat"] * MINUTES,
-        -columns["lon"] * MINUTES,
+        lat_deg,
+        lon_deg,
         alt_m=columns["height"],
         speed=speed,
         course_deg=columns["heading"],
@@ -164,7 +172,18 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
         fix=fix,
         unix_s=utc + midnight,
     )
-    return gnss, [*date_problems, *problems]
+    return gnss, [*date_problems, *form_problems, *problems]
+
+
+def _degrees(file: str, columns: dict[str, Array], t: Array, speed: Array) -> tuple[Array, Array, list[Problem]]:
+    """Latitude and longitude in degrees, to the east, in whichever of the forms of programs the velocities fit."""
+    lat_deg, lon_deg = columns["lat"] * MINUTES, -columns["lon"] * MINUTES
+    read = fix_columns(t, lat_deg, lon_deg, speed=speed, course_deg=columns["heading"])
+    scale = scale_by_way(read, tuple(OTHER_FORMS))
+    if scale is None:
+        return lat_deg, lon_deg, []
+    text = f"{file}: by its speeds and courses, {OTHER_FORMS[scale]}; taken as such"
+    return scale[0] * lat_deg, scale[1] * lon_deg, [Problem("gps_position_form", text)]
 
 
 def _midnight(file: str, head: _Head, utc: Array) -> tuple[float, list[Problem]]:

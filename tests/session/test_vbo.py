@@ -145,6 +145,37 @@ def test_the_unit_of_the_velocity_stands_in_the_header(tmp_path: Path, unit: str
     np.testing.assert_allclose(read(tmp_path, vbo([row(k) for k in range(20)], header=header)).gnss.speed, speed)
 
 
+def oval(unit: float, east: float) -> str:
+    """Fixes of a minute round an oval at 10 Hz, their positions in `unit` (60 minutes, or 1 degree)."""
+    rows = []
+    for k in range(600):
+        angle = 0.02 * k
+        lat, lon = 45.7 + 3e-4 * np.sin(angle), 13.07 + 3e-4 * np.cos(angle) / np.cos(np.radians(45.7))
+        speed, course = 3e-4 * 111.195e3 * 0.2 * 3.6, -np.degrees(angle) % 360.0
+        clock = f"1000{k // 10:02d}.{k % 10}00"
+        rows.append(f"012 {clock} {lat * unit:.7f} {east * lon * unit:.7f} {speed:.3f} {course:.2f} 4.0")
+    return vbo(rows)
+
+
+@pytest.mark.parametrize(
+    ("unit", "east", "said"),
+    [
+        (60.0, -1.0, None),
+        (60.0, 1.0, "longitudes count to the east"),
+        (1.0, 1.0, "positions are in degrees, not minutes, and longitudes count to the east"),
+        (1.0, -1.0, "positions are in degrees, not minutes"),
+    ],
+)
+def test_positions_are_taken_in_the_form_that_the_velocities_fit(
+    tmp_path: Path, unit: float, east: float, said: str | None
+) -> None:
+    reading = read(tmp_path, oval(unit, east))
+    assert reading.gnss.lat_deg[0] == pytest.approx(45.7, abs=1e-6)
+    assert reading.gnss.lon_deg[0] == pytest.approx(13.07043, abs=1e-5)
+    told = [problem.text for problem in reading.problems if problem.code == "gps_position_form"]
+    assert told == ([] if said is None else [f"x.vbo: by its speeds and courses, {said}; taken as such"])
+
+
 def test_without_column_names_the_header_names_them(tmp_path: Path) -> None:
     text = vbo([row(k) for k in range(20)])
     text = re.sub(r"\[column names\]\r\n.*\r\n", "", text)
