@@ -6,12 +6,14 @@ from typing import Literal
 
 from smoother.errors import SessionError
 from smoother.session.tables import read_header
+from smoother.session.unknown_table import about_table, holds_places
 
 Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
+OF_A_SESSION = ("mag.csv", "mag.csv.gz", "official.csv")  # tables that stand for the session they lie beside
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
@@ -106,6 +108,10 @@ class SessionFiles:
         """A file with NMEA sentences that is not called so, and is read only if a person names it."""
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
         return next((path for path in paths if _holds_sentences(path)), None)
+
+    def unknown_table(self) -> Path | None:
+        """A table with places that no reader knows."""
+        return next((path for name in self.names if holds_places(path := self.directory / name)), None)
 
     def recordings(self) -> list[Path]:
         """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
@@ -234,7 +240,9 @@ def _role(path: Path) -> Role | None:
 
 
 def _table_role(path: Path) -> Role | None:
-    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error."""
+    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error, and for one that
+    no reader knows: another recording beside it is not what was asked for.
+    """
     if path.name.lower().startswith("truth.csv"):
         raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {path.parent}")
     header = read_header(path)
@@ -242,4 +250,6 @@ def _table_role(path: Path) -> Role | None:
         return "fixes"
     if {"ax", "gx"} <= set(header) or path.name.lower().startswith("imu.csv"):
         return "imu"
-    return None
+    if path.name.lower() in OF_A_SESSION:
+        return None
+    raise SessionError(f"{path}: no known kind of recording; {about_table(path)}")

@@ -27,6 +27,7 @@ from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.time_unit import LONGEST_PERIOD
+from smoother.session.unknown_table import about_table
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted, span
 
@@ -103,6 +104,8 @@ def load_raw(path: Path) -> RawSession:
             f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
             f"for all of them: smooth batch {path}"
         )
+    if (table := files.unknown_table()) is not None:
+        raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")
 
 

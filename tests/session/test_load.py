@@ -543,6 +543,37 @@ def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str
         folder.load(name)
 
 
+RACEBOX = "Format,RaceBox CSV\nLaps,1\nRecord,Time,Latitude,Longitude,Speed\n1,10:00:00.000,45.0,12.0,36.0\n"
+
+
+@pytest.mark.parametrize("beside", ["", "a.nmea", "gps.csv"])
+def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_wanted(folder: Folder, beside: str) -> None:
+    folder.write(**{"racebox.csv": RACEBOX}, **({beside: gps_csv()} if beside else {}))
+    columns = (
+        r"its columns are Record, Time, Latitude, Longitude, Speed; wanted t_s \(seconds\), lat_deg and lon_deg: "
+        r"rename Latitude and Longitude and the times, and leave out the 2 lines before the names"
+    )
+    with pytest.raises(SessionError, match=rf"racebox.csv: no known kind of recording; {columns}"):
+        folder.load("racebox.csv")
+    if not beside:
+        with pytest.raises(SessionError, match=rf"heat2: no recording found, but racebox.csv; {columns}"):
+            folder.load()
+
+
+def test_a_table_without_places_is_named_too(folder: Folder) -> None:
+    folder.write(gps__csv=gps_csv(), **{"Gyroscope.csv": "time,z,y,x\n0,0,0,0\n", "empty.csv": ""})
+    with pytest.raises(SessionError, match=r"Gyroscope.csv: .*its columns are time, z, y, x; wanted t_s .* gx, gy, gz"):
+        folder.load("Gyroscope.csv")
+    with pytest.raises(SessionError, match=r"empty.csv: .*it is empty"):
+        folder.load("empty.csv")
+
+
+@pytest.mark.parametrize("name", ["mag.csv", "official.csv"])
+def test_a_table_that_belongs_to_a_session_stands_for_it(folder: Folder, name: str) -> None:
+    folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), **{name: "lap,time_s\n1,50.1\n"})
+    assert "gps.csv" in folder.load(name).inputs
+
+
 def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> None:
     folder.write(**{"gps.txt": "".join(nmea_epochs(50)), "notes.txt": "hot, 30 degrees"})
     with pytest.raises(SessionError, match=r"gps.txt holds NMEA sentences; name the file, smooth .*gps.txt, or call"):
