@@ -14,7 +14,15 @@ from pathlib import Path
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.foreign import LENGTH_UNITS, SPEED_UNITS, ForeignReading, date_note, factor, fixes_from
+from smoother.session.foreign import (
+    LENGTH_UNITS,
+    SPEED_UNITS,
+    ForeignReading,
+    date_note,
+    factor,
+    fixes_from,
+    speed_unit_note,
+)
 from smoother.session.records import head_of, read_records
 
 WHAT = "AiM CSV with GPS channels"
@@ -76,6 +84,8 @@ def read_aim(path: Path) -> ForeignReading:
         sigma_velocity=value("gps spdaccuracy", SPEED_UNITS, "km/h"),
         num_sv=value("gps nsat"),
     )
+    if "gps speed" in names:
+        problems = [*speed_unit_note(path.name, columns.unit("gps speed"), "km/h"), *problems]
     unused = [name for name in INERTIAL if name in names]
     if unused:
         text = f"{path.name}: the inertial channels ({', '.join(unused)}) are not used: their axes are not known"

@@ -10,14 +10,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.rows import RowFilter
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 
-UNITS = {"km/h": KMH, "mph": MPH, "knots": KNOT, "m/s divided by 3.6": 1.0 / KMH}  # m/s
-SAME_UNIT = 0.05  # share; the nearest two of them are 13 % apart
+UNIT_RATIOS = {  # what speeds in one unit are, read as another, in true ones
+    "km/h": 1.0 / KMH,
+    "mph": 1.0 / MPH,
+    "knots": 1.0 / KNOT,
+    **{f"m/s, read as {name}": size for name, size in (("km/h", KMH), ("mph", MPH), ("knots", KNOT))},
+    **{f"{name}, read as km/h": KMH / size for name, size in (("mph", MPH), ("knots", KNOT))},
+    **{f"km/h, read as {name}": size / KMH for name, size in (("mph", MPH), ("knots", KNOT))},
+}
+SAME_UNIT = 0.02  # share; real receivers are within 0.015 of their positions, and the nearest two of them 5 % apart
+SAME_SPEED = (0.85, 1.18)  # speed by that of the positions; beyond, it is wrong whatever explains it
+ABSURD_SHARE = 10.0  # and more are speeds that are said to be impossible
+SAME_SPEED_OF_CHORDS = 1.5  # likewise where positions come no faster than BASELINE: a chord is shorter than its bend
 BASELINE = 1.0  # s; over less, noise of the positions counts
 FASTER = 5.0  # m/s; and in slower motion
 FEWEST_STEPS, ENOUGH_STEPS = 20, 2000
@@ -53,22 +63,27 @@ def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
 
 
 def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without velocity where it contradicts the positions as another unit does, and say so.
+    """The columns with speeds in m/s where they are in another unit, and without where nothing explains them; says so.
 
     Speeds that are 3.6 times too large would pass for fixes that are noisy and late.
     """
-    share = _share_of_speed(t, c)
-    unit = next((name for name, size in UNITS.items() if abs(share * size - 1.0) < SAME_UNIT), None)
-    if unit is None:
+    share, highest = _share_of_speed(t, c)
+    if not (share < SAME_SPEED[0] or highest < share < ABSURD_SHARE):
         return c
-    text = f"its speeds are {share:.2f} times those of its positions, as if in {unit}; not used. Is speed_mps in m/s?"
-    rows.say("speed_unit", text, 1)
+    unit = next((name for name, ratio in UNIT_RATIOS.items() if abs(share / ratio - 1.0) < SAME_UNIT), None)
+    text = f"its speeds are {share:.2f} times those of its positions"
     unknown = np.full(t.size, np.nan)
-    return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+    if unit is None:
+        rows.say("speed_unit", f"{text}; not used. What is their unit?", 1)
+        return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+    rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", 1)
+    names = ("speed", "velocity_north", "velocity_east")  # upwards it may be in a unit of its own
+    return replace(c, **{name: getattr(c, name) / UNIT_RATIOS[unit] for name in names}, velocity_up=unknown)
 
 
-def _share_of_speed(t: Array, c: FixColumns) -> float:
-    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it.
+def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
+    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it; and the
+    largest share that is no contradiction.
 
     Which steps tell is chosen by what was sent: chosen by the positions, noise would make a slow kart seem a fast one.
     """
@@ -79,16 +94,23 @@ def _share_of_speed(t: Array, c: FixColumns) -> float:
     first = first[:: max(1, first.size // ENOUGH_STEPS)]
     last = later[first]
     run = t[last] - t[first]
-    travelled = np.hypot(north[last] - north[first], east[last] - east[first]) / run
+    middle = (first + last) // 2
+    travelled = _distance(north, east, first, middle) + _distance(north, east, middle, last)
+    travelled /= run
     within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
     sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
     told = (run < 2.0 * BASELINE) & np.isfinite(sent)
     told &= sent > 0.5 * np.percentile(sent[told], 95.0) if np.any(told) else False
     if np.count_nonzero(told) < FEWEST_STEPS or not np.median(travelled[told]) > FASTER:
-        return float("nan")
+        return float("nan"), np.inf
     with np.errstate(divide="ignore"):
         low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0), method="nearest")
-    return float(share) if high < 1.25 * low else float("nan")
+    highest = SAME_SPEED[1] if np.median((last - first)[told]) >= 2 else SAME_SPEED_OF_CHORDS
+    return (float(share) if high < 1.25 * low else float("nan")), highest
+
+
+def _distance(north: Array, east: Array, first: IntArray, last: IntArray) -> Array:
+    return np.asarray(np.hypot(north[last] - north[first], east[last] - east[first]))
 
 
 @dataclass(frozen=True, eq=False)

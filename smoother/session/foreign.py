@@ -18,7 +18,7 @@ SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
 SPEED_UNITS = {
     **dict.fromkeys(("km/h", "kmh", "kph", "km/hr"), KMH),
     **dict.fromkeys(("m/s", "mps", "m/sec"), 1.0),
-    "mph": MPH,
+    **dict.fromkeys(("mph", "mi/h", "mi/hr"), MPH),
     **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
 }
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": 0.3048}
@@ -87,6 +87,16 @@ def imu_from(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu | N
 def factor(unit: str, units: dict[str, float], otherwise: str) -> float:
     """Factor to SI of a unit as a file spells it; of the usual unit where the file does not say, or says nonsense."""
     return units.get(unit.strip().lower(), units[otherwise])
+
+
+def speed_unit_note(file: str, unit: str, otherwise: str) -> list[Problem]:
+    """Say that a file does not tell the unit of its speeds, which `factor` then assumes."""
+    if unit.strip().lower() in SPEED_UNITS:
+        return []
+    said = (
+        f"the unit of its speeds, {unit}, is not known" if unit.strip() else "it does not say in which unit speeds are"
+    )
+    return [Problem("gps_speed_unit_assumed", f"{file}: {said}; taken as {otherwise}")]
 
 
 def seconds_since_first(unix: Array) -> Array:

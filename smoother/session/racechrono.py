@@ -23,6 +23,7 @@ from smoother.session.foreign import (
     fixes_from,
     imu_from,
     seconds_since_first,
+    speed_unit_note,
 )
 from smoother.session.interpolated import FEW_BETWEEN, between_samples, rows_at_knots
 from smoother.session.records import head_of, read_records
@@ -93,6 +94,8 @@ def read_racechrono(path: Path) -> ForeignReading:
     gnss, problems = fixes_from(
         path.name, t[rows], value("latitude")[rows], value("longitude")[rows], **{k: v[rows] for k, v in chosen.items()}
     )
+    if (speed := places["speed"]) is not None:
+        note += speed_unit_note(path.name, columns.units[speed], "m/s")
     values = [records.column(keys[i]) for i in inertial]
     imu, imu_problems = _imu(path.name, t, values, [columns.units[i] for i in inertial])
     return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *note, *problems], imu)

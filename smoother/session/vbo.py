@@ -29,6 +29,7 @@ from smoother.session.foreign import (
     fixes_from,
     imu_from,
     seconds_since_first,
+    speed_unit_note,
 )
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.rows import over_midnight
@@ -152,7 +153,9 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
     fix = columns["fix"]
     if counts.any():  # some programs write 0 throughout
         fix = np.where(satellites == 0, 0.0, fix)
-    speed = columns["speed"] * factor(head.unit_of("velocity"), SPEED_UNITS, "km/h")
+    unit = head.unit_of("velocity")
+    speed = columns["speed"] * factor(unit, SPEED_UNITS, "km/h")
+    unit_problems = speed_unit_note(file, unit, "km/h") if np.isfinite(speed).any() else []
     velocity_n = velocity_n_from_course(speed, columns["heading"])  # components, so that the climb counts too
     midnight, date_problems = _midnight(file, head, utc)
     lat_deg, lon_deg, form_problems = _degrees(file, columns, t, speed)
@@ -172,7 +175,7 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
         fix=fix,
         unix_s=utc + midnight,
     )
-    return gnss, [*date_problems, *form_problems, *problems]
+    return gnss, [*date_problems, *unit_problems, *form_problems, *problems]
 
 
 def _degrees(file: str, columns: dict[str, Array], t: Array, speed: Array) -> tuple[Array, Array, list[Problem]]:

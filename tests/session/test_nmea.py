@@ -28,7 +28,7 @@ def rmc(
     tod: float,
     *,
     status: str = "A",
-    speed: str = "10.0",
+    speed: str = "19.4",
     course: str = "90.0",
     date: str = "310524",
     talker: str = "GP",
@@ -74,8 +74,8 @@ def test_sentences_of_one_utc_make_one_fix_with_the_values_of_all() -> None:
     np.testing.assert_allclose(fixes.t, 0.2 * np.arange(50), atol=1e-9)
     assert fixes.lat_deg[0] == pytest.approx(45 + 2 / 60) and fixes.lon_deg[0] == pytest.approx(12 + 8.94 / 60)
     np.testing.assert_allclose(fixes.alt_m, 12.5)
-    np.testing.assert_allclose(fixes.speed, 10.0 * KNOT)
-    np.testing.assert_allclose(fixes.velocity_n[:, :2], [[0.0, -10.0 * KNOT]] * 50, atol=1e-9)  # east is minus west
+    np.testing.assert_allclose(fixes.speed, 19.4 * KNOT)
+    np.testing.assert_allclose(fixes.velocity_n[:, :2], [[0.0, -19.4 * KNOT]] * 50, atol=1e-9)  # east is minus west
     assert np.all(np.isnan(fixes.velocity_n[:, 2]))
     np.testing.assert_allclose(fixes.sigma_horizontal, np.sqrt((1.2**2 + 1.6**2) / 2))
     np.testing.assert_allclose(fixes.sigma_up, 2.5)
@@ -158,7 +158,7 @@ def test_a_negative_course_is_the_same_direction_as_its_positive_one() -> None:
     fixes = read(rmc(START, course="-20.73")).gnss
     assert fixes.course_deg[0] == pytest.approx(339.27)
     np.testing.assert_allclose(
-        fixes.velocity_n[0, :2], 10 * KNOT * np.array([np.cos(0.36181), np.sin(0.36181)]), atol=1e-4
+        fixes.velocity_n[0, :2], 19.4 * KNOT * np.array([np.cos(0.36181), np.sin(0.36181)]), atol=1e-4
     )
 
 

@@ -61,8 +61,9 @@ def test_of_repeated_names_that_of_the_receiver_is_taken_with_its_unit(tmp_path:
 
 
 def test_a_lone_speed_is_in_the_unit_of_its_row(tmp_path: Path) -> None:
-    text = csv([fix_row(k) for k in range(60)]).replace("100: gps,calc,100: gps,calc", "100: gps,100: gps,calc,calc")
-    np.testing.assert_allclose(read(tmp_path, text).gnss.speed, 27.5)  # 99 km/h
+    text = csv([fix_row(k).replace(",99.0,", ",36.5,") for k in range(60)])
+    text = text.replace("100: gps,calc,100: gps,calc", "100: gps,100: gps,calc,calc")
+    np.testing.assert_allclose(read(tmp_path, text).gnss.speed, 36.5 / 3.6)
 
 
 def test_inertial_samples_in_rows_of_their_own_are_no_failed_fixes(tmp_path: Path) -> None:

@@ -176,6 +176,16 @@ def test_positions_are_taken_in_the_form_that_the_velocities_fit(
     assert told == ([] if said is None else [f"x.vbo: by its speeds and courses, {said}; taken as such"])
 
 
+@pytest.mark.parametrize(
+    ("label", "said"), [("velocity", "does not say in which unit"), ("velocity furlongs", "furlongs, is")]
+)
+def test_a_unit_of_speeds_that_has_to_be_assumed_is_said(tmp_path: Path, label: str, said: str) -> None:
+    header = tuple(name.replace("velocity kmh", label) for name in HEADER)
+    reading = read(tmp_path, vbo([row(k) for k in range(20)], header=header))
+    (problem,) = [problem for problem in reading.problems if problem.code == "gps_speed_unit_assumed"]
+    assert said in problem.text and problem.text.endswith("taken as km/h")
+
+
 def test_without_column_names_the_header_names_them(tmp_path: Path) -> None:
     text = vbo([row(k) for k in range(20)])
     text = re.sub(r"\[column names\]\r\n.*\r\n", "", text)
