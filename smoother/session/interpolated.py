@@ -15,6 +15,7 @@ MILLISECOND, MICROSECOND = 1e-3, 1e-6  # s
 FEWEST_KNOTS = 20  # that show how often they come
 SHORT_STEP = 10.0  # per cent of the steps between knots, that are no longer than to the next one
 REGULAR = 0.2  # of the period, by which a knot may be early or late
+ROUNDING = 1e-3  # likewise, by the digits of stamps
 MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
 MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
 SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row bends the next one a little, too
@@ -87,11 +88,12 @@ def rows_at_knots(t: Array, seen: Array) -> IntArray | None:
     count = np.maximum(1.0, np.round(gaps / period))
     if np.mean(np.abs(gaps - count * period) < REGULAR * period) < MOSTLY:
         return None
-    if np.mean(np.diff(np.searchsorted(t, seen))[count == 1.0]) < MORE_ROWS:
+    rows = np.diff(np.searchsorted(t, seen))[count == 1.0]
+    if np.sum(rows) <= MORE_ROWS * rows.size:
         return None
     place = np.concatenate([[0.0], np.cumsum(count)])
     knots = np.interp(np.arange(place[-1] + 1.0), place, seen)
-    reach = REGULAR * period
+    reach = ROUNDING * period
     before = np.arange(knots[0] - period, t[0] - reach, -period)[::-1]
     knots = np.concatenate([before, knots, np.arange(knots[-1] + period, t[-1] + reach, period)])
     rows = _nearest(t, knots)
