@@ -42,6 +42,9 @@ CALM = 25.0  # per cent of the rows in which noise shows alone
 # four positions has sqrt(20) / 3, and the difference of two sqrt(2)
 NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
 NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
+CLIMB_TIME = 5.0  # s over which velocities upwards are compared with heights, whose noise then counts less
+CLEARLY_ALIKE, CLEARLY = 0.5, 3.0  # correlation of the two; sigmas
+LEAST_RISE = 0.6  # m of height for one by the velocities; real receivers have 0.7 to 1.3, and km/h make 0.28
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
@@ -52,7 +55,7 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     """
     _say_missing_course(rows, c)
     c = _without_wrong_unit(rows, t, c)
-    return _without_wrong_course(rows, t, _without_stuck(rows, t, c))
+    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, _without_stuck(rows, t, c)))
 
 
 def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
@@ -245,6 +248,28 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+
+
+def _without_wrong_climb(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
+    """The columns without velocities upwards that clearly contradict the heights: in km/h, or positive downwards."""
+    known = np.flatnonzero(np.isfinite(c.velocity_up) & np.isfinite(c.alt_m))
+    if known.size < FEWEST_STEPS:
+        return c
+    at, up, height = t[known], c.velocity_up[known], c.alt_m[known]
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * np.diff(at))])
+    bounds = np.unique(np.searchsorted(at, np.arange(at[0], at[-1], CLIMB_TIME)))
+    whole = np.diff(at[bounds]) < 1.5 * CLIMB_TIME
+    told, risen = np.diff(way[bounds])[whole], np.diff(height[bounds])[whole]
+    if told.size < FEWEST_STEPS or not (np.any(told) and np.any(risen)):
+        return c
+    alike = float(np.sum(told * risen) / np.sqrt(np.sum(told**2) * np.sum(risen**2)))
+    share = float(np.sum(told * risen) / np.sum(told**2))  # metres of height for one that the velocities tell
+    sigma = abs(share / alike) * math.sqrt(max(0.0, 1.0 - alike**2) / told.size) if alike else np.inf
+    if abs(alike) < CLEARLY_ALIKE or share + CLEARLY * sigma > LEAST_RISE:
+        return c
+    what = "fall where its heights rise" if share < 0.0 else f"are {1.0 / share:.1f} times what its heights rise"
+    rows.say("climb_wrong", f"its velocities upwards {what}; not used. Are they in m/s, and positive upwards?", 1)
+    return replace(c, velocity_up=np.full(t.size, np.nan))
 
 
 def _mostly_off(t: Array, steps: _Steps, course_deg: Array, told: BoolArray) -> float:

@@ -45,7 +45,10 @@ NAMES = {  # what is wanted: how programs call it, in lower case
     "speed": ("velocity", "velocity kmh", "velocity mph", "velocity knots", "velocity m/s", "speed"),
     "heading": ("heading", "course", "bearing"),
     "height": ("height", "altitude"),
-    "climb": ("vert-vel", "vertvel", "vert_vel", "vertical velocity m/s", "vertical-velocity"),
+    "climb": (
+        *("vert-vel", "vertvel", "vert_vel", "vertical-velocity"),
+        *("vertical velocity", "vertical velocity m/s", "vertical velocity kmh"),
+    ),
     "accuracy": ("accuracy",),
     "fix": ("fix_type", "fix-type"),
 }
@@ -94,7 +97,7 @@ class _Head:
         return ""
 
 
-_WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity"}
+_WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity", "vertvel": "verticalvelocity"}
 
 
 def read_vbo(path: Path) -> ForeignReading:
@@ -169,7 +172,7 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
         course_deg=columns["heading"],
         velocity_north=velocity_n[:, 0],
         velocity_east=-velocity_n[:, 1],
-        velocity_up=columns["climb"],
+        velocity_up=columns["climb"] * factor(head.unit_of("vertvel"), SPEED_UNITS, "m/s"),
         sigma_horizontal=columns["accuracy"],
         num_sv=np.where(counts, satellites, np.nan),
         fix=fix,
