@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
+SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
@@ -233,7 +234,7 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     if imu.t.size < FEWEST_IMU_SAMPLES:
         yield "imu_missing", f"only {counted(imu.t.size, 'usable sample')}"
         return
-    if period * SLOWEST_IMU > 1.0:
+    if period * SLOWEST_IMU > 1.0 + SAME_RATE:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)

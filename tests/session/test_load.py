@@ -394,8 +394,10 @@ def test_an_axis_that_shows_nothing_at_rest_is_not_stuck_though_the_fixes_settle
     assert "imu_axis_stuck" not in codes(folder.load())
 
 
-def test_20_samples_a_second_are_enough(folder: Folder) -> None:
-    assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
+@pytest.mark.parametrize(("rate", "enough"), [(25.0, True), (20.0, True), (19.7, True), (19.0, False)])
+def test_20_samples_a_second_are_enough(folder: Folder, rate: float, enough: bool) -> None:
+    raw = folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=rate)).load()
+    assert (raw.imu is not None) == enough and ("imu_too_slow" in codes(raw)) == (not enough)
 
 
 def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folder: Folder) -> None:
