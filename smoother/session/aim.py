@@ -18,6 +18,7 @@ from smoother.session.foreign import (
     LENGTH_UNITS,
     SPEED_UNITS,
     ForeignReading,
+    axes_note,
     date_note,
     factor,
     fixes_from,
@@ -86,10 +87,7 @@ def read_aim(path: Path) -> ForeignReading:
     )
     if "gps speed" in names:
         problems = [*speed_unit_note(path.name, columns.unit("gps speed"), "km/h"), *problems]
-    unused = [name for name in INERTIAL if name in names]
-    if unused:
-        text = f"{path.name}: the inertial channels ({', '.join(unused)}) are not used: their axes are not known"
-        problems = [Problem("imu_axes_unknown", text), *problems]
+    problems = [*axes_note(path.name, [name for name in INERTIAL if name in names]), *problems]
     unix_at_zero, date_problems = _start(path.name, columns.about)
     problems = [*records.problems(path.name), *date_problems, *problems]
     return ForeignReading(gnss, problems, unix_at_zero=unix_at_zero)

@@ -1,12 +1,13 @@
 """What recordings of other programs have in common: columns of fixes and samples to the types, sanity of rates."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Problem, RawImu
 from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
@@ -82,6 +83,21 @@ def imu_from(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu | N
     if not present.any():
         return None, []
     return screen_imu(file, t[present], accel[present], gyro[present])
+
+
+def incomplete_note(file: str, names: Sequence[str], present: Sequence[str]) -> list[Problem]:
+    """Say which of the `names` of six inertial channels are missing where at least half of them are `present`."""
+    missing = [name for name in names if name not in present]
+    if not missing or len(missing) > len(names) / 2:
+        return []
+    text = f"{file}: of the six channels of a motion sensor {', '.join(missing)} are missing; the others are not used"
+    return [Problem(IMU_INCOMPLETE, text.replace(" are missing", " is missing") if len(missing) == 1 else text)]
+
+
+def axes_note(file: str, names: Sequence[str]) -> list[Problem]:
+    """Say that the channels `names` of a motion sensor are not used."""
+    text = f"{file}: the inertial channels ({', '.join(names)}) are not used: their axes are not known"
+    return [Problem(IMU_AXES_UNKNOWN, text)] if names else []
 
 
 def factor(unit: str, units: dict[str, float], otherwise: str) -> float:

@@ -20,7 +20,18 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import (
+    DEAD_AXES,
+    IMU_AXES_UNKNOWN,
+    IMU_INCOMPLETE,
+    SENSOR_AXES,
+    STUCK_AXES,
+    GnssFixes,
+    Problem,
+    RawImu,
+    RawMag,
+    RawSession,
+)
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes, longest_constant
@@ -215,7 +226,9 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
     """The inertial samples on an even time base; None, with the reason in `problems`, if they are of no use."""
     imu, file = recording.imu, recording.imu_file
     if imu is None:
-        problems.append(Problem("imu_missing", "no IMU recorded: smoothed from GPS alone"))
+        is_there = any(problem.code in (IMU_AXES_UNKNOWN, IMU_INCOMPLETE) for problem in problems)
+        text = "no IMU that can be used" if is_there else "no IMU recorded"
+        problems.append(Problem("imu_missing", f"{text}: smoothed from GPS alone"))
         return None
     base = regularize(imu.t)
     reasons = list(_reasons_against(imu, base.period))

@@ -22,6 +22,7 @@ from smoother.session.foreign import (
     factor,
     fixes_from,
     imu_from,
+    incomplete_note,
     seconds_since_first,
     speed_unit_note,
 )
@@ -33,6 +34,7 @@ WHAT = "RaceChrono CSV of version 3"
 MARKS = ("racechrono", "format,3")
 NEEDED = ("timestamp", "latitude", "longitude")
 OPTIONAL = ("altitude", "speed", "bearing", "accuracy", "satellites", "fix_type")
+LONGEST_APART = 0.1  # s between the samples of one sensor, beyond which those of another are not interpolated
 FEWEST_SAMPLES = 100  # that show by noise which of them were measured
 ACCELERATIONS = ("x_acc", "y_acc", "z_acc")
 RATES = ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")
@@ -98,6 +100,8 @@ def read_racechrono(path: Path) -> ForeignReading:
         note += speed_unit_note(path.name, columns.units[speed], "m/s")
     values = [records.column(keys[i]) for i in inertial]
     imu, imu_problems = _imu(path.name, t, values, [columns.units[i] for i in inertial])
+    if not inertial:
+        imu_problems = incomplete_note(path.name, (*ACCELERATIONS, *RATES), columns.names)
     return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *note, *problems], imu)
 
 
@@ -146,8 +150,26 @@ def _imu(file: str, t: Array, values: Sequence[Array], units: Sequence[str]) -> 
         return None, []
     accel = np.stack(values[:3], axis=-1) * factor(units[0], ACCELERATION_UNITS, "g")
     gyro = np.stack(values[3:], axis=-1) * factor(units[3], RATE_UNITS, "deg/s")
+    gyro = _at_accelerations(t, accel, gyro)
     rows = _sampled(t, [*accel.T, *gyro.T])
     return imu_from(file, t[rows], accel[rows], gyro[rows])
+
+
+def _at_accelerations(t: Array, accel: Array, gyro: Array) -> Array:
+    """Rates of rotation (N, 3), also in rows of accelerations (N, 3) where the two sensors have rows of their own.
+
+    t (N,) s. Interpolated between the rows on either side, where both are near.
+    """
+    forced, turned = (np.isfinite(t) & np.all(np.isfinite(values), axis=1) for values in (accel, gyro))
+    if not turned.any() or np.count_nonzero(forced & turned) > 0.5 * np.count_nonzero(forced):
+        return gyro
+    order = np.flatnonzero(turned)[np.argsort(t[turned], kind="stable")]
+    known = t[order]
+    place = np.clip(np.searchsorted(known, t), 1, max(known.size - 1, 1))
+    near = (t >= known[0]) & (t <= known[-1])
+    near &= np.maximum(t - known[place - 1], known[np.minimum(place, known.size - 1)] - t) < LONGEST_APART
+    between = np.stack([np.interp(t, known, gyro[order, axis]) for axis in range(3)], axis=-1)
+    return np.where((forced & ~turned & near)[:, None], between, gyro)
 
 
 def _sampled(t: Array, channels: Sequence[Array]) -> IntArray:

@@ -24,10 +24,12 @@ from smoother.session.foreign import (
     SPEED_UNITS,
     ForeignReading,
     TimingLine,
+    axes_note,
     date_note,
     factor,
     fixes_from,
     imu_from,
+    incomplete_note,
     seconds_since_first,
     speed_unit_note,
 )
@@ -63,6 +65,7 @@ IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to 
     ),
     (("x_acc", "y_acc", "z_acc"), ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")),
 )
+VBOX_NAMES = ("x_accel", "y_accel", "z_accel", "rollrate", "pitchrate", "yawrate")  # axes of which are not known
 NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
 MINUTES = 1.0 / 60.0  # of a degree
@@ -118,6 +121,8 @@ def read_vbo(path: Path) -> ForeignReading:
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
     imu, imu_problems = _imu(path.name, head, records, t, inertial)
+    if not inertial:
+        imu_problems = _unused_imu(path.name, names)
     timing = _timing_lines(head, gnss)
     return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu, timing)
 
@@ -229,6 +234,14 @@ def _imu(
     accel *= factor(head.unit_of(forces[0]), ACCELERATION_UNITS, "g")
     gyro *= factor(head.unit_of(rates[0]), RATE_UNITS, "deg/s")
     return imu_from(file, t, accel, gyro)
+
+
+def _unused_imu(file: str, names: Sequence[str]) -> list[Problem]:
+    """Say why a motion sensor that is there is not used."""
+    if all(name in names for name in VBOX_NAMES):
+        return axes_note(file, VBOX_NAMES)
+    notes = (incomplete_note(file, [*forces, *rates], names) for forces, rates in IMU_NAMES)
+    return next((note for note in notes if note), [])
 
 
 def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:

@@ -112,6 +112,32 @@ def test_a_bearing_that_does_not_change_on_the_straight_costs_no_fix(tmp_path: P
     assert len(read(tmp_path, csv(rows)).gnss) == 600
 
 
+def test_accelerations_and_rates_in_rows_of_their_own_make_samples(tmp_path: Path) -> None:
+    """The rates, 90 deg/s faster every second, are interpolated to the accelerations; not across a second without."""
+    rng = np.random.default_rng(3)
+    blank = ",0,,," + "," * 11
+    rows = [fix_row(k) for k in range(60)]
+    rows += [f"{START + 0.01 * k:.3f}{blank}0.1,-0.2,{1 + 0.01 * rng.standard_normal():.4f},,," for k in range(600)]
+    rows += [
+        f"{START + 0.01 * k + 0.004:.3f}{blank},,,{rng.standard_normal():.3f},2.0,{90 * (0.01 * k + 0.004):.3f}"
+        for k in range(600)
+        if not 200 <= k < 300
+    ]
+    imu = read(tmp_path, csv(sorted(rows))).imu
+    assert imu is not None
+    inside = (imu.t < 2.0) | (imu.t > 3.0)
+    np.testing.assert_allclose(imu.gyro[:, 2], np.radians(90.0 * imu.t), atol=1e-4)
+    assert imu.t.size == pytest.approx(500, abs=3) and np.count_nonzero(inside) >= imu.t.size - 2
+
+
+def test_what_a_motion_sensor_lacks_is_said(tmp_path: Path) -> None:
+    rows = [fix_row(k) for k in range(60)]
+    reading = read(tmp_path, csv(rows, NAMES.replace("z_rate_of_rotation", "x")))
+    assert reading.imu is None
+    (problem,) = reading.problems
+    assert problem.code == "imu_incomplete" and "z_rate_of_rotation is missing" in problem.text
+
+
 def test_a_folder_with_the_file_is_a_session_and_the_file_too(tmp_path: Path) -> None:
     rows = sorted([fix_row(k) for k in range(60)] + [imu_row(k) for k in range(600)])
     read(tmp_path, csv(rows))

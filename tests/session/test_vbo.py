@@ -217,6 +217,31 @@ def test_six_inertial_channels_make_an_imu_and_two_accelerations_do_not(tmp_path
     assert read(tmp_path, vbo(rows, columns=(*COLUMNS, "longacc", "latacc"))).imu is None
 
 
+@pytest.mark.parametrize(
+    ("names", "code", "said"),
+    [
+        ("PitchRate RollRate Z_Accel YawRate X_Accel Y_Accel", "imu_axes_unknown", "yawrate) are not used: their axes"),
+        (
+            "LongAcc VertAcc x-rotation-gyroscope y-rotation-gyroscope z-rotation-gyroscope lean-angle",
+            "imu_incomplete",
+            "of the six channels of a motion sensor latacc is missing; the others are not used",
+        ),
+        ("x_acc y_acc z_acc a b c", "imu_incomplete", "z_rate_of_rotation are missing; the others are not used"),
+        ("longacc latacc a b c d", "", ""),
+    ],
+)
+def test_why_a_motion_sensor_that_is_there_is_not_used_is_said(
+    tmp_path: Path, names: str, code: str, said: str
+) -> None:
+    rows = [f"{row(k)} +0.1 +0.2 +1.0 +1.0 +2.0 -90.0" for k in range(40)]
+    read(tmp_path, vbo(rows, columns=(*COLUMNS, *names.split())))
+    told = {problem.code: problem.text for problem in load_raw(tmp_path).problems}
+    if code:
+        assert said in told[code] and told["imu_missing"] == "no IMU that can be used: smoothed from GPS alone"
+    else:
+        assert "imu_incomplete" not in told and told["imu_missing"] == "no IMU recorded: smoothed from GPS alone"
+
+
 def test_rows_with_too_many_or_too_few_values_are_dropped_and_counted(tmp_path: Path) -> None:
     rows = [row(k) for k in range(60)]
     rows[10], rows[20], rows[30] = rows[10].rpartition(" ")[0], rows[20] + " 1.0", "garbage"
