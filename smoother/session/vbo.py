@@ -68,6 +68,7 @@ IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to 
 VBOX_NAMES = ("x_accel", "y_accel", "z_accel", "rollrate", "pitchrate", "yawrate")  # axes of which are not known
 NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
+FEW_NO_TIMES, MOST_NO_TIMES = 0.1, 0.25  # share; in HHMMSS none is, and of seconds of the day 40 % and more look so
 MINUTES = 1.0 / 60.0  # of a degree
 OTHER_FORMS = {  # than minutes, to the west: what is to be multiplied with, and how it is said
     (1.0, -1.0): "longitudes count to the east",
@@ -117,14 +118,15 @@ def read_vbo(path: Path) -> ForeignReading:
     wanted += [name for triple in inertial for group in triple for name in group]
     records = read_records(path, offset, names, list(dict.fromkeys(wanted)), None, WHAT)
     columns = {key: records.column(name or "") for key, name in found.items()}
-    utc = _utc(columns["time"])
+    utc, time_problems = _utc(path.name, columns["time"])
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
     imu, imu_problems = _imu(path.name, head, records, t, inertial)
     if not inertial:
         imu_problems = _unused_imu(path.name, names)
     timing = _timing_lines(head, gnss)
-    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu, timing)
+    problems = [*records.problems(path.name), *time_problems, *imu_problems, *problems]
+    return ForeignReading(gnss, problems, imu, timing)
 
 
 def _sections(lines: Iterable[str]) -> dict[str, list[str]]:
@@ -144,15 +146,35 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if lower.index(name) == i else f"{name} #{i}" for i, name in enumerate(lower)]
 
 
-def _utc(clock: Array) -> Array:
-    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number; NaN where that is no time."""
+def _utc(file: str, clock: Array) -> tuple[Array, list[Problem]]:
+    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number, NaN where that is no time.
+
+    Where seconds beyond 60 show that they are seconds of the day, they are taken as such, and said. Raises SessionError
+    where many are neither.
+    """
+    known = np.isfinite(clock)
+    if not known.any():
+        return clock, []
+    of_day, problems = _time_of_day(clock), []
+    no_time = np.count_nonzero(known & np.isnan(of_day)) / np.count_nonzero(known)
+    if no_time > FEW_NO_TIMES and np.all((clock[known] >= 0.0) & (clock[known] <= DAY)):
+        of_day = np.round(clock, 6)
+        problems = [Problem("gps_seconds_of_day", f"{file}: its times are seconds of the day; taken as such")]
+    elif no_time > MOST_NO_TIMES:
+        example = float(clock[known & np.isnan(of_day)][0])
+        raise SessionError(f"{file}: {no_time:.0%} of its times, as {example:.10g}, are no UTC (HHMMSS.sss)")
+    good = np.isfinite(of_day)
+    of_day[good] = over_midnight(of_day[good]) if good.any() else of_day[good]
+    return of_day, problems
+
+
+def _time_of_day(clock: Array) -> Array:
+    """Seconds (N,) since midnight from HHMMSS.sss as a number; NaN where that is no time."""
     clock = np.where(np.abs(clock) < 1e6, clock, np.nan)
     with np.errstate(invalid="ignore"):
         hours, minutes, seconds = clock // 10_000, clock // 100 % 100, clock % 100
         good = (clock >= 0.0) & (hours < 24) & (minutes < 60) & (seconds < 61)
-    utc = np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
-    utc[good] = over_midnight(utc[good]) if good.any() else utc[good]
-    return utc
+    return np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
 
 
 def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Array) -> tuple[GnssFixes, list[Problem]]:
