@@ -1,5 +1,6 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,8 @@ OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are
 RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
+SENTENCE_BYTES = 1 << 20  # GnssLogger of Android describes its columns first, and writes other lines between sentences
+SENTENCE = re.compile(rb"\$\0?G\0?(?:[A-Z]\0?){4},")  # in one byte a character or in two
 WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
     "log": "*.klg",
     "out": "out.txt",
@@ -174,14 +177,15 @@ def list_files(path: Path) -> SessionFiles:
 def _holds_sentences(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return _shows_sentences(file.read(HEAD_BYTES))
+            return _shows_sentences(file.read(SENTENCE_BYTES))
     except OSError:
         return False  # it is not what anybody asked for
 
 
-def _shows_sentences(head: bytes) -> bool:
-    """Whether a head has the start of a sentence, in one byte a character or in two."""
-    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head
+def _shows_sentences(start: bytes) -> bool:
+    """Whether the start of a file has that of a sentence, further on a whole one: in much data two bytes say little."""
+    head = start[:HEAD_BYTES]
+    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head or SENTENCE.search(start) is not None
 
 
 def _holds_fixes(path: Path) -> bool:
@@ -227,7 +231,7 @@ def _role(path: Path) -> Role | None:
     from smoother.session.log_format import MAGIC  # the types beside it are for those who read a log
 
     with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
+        head = file.read(SENTENCE_BYTES)
     if head.startswith(MAGIC):
         return "log"
     if name == OUT_NAME or head.startswith(b"YY"):

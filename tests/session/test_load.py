@@ -583,6 +583,16 @@ def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> N
     assert len(folder.load("gps.txt").gnss) == 50
 
 
+def test_sentences_behind_a_long_header_are_found(folder: Folder) -> None:
+    """As Android's GnssLogger writes them, with the names of its columns and raw measurements before."""
+    raw = "".join(f"Raw,{k},$,G,{'1.5,' * 30}\n" for k in range(400))
+    sentences = "".join(f"NMEA,{line.strip()},{1717149600000 + 200 * k}\n" for k, line in enumerate(nmea_epochs(50)))
+    folder.write(**{"gnss_log.txt": f"# Raw,utcTimeMillis\n{raw}{sentences}"})
+    assert len(folder.load("gnss_log.txt").gnss) == 50
+    with pytest.raises(SessionError, match=r"gnss_log.txt holds NMEA sentences; name the file"):
+        folder.load()
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("name", ["rover.nmea", "rover.txt"])
 def test_sentences_in_two_bytes_a_character_are_read(folder: Folder, encoding: str, name: str) -> None:
