@@ -39,6 +39,7 @@ NAMED_DATE = (  # April 11, 2026; 11 April 2026; 11-Apr-2026
 )
 YEAR_FIRST = re.compile(r"\b(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})\b")
 YEAR_LAST = re.compile(r"\b(\d{1,2})([-/.])(\d{1,2})\2(\d{4})\b")
+SEPARATORS = ",;\t"  # of as many the first
 OLDEST_YEAR = 1990  # of a date that is one: GPS is little older
 OWN_UTC = "time is utc."  # as this program's own export says
 
@@ -155,7 +156,7 @@ def _header(path: Path) -> tuple[_Columns, int]:
 
     lines, offset = head_of(path, is_last, WHAT)
     separator = _separator(lines[-2])
-    names = _cells(lines[-2], separator)
+    names = [name.replace("_", " ") for name in _cells(lines[-2], separator)]
     names = [name if names.index(name) == i else f"{name} #{i}" for i, name in enumerate(names)]
     units = _cells(lines[-1], separator)
     return _Columns(names, (units + [""] * len(names))[: len(names)], separator, _about(lines[:-2], separator)), offset
@@ -168,7 +169,7 @@ def _about(lines: Sequence[str], separator: str) -> dict[str, str]:
 
 
 def _separator(line: str) -> str:
-    return ";" if line.count(";") > line.count(",") else ","
+    return max(SEPARATORS, key=line.count)
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -32,6 +32,7 @@ from smoother.words import listed
 
 WHAT = "RaceChrono CSV of version 3"
 MARKS = ("racechrono", "format,3")
+OLD_TIMESTAMP = "timestamp (s)"
 NEEDED = ("timestamp", "latitude", "longitude")
 OPTIONAL = ("altitude", "speed", "bearing", "accuracy", "satellites", "fix_type")
 LONGEST_APART = 0.1  # s between the samples of one sensor, beyond which those of another are not interpolated
@@ -125,13 +126,32 @@ def _header(path: Path) -> tuple[_Columns, int]:
 
     def is_last(line: str) -> bool:
         cells = _cells(line)
+        _require_version(path.name, cells)
         seen[:] = [*seen, line] if seen or "timestamp" in cells else []
         return len(seen) == 3
 
     lines, offset = head_of(path, is_last, WHAT)
     names, units, sources = (_cells(line) for line in lines[-3:])
+    if _is_number(units[0]):
+        raise SessionError(f"{path.name}: no units below the names of its columns; export it as version 3")
     padded = [(row + [""] * len(names))[: len(names)] for row in (units, sources)]
     return _Columns(names, padded[0], padded[1]), offset
+
+
+def _require_version(file: str, cells: Sequence[str]) -> None:
+    """Raise SessionError at a line of another version, which says so, or names its times otherwise."""
+    if cells[0] == "format" and cells[1:2] != ["3"]:
+        raise SessionError(f"{file}: a RaceChrono CSV of version {listed(cells[1:2])}; export it as version 3")
+    if OLD_TIMESTAMP in cells:
+        raise SessionError(f"{file}: a RaceChrono CSV of version 1 or 2; export it as version 3")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _cells(line: str) -> list[str]:

@@ -122,6 +122,15 @@ def test_semicolons_with_decimal_commas_read_the_same(tmp_path: Path) -> None:
     np.testing.assert_array_equal(commas.speed, plain.speed)
 
 
+def test_underscores_in_names_and_tabs_read_the_same(tmp_path: Path) -> None:
+    rows = [values(k) for k in range(80)]
+    plain = read(tmp_path, table(rows)).gnss
+    names = tuple(name.replace(" ", "_") for name in NAMES)
+    blank_at_end = [(*row[:-1], "") for row in rows]
+    for text in (table(rows, names=names), table(rows, "\t"), table(blank_at_end, "\t").replace('"', "")):
+        np.testing.assert_array_equal(read(tmp_path, text).gnss.velocity_n, plain.velocity_n)
+
+
 def test_rows_that_come_faster_than_the_receiver_measures_are_no_fixes(tmp_path: Path) -> None:
     fix_t, t = np.arange(0.0, 60.0, 0.1), np.round(np.arange(0.004, 59.9, 0.02), 3)
     rng = np.random.default_rng(1)

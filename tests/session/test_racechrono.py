@@ -160,6 +160,15 @@ def test_gps_csv_wins_over_a_recording_of_another_program(tmp_path: Path) -> Non
     [
         (PREAMBLE, "no rows; not, or not a whole, RaceChrono CSV"),
         (csv([]), "a header, but no rows"),
+        (csv([]).replace("Format,3", "Format,2"), "a RaceChrono CSV of version 2; export it as version 3"),
+        (
+            PREAMBLE.replace("Format,3\n", "") + "Lap #,Timestamp (s),x\n1,2,3\n",
+            "of version 1 or 2; export it as version 3",
+        ),
+        (
+            PREAMBLE + "\n".join([NAMES, *(fix_row(k) for k in range(60))]),
+            "no units below the names of its columns; export it as version 3",
+        ),
         (csv([fix_row(k) + ",1,2" for k in range(9)]), "rows have 23 values, but 21 columns are named"),
         (csv([fix_row(k) for k in range(9)], NAMES.replace("latitude", "x")), "no column latitude"),
         (csv([fix_row(0)] * 50), "rows repeat the time of another"),
