@@ -52,6 +52,8 @@ SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
+LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
+LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
@@ -251,7 +253,12 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
-    force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
+    some = thinned(imu.accel, step)
+    force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
+    steady = float(np.linalg.norm(np.mean(some, axis=0))) * imu.accel_scale
+    if steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION:
+        yield "imu_implausible", "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
+        return
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
         yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
     rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale

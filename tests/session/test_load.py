@@ -268,6 +268,32 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
+@pytest.mark.parametrize("form", ["10:00:{:06.3f}", "2026-05-16T10:00:{:06.3f}Z"])
+@pytest.mark.parametrize("table", ["gps.csv", "imu.csv"])
+def test_times_that_are_no_numbers_are_shown(folder: Folder, table: str, form: str) -> None:
+    tables = {"gps.csv": gps_csv(), "imu.csv": imu_csv()}
+    header, *rows = tables[table].splitlines()
+    cells = (row.partition(",") for row in rows)
+    tables[table] = "\n".join([header, *(f"{form.format(float(t))},{rest}" for t, _, rest in cells)]) + "\n"
+    with pytest.raises(SessionError, match=rf"^{table}: t_s is {form.format(0.0)}; it has to be in seconds, as a num"):
+        folder.write(**tables).load()
+
+
+@pytest.mark.parametrize(("up", "is_said"), [(9.8, False), (0.0, True)])
+def test_acceleration_without_gravity_is_asked_about(folder: Folder, up: float, is_said: bool) -> None:
+    """Five metres a second squared to and fro, as in bends."""
+    t = np.arange(0.0, 10.0, 0.01)
+    rng = np.random.default_rng(1)
+    values = np.column_stack([t, 0.1 * rng.standard_normal((t.size, 6))])
+    values[:, 2] += 5.0 * np.sin(2.0 * t)
+    values[:, 3] += up
+    rows = "\n".join(",".join(f"{value:.4f}" for value in row) for row in values)
+    raw = folder.write(gps__csv=gps_csv(), imu__csv=f"t_s,ax,ay,az,gx,gy,gz\n{rows}\n").load()
+    told = {problem.code: problem.text for problem in raw.problems}
+    assert (raw.imu is None) == is_said
+    assert ("no gravity in ax, ay, az; is it linear acceleration?" in told.get("imu_implausible", "")) == is_said
+
+
 @pytest.mark.parametrize(
     ("imu", "said"),
     [
