@@ -257,7 +257,7 @@ def _without_wrong_climb(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns
         return c
     at, up, height = t[known], c.velocity_up[known], c.alt_m[known]
     way = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * np.diff(at))])
-    bounds = np.unique(np.searchsorted(at, np.arange(at[0], at[-1], CLIMB_TIME)))
+    bounds = np.append(0, np.flatnonzero(np.diff(np.floor((at - at[0]) / CLIMB_TIME))) + 1)
     whole = np.diff(at[bounds]) < 1.5 * CLIMB_TIME
     told, risen = np.diff(way[bounds])[whole], np.diff(height[bounds])[whole]
     if told.size < FEWEST_STEPS or not (np.any(told) and np.any(risen)):

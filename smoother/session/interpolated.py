@@ -11,6 +11,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 
 DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the line beside it by as much
 MANTISSA = 1e-15  # share; as finely as a float is written
+FARTHEST = 1e9  # roundings; more is nonsense, and would not add up
 MILLISECOND, MICROSECOND = 1e-3, 1e-6  # s
 FEWEST_KNOTS = 20  # that show how often they come
 SHORT_STEP = 10.0  # per cent of the steps between knots, that are no longer than to the next one
@@ -24,6 +25,7 @@ FEW_RUNS = 0.05  # share that may be longer
 FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd steps are off any chord, or unknown
 def off_chord(t: Array, channels: Sequence[Array]) -> Array:
     """How far (N,) rows are off the line between their neighbours, at most of channels (N,); 0 within rounding.
 
@@ -39,7 +41,7 @@ def off_chord(t: Array, channels: Sequence[Array]) -> Array:
             rise, next_rise = np.diff(values)[:-1], np.diff(values)[1:]
             by = np.abs(rise * after - next_rise * before) / (before + after)
             rounding = DIGITS * digit + stamp * (np.abs(rise) / before + np.abs(next_rise) / after)
-            off[1:-1] = np.fmax(off[1:-1], np.where(by > rounding, by / rounding, 0.0))
+            off[1:-1] = np.fmax(off[1:-1], np.where(by > rounding, np.minimum(by / rounding, FARTHEST), 0.0))
     return off
 
 
@@ -81,21 +83,26 @@ def rows_at_knots(t: Array, seen: Array) -> IntArray | None:
     """Rows (K,) of t (N,) s nearest to knots, some of which were `seen` (M,) s; None unless they come regularly and
     with rows between them.
     """
+    seen = np.unique(seen)
     gaps = np.diff(seen)
     if gaps.size < FEWEST_KNOTS:
         return None
     period = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, SHORT_STEP)]))
-    count = np.maximum(1.0, np.round(gaps / period))
+    between = np.diff(np.searchsorted(t, seen))
+    with np.errstate(over="ignore"):
+        count = np.clip(np.round(gaps / period), 1.0, between + 1.0)  # in a pause there is nothing to fill
     if np.mean(np.abs(gaps - count * period) < REGULAR * period) < MOSTLY:
         return None
-    rows = np.diff(np.searchsorted(t, seen))[count == 1.0]
-    if np.sum(rows) <= MORE_ROWS * rows.size:
+    alone = between[count == 1.0]
+    if np.sum(alone) <= MORE_ROWS * alone.size:
         return None
     place = np.concatenate([[0.0], np.cumsum(count)])
     knots = np.interp(np.arange(place[-1] + 1.0), place, seen)
-    reach = ROUNDING * period
-    before = np.arange(knots[0] - period, t[0] - reach, -period)[::-1]
-    knots = np.concatenate([before, knots, np.arange(knots[-1] + period, t[-1] + reach, period)])
+    ends = (knots[0] - t[0], t[-1] - knots[-1])
+    most = (np.searchsorted(t, knots[0]), t.size - np.searchsorted(t, knots[-1]))
+    early, late = (min(float(n), np.floor(end / period + ROUNDING)) for end, n in zip(ends, most, strict=True))
+    before, after = knots[0] - period * np.arange(early, 0.0, -1.0), knots[-1] + period * np.arange(1.0, late + 1.0)
+    knots = np.concatenate([before, knots, after])
     rows = _nearest(t, knots)
     return np.unique(rows[np.abs(t[rows] - knots) <= 0.5 * period])
 

@@ -59,6 +59,15 @@ def test_measured_rows_stay_whatever_their_digits(rate: float, digits: int) -> N
         assert measured_rows(t, channels) is None
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("step", [1e-310, 1e-9, 1e9])
+def test_absurd_times_neither_warn_nor_fill_the_memory(step: float) -> None:
+    t, channels = exported(5, 50)
+    t = np.where(np.arange(t.size) % 1000 < 900, t, t + step).cumsum()
+    rows = measured_rows(t, [*channels, np.linspace(0.0, 1e308, t.size)])
+    assert rows is None or rows.size <= t.size
+
+
 @pytest.mark.parametrize("folder", FOLDERS)
 @pytest.mark.parametrize("digits", [5, 6, 7, 9])
 def test_fixes_of_real_receivers_stay_whatever_their_digits(data_directory: Path, folder: str, digits: int) -> None:
