@@ -14,7 +14,16 @@ from pathlib import Path
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.foreign import LENGTH_UNITS, SPEED_UNITS, ForeignReading, date_note, factor, fixes_from
+from smoother.session.foreign import (
+    LENGTH_UNITS,
+    SPEED_UNITS,
+    ForeignReading,
+    axes_note,
+    date_note,
+    factor,
+    fixes_from,
+    speed_unit_note,
+)
 from smoother.session.records import head_of, read_records
 
 WHAT = "AiM CSV with GPS channels"
@@ -30,6 +39,7 @@ NAMED_DATE = (  # April 11, 2026; 11 April 2026; 11-Apr-2026
 )
 YEAR_FIRST = re.compile(r"\b(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})\b")
 YEAR_LAST = re.compile(r"\b(\d{1,2})([-/.])(\d{1,2})\2(\d{4})\b")
+SEPARATORS = ",;\t"  # of as many the first
 OLDEST_YEAR = 1990  # of a date that is one: GPS is little older
 OWN_UTC = "time is utc."  # as this program's own export says
 
@@ -76,10 +86,9 @@ def read_aim(path: Path) -> ForeignReading:
         sigma_velocity=value("gps spdaccuracy", SPEED_UNITS, "km/h"),
         num_sv=value("gps nsat"),
     )
-    unused = [name for name in INERTIAL if name in names]
-    if unused:
-        text = f"{path.name}: the inertial channels ({', '.join(unused)}) are not used: their axes are not known"
-        problems = [Problem("imu_axes_unknown", text), *problems]
+    if "gps speed" in names:
+        problems = [*speed_unit_note(path.name, columns.unit("gps speed"), "km/h"), *problems]
+    problems = [*axes_note(path.name, [name for name in INERTIAL if name in names]), *problems]
     unix_at_zero, date_problems = _start(path.name, columns.about)
     problems = [*records.problems(path.name), *date_problems, *problems]
     return ForeignReading(gnss, problems, unix_at_zero=unix_at_zero)
@@ -147,7 +156,7 @@ def _header(path: Path) -> tuple[_Columns, int]:
 
     lines, offset = head_of(path, is_last, WHAT)
     separator = _separator(lines[-2])
-    names = _cells(lines[-2], separator)
+    names = [name.replace("_", " ") for name in _cells(lines[-2], separator)]
     names = [name if names.index(name) == i else f"{name} #{i}" for i, name in enumerate(names)]
     units = _cells(lines[-1], separator)
     return _Columns(names, (units + [""] * len(names))[: len(names)], separator, _about(lines[:-2], separator)), offset
@@ -160,7 +169,7 @@ def _about(lines: Sequence[str], separator: str) -> dict[str, str]:
 
 
 def _separator(line: str) -> str:
-    return ";" if line.count(";") > line.count(",") else ","
+    return max(SEPARATORS, key=line.count)
 
 
 def _cells(line: str, separator: str) -> list[str]:

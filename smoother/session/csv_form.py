@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
@@ -12,9 +13,9 @@ from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_by_the_hour
-from smoother.session.tables import Table, read_table
+from smoother.session.tables import Table, head_lines, names_of, read_table
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
-from smoother.words import counted
+from smoother.words import counted, listed
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
@@ -45,6 +46,7 @@ def read_imu_and_unit(
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
+    _require_numbers(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
@@ -89,6 +91,7 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
     """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
     t, unix_s = table.column("t_s"), _unix_seconds(table)
+    _require_numbers(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, joined = joined_by_the_hour(t, "gps", path.name, unix_s)
     columns = FixColumns(
@@ -113,6 +116,17 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
     return fixes, [*_cut_row(table, "gps"), *said, *joined, *problems, *_unread_times(table)]
+
+
+def _require_numbers(path: Path, t: Array) -> None:
+    """Raise SessionError with the first cell of t_s where no time (N,) is a number: of day, or ISO 8601."""
+    if np.isfinite(t[:1]).any() or np.isfinite(t).any():
+        return
+    names, *rows = (names_of(line) for line in head_lines(path, 2))
+    place = [name.lower() for name in names].index("t_s")
+    cell = rows[0][place] if rows and len(rows[0]) > place else ""
+    if cell:
+        raise SessionError(f"{path.name}: t_s is {listed([cell], longest=40)}; it has to be in seconds, as a number")
 
 
 def _cut_row(table: Table, prefix: str) -> list[Problem]:

@@ -1,8 +1,10 @@
 """Positions that are not in degrees, or in the wrong columns: told by what is not on Earth, and by the velocities.
 
-Nothing is converted: a file of integers may count 1e-7 or 1e-6 of a degree, and a person knows which. What is likely is
-named with its remedy, in place of a smooth track in the wrong sea.
+Nothing of a table is converted: a file of integers may count 1e-7 or 1e-6 of a degree, and a person knows which. What
+is likely is named with its remedy, in place of a smooth track in the wrong sea.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -26,17 +28,44 @@ SURELY = 0.5  # times as far off as a course that counts from east: only how lon
 PATH_OF_RADIANS = 0.1  # of the way; in radians read as degrees it is a 57th
 STANDSTILL = 50.0  # m on which a kart without velocities does not drive, and which in radians are 3 km
 
+_Ways = tuple[IntArray, IntArray, npt.NDArray[np.complex128]]
+
 
 def require_degrees(file: str, c: FixColumns) -> None:
     """Raise SessionError, with the likely cause and the remedy, where the positions of most rows are not in degrees."""
-    known = np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg) & ~((c.lat_deg == 0.0) & (c.lon_deg == 0.0))
-    rows = np.flatnonzero(known)
+    rows = _rows_with_position(c)
     if rows.size < FEWEST_ROWS:
         return
     lat, lon = c.lat_deg[rows], c.lon_deg[rows]
     if cause := _cause_by_size(lat, lon) or _cause_by_way(c.take(rows)):
         example = f"lat_deg {lat[lat.size // 2]:.10g}, lon_deg {lon[lon.size // 2]:.10g}"
         raise SessionError(f"{file}: {example} {cause}")
+
+
+def scale_by_way(c: FixColumns, scales: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """Which of `scales` of latitude and longitude makes the way of the positions that of the velocities.
+
+    None where it is as it stands, where none does, and where too few velocities tell.
+    """
+    c = c.take(_rows_with_position(c))
+    sent = _way_by_velocity(c) if c.t.size >= FEWEST_ROWS else None
+    if sent is None or _off_way(c, sent) < DISAGREES:
+        return None
+    lat, lon = float(np.median(np.abs(c.lat_deg))), float(np.median(np.abs(c.lon_deg)))
+    on_earth = [(a, b) for a, b in scales if abs(a) * lat <= 90.0 and abs(b) * lon <= 180.0]
+    return next((scale for scale in on_earth if _off_way(c, sent, *scale) < AGREES), None)
+
+
+def _off_way(c: FixColumns, sent: _Ways, lat_scale: float = 1.0, lon_scale: float = 1.0) -> float:
+    """How far, as a share of it, the way of the positions, times the scales, is off the one that was sent."""
+    first, last, way = sent
+    by_position = _way_by_position(lat_scale * c.lat_deg, lon_scale * c.lon_deg, first, last)
+    return float(np.sum(np.abs(by_position - way)) / np.sum(np.abs(way)))
+
+
+def _rows_with_position(c: FixColumns) -> IntArray:
+    known = np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg) & ~((c.lat_deg == 0.0) & (c.lon_deg == 0.0))
+    return np.flatnonzero(known)
 
 
 _SWAPPED = "look swapped; exchange the names lat_deg and lon_deg in the header line"
@@ -88,7 +117,7 @@ def _cause_by_way(c: FixColumns) -> str:
     return ""
 
 
-def _way_by_velocity(c: FixColumns) -> tuple[IntArray, IntArray, npt.NDArray[np.complex128]] | None:
+def _way_by_velocity(c: FixColumns) -> _Ways | None:
     """First and last rows (K,) of stretches of about BASELINE, and the ways (K,), east + i north, m, that the
     velocities make of them; None if there are too few."""
     with np.errstate(invalid="ignore"):

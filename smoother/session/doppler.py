@@ -10,14 +10,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.rows import RowFilter
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
 
-UNITS = {"km/h": KMH, "mph": MPH, "knots": KNOT, "m/s divided by 3.6": 1.0 / KMH}  # m/s
-SAME_UNIT = 0.05  # share; the nearest two of them are 13 % apart
+UNIT_RATIOS = {  # what speeds in one unit are, read as another, in true ones
+    "km/h": 1.0 / KMH,
+    "mph": 1.0 / MPH,
+    "knots": 1.0 / KNOT,
+    **{f"m/s, read as {name}": size for name, size in (("km/h", KMH), ("mph", MPH), ("knots", KNOT))},
+    **{f"{name}, read as km/h": KMH / size for name, size in (("mph", MPH), ("knots", KNOT))},
+    **{f"km/h, read as {name}": size / KMH for name, size in (("mph", MPH), ("knots", KNOT))},
+}
+SAME_UNIT = 0.02  # share; real receivers are within 0.015 of their positions, and the nearest two of them 5 % apart
+SAME_SPEED = (0.85, 1.18)  # speed by that of the positions; beyond, it is wrong whatever explains it
+ABSURD_SHARE = 10.0  # and more are speeds that are said to be impossible
+SAME_SPEED_OF_CHORDS = 1.5  # likewise where positions come no faster than BASELINE: a chord is shorter than its bend
 BASELINE = 1.0  # s; over less, noise of the positions counts
 FASTER = 5.0  # m/s; and in slower motion
 FEWEST_STEPS, ENOUGH_STEPS = 20, 2000
@@ -32,6 +42,9 @@ CALM = 25.0  # per cent of the rows in which noise shows alone
 # four positions has sqrt(20) / 3, and the difference of two sqrt(2)
 NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
 NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
+CLIMB_TIME = 5.0  # s over which velocities upwards are compared with heights, whose noise then counts less
+CLEARLY_ALIKE, CLEARLY = 0.5, 3.0  # correlation of the two; sigmas
+LEAST_RISE = 0.6  # m of height for one by the velocities; real receivers have 0.7 to 1.3, and km/h make 0.28
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
@@ -42,7 +55,7 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     """
     _say_missing_course(rows, c)
     c = _without_wrong_unit(rows, t, c)
-    return _without_wrong_course(rows, t, _without_stuck(rows, t, c))
+    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, _without_stuck(rows, t, c)))
 
 
 def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
@@ -53,22 +66,27 @@ def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
 
 
 def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without velocity where it contradicts the positions as another unit does, and say so.
+    """The columns with speeds in m/s where they are in another unit, and without where nothing explains them; says so.
 
     Speeds that are 3.6 times too large would pass for fixes that are noisy and late.
     """
-    share = _share_of_speed(t, c)
-    unit = next((name for name, size in UNITS.items() if abs(share * size - 1.0) < SAME_UNIT), None)
-    if unit is None:
+    share, highest = _share_of_speed(t, c)
+    if not (share < SAME_SPEED[0] or highest < share < ABSURD_SHARE):
         return c
-    text = f"its speeds are {share:.2f} times those of its positions, as if in {unit}; not used. Is speed_mps in m/s?"
-    rows.say("speed_unit", text, 1)
+    unit = next((name for name, ratio in UNIT_RATIOS.items() if abs(share / ratio - 1.0) < SAME_UNIT), None)
+    text = f"its speeds are {share:.2f} times those of its positions"
     unknown = np.full(t.size, np.nan)
-    return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+    if unit is None:
+        rows.say("speed_unit", f"{text}; not used. What is their unit?", 1)
+        return replace(c, speed=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+    rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", 1)
+    names = ("speed", "velocity_north", "velocity_east")  # upwards it may be in a unit of its own
+    return replace(c, **{name: getattr(c, name) / UNIT_RATIOS[unit] for name in names}, velocity_up=unknown)
 
 
-def _share_of_speed(t: Array, c: FixColumns) -> float:
-    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it.
+def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
+    """Speed as sent divided by speed from the positions, NaN where too few tell or they do not agree about it; and the
+    largest share that is no contradiction.
 
     Which steps tell is chosen by what was sent: chosen by the positions, noise would make a slow kart seem a fast one.
     """
@@ -79,16 +97,23 @@ def _share_of_speed(t: Array, c: FixColumns) -> float:
     first = first[:: max(1, first.size // ENOUGH_STEPS)]
     last = later[first]
     run = t[last] - t[first]
-    travelled = np.hypot(north[last] - north[first], east[last] - east[first]) / run
+    middle = (first + last) // 2
+    travelled = _distance(north, east, first, middle) + _distance(north, east, middle, last)
+    travelled /= run
     within = np.stack([first, last + 1], axis=1).ravel()  # a window, what lies up to the next one, a window ..
     sent = np.add.reduceat(np.append(speed, 0.0), within)[::2] / (last + 1 - first)
     told = (run < 2.0 * BASELINE) & np.isfinite(sent)
     told &= sent > 0.5 * np.percentile(sent[told], 95.0) if np.any(told) else False
     if np.count_nonzero(told) < FEWEST_STEPS or not np.median(travelled[told]) > FASTER:
-        return float("nan")
+        return float("nan"), np.inf
     with np.errstate(divide="ignore"):
         low, share, high = np.percentile(sent[told] / travelled[told], (25.0, 50.0, 75.0), method="nearest")
-    return float(share) if high < 1.25 * low else float("nan")
+    highest = SAME_SPEED[1] if np.median((last - first)[told]) >= 2 else SAME_SPEED_OF_CHORDS
+    return (float(share) if high < 1.25 * low else float("nan")), highest
+
+
+def _distance(north: Array, east: Array, first: IntArray, last: IntArray) -> Array:
+    return np.asarray(np.hypot(north[last] - north[first], east[last] - east[first]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +248,28 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+
+
+def _without_wrong_climb(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
+    """The columns without velocities upwards that clearly contradict the heights: in km/h, or positive downwards."""
+    known = np.flatnonzero(np.isfinite(c.velocity_up) & np.isfinite(c.alt_m))
+    if known.size < FEWEST_STEPS:
+        return c
+    at, up, height = t[known], c.velocity_up[known], c.alt_m[known]
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * np.diff(at))])
+    bounds = np.append(0, np.flatnonzero(np.diff(np.floor((at - at[0]) / CLIMB_TIME))) + 1)
+    whole = np.diff(at[bounds]) < 1.5 * CLIMB_TIME
+    told, risen = np.diff(way[bounds])[whole], np.diff(height[bounds])[whole]
+    if told.size < FEWEST_STEPS or not (np.any(told) and np.any(risen)):
+        return c
+    alike = float(np.sum(told * risen) / np.sqrt(np.sum(told**2) * np.sum(risen**2)))
+    share = float(np.sum(told * risen) / np.sum(told**2))  # metres of height for one that the velocities tell
+    sigma = abs(share / alike) * math.sqrt(max(0.0, 1.0 - alike**2) / told.size) if alike else np.inf
+    if abs(alike) < CLEARLY_ALIKE or share + CLEARLY * sigma > LEAST_RISE:
+        return c
+    what = "fall where its heights rise" if share < 0.0 else f"are {1.0 / share:.1f} times what its heights rise"
+    rows.say("climb_wrong", f"its velocities upwards {what}; not used. Are they in m/s, and positive upwards?", 1)
+    return replace(c, velocity_up=np.full(t.size, np.nan))
 
 
 def _mostly_off(t: Array, steps: _Steps, course_deg: Array, told: BoolArray) -> float:

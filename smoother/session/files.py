@@ -1,21 +1,26 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
 from smoother.session.tables import read_header
+from smoother.session.unknown_table import about_table, holds_places
 
 Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
 Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
+OF_A_SESSION = ("mag.csv", "mag.csv.gz", "official.csv")  # tables that stand for the session they lie beside
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
+SENTENCE_BYTES = 1 << 20  # GnssLogger of Android describes its columns first, and writes other lines between sentences
+SENTENCE = re.compile(rb"\$\0?G\0?(?:[A-Z]\0?){4},")  # in one byte a character or in two
 WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
     "log": "*.klg",
     "out": "out.txt",
@@ -107,6 +112,10 @@ class SessionFiles:
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
         return next((path for path in paths if _holds_sentences(path)), None)
 
+    def unknown_table(self) -> Path | None:
+        """A table with places that no reader knows."""
+        return next((path for name in self.names if holds_places(path := self.directory / name)), None)
+
     def recordings(self) -> list[Path]:
         """Every file that a recording is read from, or would be if a person named it; what all others lie beside."""
         tables = [self.directory / name for name in self.names if name.lower() in OWN_NAMES]
@@ -168,14 +177,15 @@ def list_files(path: Path) -> SessionFiles:
 def _holds_sentences(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return _shows_sentences(file.read(HEAD_BYTES))
+            return _shows_sentences(file.read(SENTENCE_BYTES))
     except OSError:
         return False  # it is not what anybody asked for
 
 
-def _shows_sentences(head: bytes) -> bool:
-    """Whether a head has the start of a sentence, in one byte a character or in two."""
-    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head
+def _shows_sentences(start: bytes) -> bool:
+    """Whether the start of a file has that of a sentence, further on a whole one: in much data two bytes say little."""
+    head = start[:HEAD_BYTES]
+    return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head or SENTENCE.search(start) is not None
 
 
 def _holds_fixes(path: Path) -> bool:
@@ -221,7 +231,7 @@ def _role(path: Path) -> Role | None:
     from smoother.session.log_format import MAGIC  # the types beside it are for those who read a log
 
     with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
+        head = file.read(SENTENCE_BYTES)
     if head.startswith(MAGIC):
         return "log"
     if name == OUT_NAME or head.startswith(b"YY"):
@@ -234,7 +244,9 @@ def _role(path: Path) -> Role | None:
 
 
 def _table_role(path: Path) -> Role | None:
-    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error."""
+    """The part of a table. Raises SessionError for the truth, which looks like fixes without an error, and for one that
+    no reader knows: another recording beside it is not what was asked for.
+    """
     if path.name.lower().startswith("truth.csv"):
         raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {path.parent}")
     header = read_header(path)
@@ -242,4 +254,6 @@ def _table_role(path: Path) -> Role | None:
         return "fixes"
     if {"ax", "gx"} <= set(header) or path.name.lower().startswith("imu.csv"):
         return "imu"
-    return None
+    if path.name.lower() in OF_A_SESSION:
+        return None
+    raise SessionError(f"{path}: no known kind of recording; {about_table(path)}")

@@ -39,6 +39,14 @@ class FixColumns:
         return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
 
 
+def fix_columns(t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> FixColumns:
+    """Columns (N,) of fixes of which the others than `known`, by their names, are unknown."""
+    unknown = np.full(t.size, np.nan)
+    columns = {column.name: unknown for column in fields(FixColumns)}
+    columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
+    return FixColumns(**{**columns, "is_blank": ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)})
+
+
 def metres(c: FixColumns) -> tuple[Array, Array]:
     """North and east (N,) in metres, rough, relative to the first row; continuous across 180 degrees of longitude."""
     if c.t.size == 0:

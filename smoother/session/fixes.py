@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
 from smoother.session.fix_columns import FixColumns, metres
 from smoother.session.heights import without_height_jumps
+from smoother.session.interpolated import measured_rows, rows_at_knots
 from smoother.session.rows import RowFilter, put_in_time_order
+from smoother.words import counted
 
 ABSURD_SPEED = 150.0  # m/s, 540 km/h
 ABSURD_CLIMB = 50.0  # m/s
@@ -18,6 +20,8 @@ UNUSABLE_SIGMA = 1000.0  # m; a receiver that says this of itself has no fix
 FEW_BAD_VALUES = 0.1  # above this share it is the column that is wrong, not the rows
 NEARLY_STILL = 0.15  # m/s; noise of a receiver's speed at rest: its direction means nothing
 MOVING = 1.0  # m/s; faster than this a position does not repeat exactly
+HELD_SHARE = 0.5  # of the rows in motion that repeat the whole row before
+HELD_ROUND = 0.01  # of a fix a second
 STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no harm
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 ROUNDING = 1e-4  # m; steps below come from the conversion
@@ -31,6 +35,10 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     _drop_impossible(rows, columns)
     time, index = put_in_time_order(rows, columns.t, columns.lat_deg, columns.lon_deg)
     ordered = without_wrong_velocity(rows, time, columns.take(index))
+    fresh = _fresh_rows(time, ordered)
+    if fresh.size < time.size:
+        rows.problems.append(_held_note(file, time[fresh], time.size - fresh.size))
+        time, index, ordered = time[fresh], index[fresh], ordered.take(fresh)
     for find, code, reason in (
         (_is_jump, "jump", "farther from the others than any vehicle moves"),
         (_is_stale, "repeated", "repeating the position before while moving"),
@@ -40,7 +48,17 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
         mask[index[bad]] = True
         rows.drop(mask, code, reason)
         time, index, ordered = time[~bad], index[~bad], ordered.take(np.flatnonzero(~bad))
+    measured = measured_rows(time, [ordered.lat_deg, ordered.lon_deg, ordered.alt_m, ordered.speed])
+    if measured is not None:
+        rows.problems += interpolated_note(file, time.size - measured.size)
+        time, ordered = time[measured], ordered.take(measured)
     return _to_fixes(rows, time, ordered), rows.problems
+
+
+def interpolated_note(file: str, count: int) -> list[Problem]:
+    """Say that a file has rows between its fixes."""
+    text = f"{file}: positions between fixes were interpolated by the exporter; {counted(count, 'row')} left out"
+    return [Problem("gps_interpolated", text, count)] if count else []
 
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
@@ -95,6 +113,32 @@ def _is_jump(t: Array, c: FixColumns) -> BoolArray:
     return bad
 
 
+def _fresh_rows(t: Array, c: FixColumns) -> IntArray:
+    """Rows (K,) of the fixes where each is written again until the next one comes, as at a sensor's rate; else all.
+
+    At rest a receiver may repeat itself, while moving it does not. Rows at rest stay as often as fixes come.
+    """
+    if t.size < 3:
+        return np.arange(t.size)
+    values = [c.lat_deg, c.lon_deg, c.speed, c.course_deg, c.alt_m]
+    same = np.append(False, np.all([(v[1:] == v[:-1]) | np.isnan(v[1:] + v[:-1]) for v in values], axis=0))
+    moving = _speed_at_rows(t, c, ~same) > MOVING
+    if np.count_nonzero(same & _is_stale(t, c)) <= HELD_SHARE * np.count_nonzero(moving):
+        return np.arange(t.size)
+    fresh = np.flatnonzero(~same)
+    knots = rows_at_knots(t, t[fresh])
+    return fresh if knots is None else knots
+
+
+def _held_note(file: str, t: Array, count: int) -> Problem:
+    """Say that fixes at t (K,) s were written again."""
+    rate = 1.0 / float(np.median(np.diff(t)))
+    often = "once a second" if abs(rate - 1.0) < HELD_ROUND else f"{rate:.3g} times a second"
+    return Problem(
+        "gps_repeated", f"{file}: fixes come {often} and are repeated; {counted(count, 'row')} left out", count
+    )
+
+
 def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     """Mask of rows that repeat the position before although the vehicle moved: old fixes written again."""
     repeats = np.zeros(t.size, dtype=np.bool_)
@@ -102,14 +146,21 @@ def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     if not np.any(repeats):
         return repeats
     north, east = metres(c)
-    fresh = np.flatnonzero(~repeats)
     run = np.cumsum(~repeats) - 1  # which fresh row each row repeats
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
-    speed = np.where(np.isfinite(speed), speed, _speed_from_positions(t[fresh], north[fresh], east[fresh])[run])
+    speed = _speed_at_rows(t, c, ~repeats)
     moving = repeats & (speed > MOVING)
     advance = speed * np.diff(t, prepend=t[0])
     moved = np.bincount(run, np.where(moving, advance, 0.0))
     return np.asarray(moving & (moved[run] > max(STALE_DISTANCE, STALE_STEPS * _resolution(north, east, advance))))
+
+
+def _speed_at_rows(t: Array, c: FixColumns, fresh: BoolArray) -> Array:
+    """Speed (N,) m/s as sent, else by the positions of the `fresh` rows (N,); each of the others repeats one."""
+    north, east = metres(c)
+    rows = np.flatnonzero(fresh)
+    by_position = _speed_from_positions(t[rows], north[rows], east[rows])[np.cumsum(fresh) - 1]
+    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    return np.where(np.isfinite(speed), speed, by_position)
 
 
 def _speed_from_positions(t: Array, north: Array, east: Array) -> Array:

@@ -1,13 +1,14 @@
 """What recordings of other programs have in common: columns of fixes and samples to the types, sanity of rates."""
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.fix_columns import FixColumns
+from smoother.samples import IMU_AXES_UNKNOWN, IMU_INCOMPLETE, GnssFixes, Problem, RawImu
+from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import LATEST
@@ -18,7 +19,7 @@ SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
 SPEED_UNITS = {
     **dict.fromkeys(("km/h", "kmh", "kph", "km/hr"), KMH),
     **dict.fromkeys(("m/s", "mps", "m/sec"), 1.0),
-    "mph": MPH,
+    **dict.fromkeys(("mph", "mi/h", "mi/hr"), MPH),
     **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
 }
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": 0.3048}
@@ -56,11 +57,7 @@ class ForeignReading:
 
 def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> tuple[GnssFixes, list[Problem]]:
     """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd."""
-    unknown = np.full(t.size, np.nan)
-    columns = {column.name: unknown for column in fields(FixColumns)}
-    columns |= {"t": t, "lat_deg": lat_deg, "lon_deg": lon_deg, **known}
-    blank = ~np.isfinite(lat_deg) & ~np.isfinite(lon_deg)
-    gnss, problems = screen_fixes(FixColumns(**{**columns, "is_blank": blank}), file)
+    gnss, problems = screen_fixes(fix_columns(t, lat_deg, lon_deg, **known), file)
     _require_sane_times(file, t, gnss, problems)
     return gnss, problems
 
@@ -88,9 +85,34 @@ def imu_from(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu | N
     return screen_imu(file, t[present], accel[present], gyro[present])
 
 
+def incomplete_note(file: str, names: Sequence[str], present: Sequence[str]) -> list[Problem]:
+    """Say which of the `names` of six inertial channels are missing where at least half of them are `present`."""
+    missing = [name for name in names if name not in present]
+    if not missing or len(missing) > len(names) / 2:
+        return []
+    text = f"{file}: of the six channels of a motion sensor {', '.join(missing)} are missing; the others are not used"
+    return [Problem(IMU_INCOMPLETE, text.replace(" are missing", " is missing") if len(missing) == 1 else text)]
+
+
+def axes_note(file: str, names: Sequence[str]) -> list[Problem]:
+    """Say that the channels `names` of a motion sensor are not used."""
+    text = f"{file}: the inertial channels ({', '.join(names)}) are not used: their axes are not known"
+    return [Problem(IMU_AXES_UNKNOWN, text)] if names else []
+
+
 def factor(unit: str, units: dict[str, float], otherwise: str) -> float:
     """Factor to SI of a unit as a file spells it; of the usual unit where the file does not say, or says nonsense."""
     return units.get(unit.strip().lower(), units[otherwise])
+
+
+def speed_unit_note(file: str, unit: str, otherwise: str) -> list[Problem]:
+    """Say that a file does not tell the unit of its speeds, which `factor` then assumes."""
+    if unit.strip().lower() in SPEED_UNITS:
+        return []
+    said = (
+        f"the unit of its speeds, {unit}, is not known" if unit.strip() else "it does not say in which unit speeds are"
+    )
+    return [Problem("gps_speed_unit_assumed", f"{file}: {said}; taken as {otherwise}")]
 
 
 def seconds_since_first(unix: Array) -> Array:

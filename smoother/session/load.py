@@ -20,7 +20,18 @@ from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle, thinned
 from smoother.errors import SessionError
 from smoother.frames import Origin
-from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
+from smoother.samples import (
+    DEAD_AXES,
+    IMU_AXES_UNKNOWN,
+    IMU_INCOMPLETE,
+    SENSOR_AXES,
+    STUCK_AXES,
+    GnssFixes,
+    Problem,
+    RawImu,
+    RawMag,
+    RawSession,
+)
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.clock_steps import without_clock_steps
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
@@ -28,6 +39,7 @@ from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.time_unit import LONGEST_PERIOD
+from smoother.session.unknown_table import about_table
 from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted, span
 
@@ -36,10 +48,13 @@ if TYPE_CHECKING:
     from smoother.session.log import LogFiles
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
+SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
+LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
+LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
@@ -104,6 +119,8 @@ def load_raw(path: Path) -> RawSession:
             f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
             f"for all of them: smooth batch {path}"
         )
+    if (table := files.unknown_table()) is not None:
+        raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")
 
 
@@ -214,7 +231,9 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
     """The inertial samples on an even time base; None, with the reason in `problems`, if they are of no use."""
     imu, file = recording.imu, recording.imu_file
     if imu is None:
-        problems.append(Problem("imu_missing", "no IMU recorded: smoothed from GPS alone"))
+        is_there = any(problem.code in (IMU_AXES_UNKNOWN, IMU_INCOMPLETE) for problem in problems)
+        text = "no IMU that can be used" if is_there else "no IMU recorded"
+        problems.append(Problem("imu_missing", f"{text}: smoothed from GPS alone"))
         return None
     base = regularize(imu.t)
     reasons = list(_reasons_against(imu, base.period))
@@ -233,11 +252,16 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     if imu.t.size < FEWEST_IMU_SAMPLES:
         yield "imu_missing", f"only {counted(imu.t.size, 'usable sample')}"
         return
-    if period * SLOWEST_IMU > 1.0:
+    if period * SLOWEST_IMU > 1.0 + SAME_RATE:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
-    force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
+    some = thinned(imu.accel, step)
+    force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
+    steady = float(np.linalg.norm(np.mean(some, axis=0))) * imu.accel_scale
+    if steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION:
+        yield "imu_implausible", "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
+        return
     if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
         yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
     rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.errors import SessionError
 from smoother.samples import Problem, RawImu
+from smoother.session.fixes import interpolated_note
 from smoother.session.foreign import (
     ACCELERATION_UNITS,
     LENGTH_UNITS,
@@ -21,15 +22,21 @@ from smoother.session.foreign import (
     factor,
     fixes_from,
     imu_from,
+    incomplete_note,
     seconds_since_first,
+    speed_unit_note,
 )
+from smoother.session.interpolated import FEW_BETWEEN, between_samples, rows_at_knots
 from smoother.session.records import head_of, read_records
 from smoother.words import listed
 
 WHAT = "RaceChrono CSV of version 3"
 MARKS = ("racechrono", "format,3")
+OLD_TIMESTAMP = "timestamp (s)"
 NEEDED = ("timestamp", "latitude", "longitude")
 OPTIONAL = ("altitude", "speed", "bearing", "accuracy", "satellites", "fix_type")
+LONGEST_APART = 0.1  # s between the samples of one sensor, beyond which those of another are not interpolated
+FEWEST_SAMPLES = 100  # that show by noise which of them were measured
 ACCELERATIONS = ("x_acc", "y_acc", "z_acc")
 RATES = ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")
 
@@ -84,12 +91,33 @@ def read_racechrono(path: Path) -> ForeignReading:
         "unix_s": unix,
     }
     rows = np.flatnonzero(has_position)  # rows of other sensors alone are no fixes that failed
+    measured = _measured(t[rows], chosen["course_deg"][rows])
+    note = interpolated_note(path.name, rows.size - measured.size)
+    rows = rows[measured]
     gnss, problems = fixes_from(
         path.name, t[rows], value("latitude")[rows], value("longitude")[rows], **{k: v[rows] for k, v in chosen.items()}
     )
+    if (speed := places["speed"]) is not None:
+        note += speed_unit_note(path.name, columns.units[speed], "m/s")
     values = [records.column(keys[i]) for i in inertial]
     imu, imu_problems = _imu(path.name, t, values, [columns.units[i] for i in inertial])
-    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu)
+    if not inertial:
+        imu_problems = incomplete_note(path.name, (*ACCELERATIONS, *RATES), columns.names)
+    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *note, *problems], imu)
+
+
+def _measured(t: Array, bearing: Array) -> IntArray:
+    """Which rows of t (N,) s are fixes, all unless there is one at the stamps of other sensors too.
+
+    Position and speed are interpolated there, the bearing is that of the fix before.
+    """
+    everything = np.arange(t.size)
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(bearing))
+    if known.size < 2 or np.any(np.diff(t[known]) < 0.0):
+        return everything
+    new = known[1:][np.diff(bearing[known]) != 0.0]
+    rows = rows_at_knots(t[known], t[new]) if new.size else None
+    return everything if rows is None else known[rows]
 
 
 def _header(path: Path) -> tuple[_Columns, int]:
@@ -98,13 +126,32 @@ def _header(path: Path) -> tuple[_Columns, int]:
 
     def is_last(line: str) -> bool:
         cells = _cells(line)
+        _require_version(path.name, cells)
         seen[:] = [*seen, line] if seen or "timestamp" in cells else []
         return len(seen) == 3
 
     lines, offset = head_of(path, is_last, WHAT)
     names, units, sources = (_cells(line) for line in lines[-3:])
+    if _is_number(units[0]):
+        raise SessionError(f"{path.name}: no units below the names of its columns; export it as version 3")
     padded = [(row + [""] * len(names))[: len(names)] for row in (units, sources)]
     return _Columns(names, padded[0], padded[1]), offset
+
+
+def _require_version(file: str, cells: Sequence[str]) -> None:
+    """Raise SessionError at a line of another version, which says so, or names its times otherwise."""
+    if cells[0] == "format" and cells[1:2] != ["3"]:
+        raise SessionError(f"{file}: a RaceChrono CSV of version {listed(cells[1:2])}; export it as version 3")
+    if OLD_TIMESTAMP in cells:
+        raise SessionError(f"{file}: a RaceChrono CSV of version 1 or 2; export it as version 3")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _cells(line: str) -> list[str]:
@@ -123,4 +170,36 @@ def _imu(file: str, t: Array, values: Sequence[Array], units: Sequence[str]) -> 
         return None, []
     accel = np.stack(values[:3], axis=-1) * factor(units[0], ACCELERATION_UNITS, "g")
     gyro = np.stack(values[3:], axis=-1) * factor(units[3], RATE_UNITS, "deg/s")
-    return imu_from(file, t, accel, gyro)
+    gyro = _at_accelerations(t, accel, gyro)
+    rows = _sampled(t, [*accel.T, *gyro.T])
+    return imu_from(file, t[rows], accel[rows], gyro[rows])
+
+
+def _at_accelerations(t: Array, accel: Array, gyro: Array) -> Array:
+    """Rates of rotation (N, 3), also in rows of accelerations (N, 3) where the two sensors have rows of their own.
+
+    t (N,) s. Interpolated between the rows on either side, where both are near.
+    """
+    forced, turned = (np.isfinite(t) & np.all(np.isfinite(values), axis=1) for values in (accel, gyro))
+    if not turned.any() or np.count_nonzero(forced & turned) > 0.5 * np.count_nonzero(forced):
+        return gyro
+    order = np.flatnonzero(turned)[np.argsort(t[turned], kind="stable")]
+    known = t[order]
+    place = np.clip(np.searchsorted(known, t), 1, max(known.size - 1, 1))
+    near = (t >= known[0]) & (t <= known[-1])
+    near &= np.maximum(t - known[place - 1], known[np.minimum(place, known.size - 1)] - t) < LONGEST_APART
+    between = np.stack([np.interp(t, known, gyro[order, axis]) for axis in range(3)], axis=-1)
+    return np.where((forced & ~turned & near)[:, None], between, gyro)
+
+
+def _sampled(t: Array, channels: Sequence[Array]) -> IntArray:
+    """Which rows of t (N,) s are samples of the channels (N,), all unless many lie between samples, interpolated.
+
+    Noise keeps six channels that were measured from lying on the lines between their neighbours.
+    """
+    known = np.flatnonzero(np.all(np.isfinite(channels), axis=0) & np.isfinite(t))
+    if known.size < FEWEST_SAMPLES or np.any(np.diff(t[known]) < 0.0):
+        return np.arange(t.size)
+    known = known[np.append(True, np.diff(t[known]) > 0.0)]  # of rows of one time, the first
+    between = between_samples(t[known], [channel[known] for channel in channels])
+    return known[~between] if np.mean(between) > FEW_BETWEEN else np.arange(t.size)

@@ -73,8 +73,8 @@ def read_records(
 ) -> Records:
     """Read the rows from byte `offset` on; the columns `wanted` of all `names` are kept.
 
-    separator : what stands between cells, None for any white space. Quotation marks are ignored. With semicolons a
-    comma is the decimal point. Raises SessionError where no row fits, or a line is endless.
+    separator : what stands between cells, None for any white space. Quotation marks are ignored. With semicolons or
+    tabs a comma is the decimal point. Raises SessionError where no row fits, or a line is endless.
     """
     parts: list[pl.DataFrame] = []
     length = misfits = found = 0
@@ -123,7 +123,7 @@ def _split(lines: list[bytes], separator: str | None) -> tuple[list[bytes], np.n
         cells = [line.replace(b",", b".").split() for line in lines]  # some programs write decimal commas
         return [b",".join(row) for row in cells], np.array([len(row) for row in cells], dtype=np.int64)
     mark = separator.encode()
-    rows = [line.strip().replace(b'"', b"") for line in lines]
+    rows = [line.strip(b" \r\n").replace(b'"', b"") for line in lines]  # a tab may end in a blank cell
     if separator != ",":
         rows = [row.replace(b",", b".").replace(mark, b",") for row in rows]
     return rows, np.array([row.count(b",") + 1 for row in rows], dtype=np.int64)

@@ -103,6 +103,17 @@ def read_header(path: Path) -> tuple[str, ...]:
     return tuple(_unique_names(bare.split(separator))) if line.strip() else ()
 
 
+def head_lines(path: Path, most: int) -> list[str]:
+    """The first lines that are not blank, at `most` so many. Raises SessionError if the file is unreadable."""
+    return [line for line in _text_head(path).splitlines() if line.strip()][:most]
+
+
+def names_of(line: str) -> tuple[str, ...]:
+    """The cells of a line, as they stand there but for quotation marks."""
+    separator = _separator(line)
+    return tuple(cell.strip() for cell in _unquoted(line.encode(), separator).decode().split(separator))
+
+
 def _header_line(path: Path) -> str:
     return _first_line(_text_head(path))
 

@@ -16,17 +16,22 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.degrees import scale_by_way
+from smoother.session.fix_columns import fix_columns
 from smoother.session.foreign import (
     ACCELERATION_UNITS,
     RATE_UNITS,
     SPEED_UNITS,
     ForeignReading,
     TimingLine,
+    axes_note,
     date_note,
     factor,
     fixes_from,
     imu_from,
+    incomplete_note,
     seconds_since_first,
+    speed_unit_note,
 )
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.rows import over_midnight
@@ -42,7 +47,10 @@ NAMES = {  # what is wanted: how programs call it, in lower case
     "speed": ("velocity", "velocity kmh", "velocity mph", "velocity knots", "velocity m/s", "speed"),
     "heading": ("heading", "course", "bearing"),
     "height": ("height", "altitude"),
-    "climb": ("vert-vel", "vertvel", "vert_vel", "vertical velocity m/s", "vertical-velocity"),
+    "climb": (
+        *("vert-vel", "vertvel", "vert_vel", "vertical-velocity"),
+        *("vertical velocity", "vertical velocity m/s", "vertical velocity kmh"),
+    ),
     "accuracy": ("accuracy",),
     "fix": ("fix_type", "fix-type"),
 }
@@ -57,9 +65,16 @@ IMU_NAMES = (  # three accelerations, three rates of rotation: triples known to 
     ),
     (("x_acc", "y_acc", "z_acc"), ("x_rate_of_rotation", "y_rate_of_rotation", "z_rate_of_rotation")),
 )
+VBOX_NAMES = ("x_accel", "y_accel", "z_accel", "rollrate", "pitchrate", "yawrate")  # axes of which are not known
 NEEDED = ("time", "lat", "lon")
 SATELLITE_BITS = 64  # and above: brake trigger and DGPS
+FEW_NO_TIMES, MOST_NO_TIMES = 0.1, 0.25  # share; in HHMMSS none is, and of seconds of the day 40 % and more look so
 MINUTES = 1.0 / 60.0  # of a degree
+OTHER_FORMS = {  # than minutes, to the west: what is to be multiplied with, and how it is said
+    (1.0, -1.0): "longitudes count to the east",
+    (60.0, -60.0): "positions are in degrees, not minutes, and longitudes count to the east",
+    (60.0, 60.0): "positions are in degrees, not minutes",
+}
 CREATED = re.compile(r"File created on\s+(\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 STARTED = re.compile(r"UTC Date Started\s*:\s*(\d{1,2})/(\d{1,2})/(\d{4})(?:\s+(\d{1,2}):(\d{2}))?", re.IGNORECASE)
 LINE = re.compile(r"^(start|finish|split)\s+" + r"([-+]?\d+(?:\.\d*)?)[\s,]+" * 3 + r"([-+]?\d+(?:\.\d*)?)(.*)", re.I)
@@ -86,7 +101,7 @@ class _Head:
         return ""
 
 
-_WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity"}
+_WORDS = {"longacc": "longaccel", "latacc": "lataccel", "speed": "velocity", "vertvel": "verticalvelocity"}
 
 
 def read_vbo(path: Path) -> ForeignReading:
@@ -103,12 +118,15 @@ def read_vbo(path: Path) -> ForeignReading:
     wanted += [name for triple in inertial for group in triple for name in group]
     records = read_records(path, offset, names, list(dict.fromkeys(wanted)), None, WHAT)
     columns = {key: records.column(name or "") for key, name in found.items()}
-    utc = _utc(columns["time"])
+    utc, time_problems = _utc(path.name, columns["time"])
     t = seconds_since_first(utc)
     gnss, problems = _fixes(path.name, head, columns, t, utc)
     imu, imu_problems = _imu(path.name, head, records, t, inertial)
+    if not inertial:
+        imu_problems = _unused_imu(path.name, names)
     timing = _timing_lines(head, gnss)
-    return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *problems], imu, timing)
+    problems = [*records.problems(path.name), *time_problems, *imu_problems, *problems]
+    return ForeignReading(gnss, problems, imu, timing)
 
 
 def _sections(lines: Iterable[str]) -> dict[str, list[str]]:
@@ -128,15 +146,35 @@ def _unique(names: Sequence[str]) -> list[str]:
     return [name if lower.index(name) == i else f"{name} #{i}" for i, name in enumerate(lower)]
 
 
-def _utc(clock: Array) -> Array:
-    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number; NaN where that is no time."""
+def _utc(file: str, clock: Array) -> tuple[Array, list[Problem]]:
+    """Seconds (N,) since midnight of the first day from HHMMSS.sss as a number, NaN where that is no time.
+
+    Where seconds beyond 60 show that they are seconds of the day, they are taken as such, and said. Raises SessionError
+    where many are neither.
+    """
+    known = np.isfinite(clock)
+    if not known.any():
+        return clock, []
+    of_day, problems = _time_of_day(clock), []
+    no_time = np.count_nonzero(known & np.isnan(of_day)) / np.count_nonzero(known)
+    if no_time > FEW_NO_TIMES and np.all((clock[known] >= 0.0) & (clock[known] <= DAY)):
+        of_day = np.round(clock, 6)
+        problems = [Problem("gps_seconds_of_day", f"{file}: its times are seconds of the day; taken as such")]
+    elif no_time > MOST_NO_TIMES:
+        example = float(clock[known & np.isnan(of_day)][0])
+        raise SessionError(f"{file}: {no_time:.0%} of its times, as {example:.10g}, are no UTC (HHMMSS.sss)")
+    good = np.isfinite(of_day)
+    of_day[good] = over_midnight(of_day[good]) if good.any() else of_day[good]
+    return of_day, problems
+
+
+def _time_of_day(clock: Array) -> Array:
+    """Seconds (N,) since midnight from HHMMSS.sss as a number; NaN where that is no time."""
     clock = np.where(np.abs(clock) < 1e6, clock, np.nan)
     with np.errstate(invalid="ignore"):
         hours, minutes, seconds = clock // 10_000, clock // 100 % 100, clock % 100
         good = (clock >= 0.0) & (hours < 24) & (minutes < 60) & (seconds < 61)
-    utc = np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
-    utc[good] = over_midnight(utc[good]) if good.any() else utc[good]
-    return utc
+    return np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
 
 
 def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Array) -> tuple[GnssFixes, list[Problem]]:
@@ -145,26 +183,40 @@ def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Arr
     fix = columns["fix"]
     if counts.any():  # some programs write 0 throughout
         fix = np.where(satellites == 0, 0.0, fix)
-    speed = columns["speed"] * factor(head.unit_of("velocity"), SPEED_UNITS, "km/h")
+    unit = head.unit_of("velocity")
+    speed = columns["speed"] * factor(unit, SPEED_UNITS, "km/h")
+    unit_problems = speed_unit_note(file, unit, "km/h") if np.isfinite(speed).any() else []
     velocity_n = velocity_n_from_course(speed, columns["heading"])  # components, so that the climb counts too
     midnight, date_problems = _midnight(file, head, utc)
+    lat_deg, lon_deg, form_problems = _degrees(file, columns, t, speed)
     gnss, problems = fixes_from(
         file,
         t,
-        columns["lat"] * MINUTES,
-        -columns["lon"] * MINUTES,
+        lat_deg,
+        lon_deg,
         alt_m=columns["height"],
         speed=speed,
         course_deg=columns["heading"],
         velocity_north=velocity_n[:, 0],
         velocity_east=-velocity_n[:, 1],
-        velocity_up=columns["climb"],
+        velocity_up=columns["climb"] * factor(head.unit_of("vertvel"), SPEED_UNITS, "m/s"),
         sigma_horizontal=columns["accuracy"],
         num_sv=np.where(counts, satellites, np.nan),
         fix=fix,
         unix_s=utc + midnight,
     )
-    return gnss, [*date_problems, *problems]
+    return gnss, [*date_problems, *unit_problems, *form_problems, *problems]
+
+
+def _degrees(file: str, columns: dict[str, Array], t: Array, speed: Array) -> tuple[Array, Array, list[Problem]]:
+    """Latitude and longitude in degrees, to the east, in whichever of the forms of programs the velocities fit."""
+    lat_deg, lon_deg = columns["lat"] * MINUTES, -columns["lon"] * MINUTES
+    read = fix_columns(t, lat_deg, lon_deg, speed=speed, course_deg=columns["heading"])
+    scale = scale_by_way(read, tuple(OTHER_FORMS))
+    if scale is None:
+        return lat_deg, lon_deg, []
+    text = f"{file}: by its speeds and courses, {OTHER_FORMS[scale]}; taken as such"
+    return scale[0] * lat_deg, scale[1] * lon_deg, [Problem("gps_position_form", text)]
 
 
 def _midnight(file: str, head: _Head, utc: Array) -> tuple[float, list[Problem]]:
@@ -204,6 +256,14 @@ def _imu(
     accel *= factor(head.unit_of(forces[0]), ACCELERATION_UNITS, "g")
     gyro *= factor(head.unit_of(rates[0]), RATE_UNITS, "deg/s")
     return imu_from(file, t, accel, gyro)
+
+
+def _unused_imu(file: str, names: Sequence[str]) -> list[Problem]:
+    """Say why a motion sensor that is there is not used."""
+    if all(name in names for name in VBOX_NAMES):
+        return axes_note(file, VBOX_NAMES)
+    notes = (incomplete_note(file, [*forces, *rates], names) for forces, rates in IMU_NAMES)
+    return next((note for note in notes if note), [])
 
 
 def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:

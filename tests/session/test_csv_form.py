@@ -150,23 +150,48 @@ def test_utc_comes_in_several_forms(tmp_path: Path, column: str, value: str) -> 
     assert fixes.unix_s[0] == pytest.approx(1717149600.25, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("factor", "unit"), [(1.0, ""), (3.6, "km/h"), (2.237, "mph"), (1.944, "knots"), (0.2778, "m/s divided by 3.6")]
-)
-@pytest.mark.parametrize("as_components", [False, True])
-def test_speed_in_another_unit_is_found_by_the_positions_and_left_out(
-    tmp_path: Path, factor: float, unit: str, as_components: bool
-) -> None:
+def straight(directory: Path, factor: float, as_components: bool = False):
+    """Fixes of a minute to the north, with speeds `factor` times the true ones; and these."""
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 60.0, 0.2)
     speed = 14.0 + 6.0 * np.sin(t / 3.0)
     north = 14.0 * t - 18.0 * np.cos(t / 3.0) + 0.3 * rng.standard_normal(t.size)
     lines = ["t_s,lat_deg,lon_deg," + ("vel_n_mps,vel_e_mps" if as_components else "speed_mps,course_deg")]
-    lines += [f"{a:.1f},{45 + n / 111_132:.8f},12,{factor * v:.3f},0" for a, n, v in zip(t, north, speed, strict=True)]
-    fixes, problems = read_fixes(save(tmp_path, "\n".join(lines) + "\n", "gps.csv"))
-    assert np.isnan(fixes.velocity_n[:, 0]).all() == bool(unit)
+    lines += [f"{a:.1f},{45 + n / 111_132:.8f},12,{factor * v:.4f},0" for a, n, v in zip(t, north, speed, strict=True)]
+    fixes, problems = read_fixes(save(directory, "\n".join(lines) + "\n", "gps.csv"))
+    return fixes, problems, speed
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [
+        *((1.0, ""), (3.6, "km/h"), (2.23694, "mph"), (1.94384, "knots"), (0.27778, "m/s, read as km/h")),
+        *((0.62137, "mph, read as km/h"), (0.53996, "knots, read as km/h"), (1.60934, "km/h, read as mph")),
+    ],
+)
+@pytest.mark.parametrize("as_components", [False, True])
+def test_speed_in_another_unit_is_found_by_the_positions_and_converted(
+    tmp_path: Path, factor: float, unit: str, as_components: bool
+) -> None:
+    fixes, problems, speed = straight(tmp_path, factor, as_components)
+    np.testing.assert_allclose(fixes.velocity_n[:, 0], speed, rtol=1e-4)
     assert [p.code for p in problems] == (["gps_speed_unit"] if unit else [])
-    assert all(f"as if in {unit}; not used" in p.text for p in problems)
+    assert all(f"times those of its positions, as if in {unit}; taken as such" in p.text for p in problems)
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.7, 0.8, 1.25, 3.3])
+def test_speeds_that_contradict_the_positions_as_no_unit_does_are_left_out(tmp_path: Path, factor: float) -> None:
+    fixes, problems, _ = straight(tmp_path, factor)
+    assert np.isnan(fixes.velocity_n[:, :2]).all() and np.isnan(fixes.speed).all()
+    (problem,) = problems
+    assert "times those of its positions; not used. What is their unit?" in problem.text
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_speeds_that_nearly_fit_the_positions_are_left_as_they_are(tmp_path: Path, factor: float) -> None:
+    fixes, problems, speed = straight(tmp_path, factor)
+    np.testing.assert_allclose(fixes.speed, factor * speed, rtol=1e-4)
+    assert problems == []
 
 
 def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tmp_path: Path) -> None:
@@ -273,6 +298,30 @@ def test_a_position_written_again_while_moving_is_stale_but_not_while_standing(t
     assert len(fixes) == 41 and codes(problems) == {"gps_repeated": 9}
     fixes, problems = read_fixes(save(tmp_path, gps_table(standing), "gps.csv"))
     assert len(fixes) == 50 and problems == []
+
+
+@pytest.mark.parametrize("has_speed", [True, False])
+@pytest.mark.parametrize(("rate", "often"), [(1, "once a second"), (5, "5 times a second")])
+def test_fixes_repeated_at_the_rate_of_a_sensor_count_once_at_rest_too(
+    tmp_path: Path, has_speed: bool, rate: int, often: str
+) -> None:
+    """A minute at rest, in which the receiver's noise shows at every fix, then a minute of driving."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 120.0, 1.0 / rate)
+    speed = np.where(t < 60.0, 0.0, 12.0 + 3.0 * np.sin(t / 5.0)) + 0.02 * rng.standard_normal(t.size) ** 2
+    lat = 45 + (np.cumsum(speed) / rate + 0.1 * rng.standard_normal(t.size)) / 111_195
+    held = np.arange(0.0, 120.0, 0.02)
+    at = np.searchsorted(t, held + 1e-6) - 1
+    header = "t_s,lat_deg,lon_deg,alt_m" + (",speed_mps,course_deg" if has_speed else "")
+    rows = (
+        f"{a:.2f},{lat[k]:.8f},12.0,{8 + 0.1 * (k % 7):.1f}" + (f",{speed[k]:.3f},0.0" if has_speed else "")
+        for a, k in zip(held, at.tolist(), strict=True)
+    )
+    fixes, problems = read_fixes(save(tmp_path, "\n".join([header, *rows]) + "\n", "gps.csv"))
+    np.testing.assert_allclose(fixes.t, t, atol=1e-6)
+    assert [problem.text for problem in problems] == [
+        f"gps.csv: fixes come {often} and are repeated; {held.size - t.size} rows left out"
+    ]
 
 
 def test_of_a_position_that_hangs_while_the_kart_starts_only_the_moving_rows_are_stale(tmp_path: Path) -> None:

@@ -156,3 +156,25 @@ def test_a_steady_velocity_is_believed_where_it_is_the_positions_that_are_noisy(
         course_deg=None,
     )
     assert said == {} and np.isfinite(fixes.velocity_n[:, :2]).all()
+
+
+CLIMB = 0.4 * np.cos(np.arange(0.0, 120.0, 0.2) / 6.0)  # m/s, on hills of 5 m
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1.0, ""), (0.8, ""), (-1.0, "fall where its heights rise"), (3.6, "3.5 times what its heights rise")],
+)
+def test_velocities_upwards_that_contradict_the_heights_are_not_used(tmp_path: Path, factor: float, said: str) -> None:
+    noise = 0.3 * np.random.default_rng(8).standard_normal(600)
+    fixes, told = lap(tmp_path, alt_m=np.cumsum(CLIMB) * 0.2 + noise, vel_u_mps=factor * CLIMB)
+    assert list(told) == (["gps_climb_wrong"] if said else [])
+    assert said in told.get("gps_climb_wrong", "")
+    assert np.isnan(fixes.velocity_n[:, 2]).all() == bool(said) and np.isfinite(fixes.velocity_n[:, :2]).all()
+
+
+def test_velocities_upwards_on_the_flat_are_left_alone(tmp_path: Path) -> None:
+    """Where neither goes up or down, both are noise, and say nothing of each other."""
+    rng = np.random.default_rng(9)
+    _, told = lap(tmp_path, alt_m=rng.standard_normal(600), vel_u_mps=0.1 * rng.standard_normal(600))
+    assert told == {}

@@ -268,6 +268,32 @@ def test_an_imu_of_no_use_leaves_a_gps_only_session_that_says_why(folder: Folder
     assert text.endswith("smoothed from GPS alone")
 
 
+@pytest.mark.parametrize("form", ["10:00:{:06.3f}", "2026-05-16T10:00:{:06.3f}Z"])
+@pytest.mark.parametrize("table", ["gps.csv", "imu.csv"])
+def test_times_that_are_no_numbers_are_shown(folder: Folder, table: str, form: str) -> None:
+    tables = {"gps.csv": gps_csv(), "imu.csv": imu_csv()}
+    header, *rows = tables[table].splitlines()
+    cells = (row.partition(",") for row in rows)
+    tables[table] = "\n".join([header, *(f"{form.format(float(t))},{rest}" for t, _, rest in cells)]) + "\n"
+    with pytest.raises(SessionError, match=rf"^{table}: t_s is {form.format(0.0)}; it has to be in seconds, as a num"):
+        folder.write(**tables).load()
+
+
+@pytest.mark.parametrize(("up", "is_said"), [(9.8, False), (0.0, True)])
+def test_acceleration_without_gravity_is_asked_about(folder: Folder, up: float, is_said: bool) -> None:
+    """Five metres a second squared to and fro, as in bends."""
+    t = np.arange(0.0, 10.0, 0.01)
+    rng = np.random.default_rng(1)
+    values = np.column_stack([t, 0.1 * rng.standard_normal((t.size, 6))])
+    values[:, 2] += 5.0 * np.sin(2.0 * t)
+    values[:, 3] += up
+    rows = "\n".join(",".join(f"{value:.4f}" for value in row) for row in values)
+    raw = folder.write(gps__csv=gps_csv(), imu__csv=f"t_s,ax,ay,az,gx,gy,gz\n{rows}\n").load()
+    told = {problem.code: problem.text for problem in raw.problems}
+    assert (raw.imu is None) == is_said
+    assert ("no gravity in ax, ay, az; is it linear acceleration?" in told.get("imu_implausible", "")) == is_said
+
+
 @pytest.mark.parametrize(
     ("imu", "said"),
     [
@@ -394,8 +420,10 @@ def test_an_axis_that_shows_nothing_at_rest_is_not_stuck_though_the_fixes_settle
     assert "imu_axis_stuck" not in codes(folder.load())
 
 
-def test_20_samples_a_second_are_enough(folder: Folder) -> None:
-    assert folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=25.0)).load().imu is not None
+@pytest.mark.parametrize(("rate", "enough"), [(25.0, True), (20.0, True), (19.7, True), (19.0, False)])
+def test_20_samples_a_second_are_enough(folder: Folder, rate: float, enough: bool) -> None:
+    raw = folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(200, rate=rate)).load()
+    assert (raw.imu is not None) == enough and ("imu_too_slow" in codes(raw)) == (not enough)
 
 
 def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folder: Folder) -> None:
@@ -543,11 +571,52 @@ def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str
         folder.load(name)
 
 
+RACEBOX = "Format,RaceBox CSV\nLaps,1\nRecord,Time,Latitude,Longitude,Speed\n1,10:00:00.000,45.0,12.0,36.0\n"
+
+
+@pytest.mark.parametrize("beside", ["", "a.nmea", "gps.csv"])
+def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_wanted(folder: Folder, beside: str) -> None:
+    folder.write(**{"racebox.csv": RACEBOX}, **({beside: gps_csv()} if beside else {}))
+    columns = (
+        r"its columns are Record, Time, Latitude, Longitude, Speed; wanted t_s \(seconds\), lat_deg and lon_deg: "
+        r"rename Latitude and Longitude and the times, and leave out the 2 lines before the names"
+    )
+    with pytest.raises(SessionError, match=rf"racebox.csv: no known kind of recording; {columns}"):
+        folder.load("racebox.csv")
+    if not beside:
+        with pytest.raises(SessionError, match=rf"heat2: no recording found, but racebox.csv; {columns}"):
+            folder.load()
+
+
+def test_a_table_without_places_is_named_too(folder: Folder) -> None:
+    folder.write(gps__csv=gps_csv(), **{"Gyroscope.csv": "time,z,y,x\n0,0,0,0\n", "empty.csv": ""})
+    with pytest.raises(SessionError, match=r"Gyroscope.csv: .*its columns are time, z, y, x; wanted t_s .* gx, gy, gz"):
+        folder.load("Gyroscope.csv")
+    with pytest.raises(SessionError, match=r"empty.csv: .*it is empty"):
+        folder.load("empty.csv")
+
+
+@pytest.mark.parametrize("name", ["mag.csv", "official.csv"])
+def test_a_table_that_belongs_to_a_session_stands_for_it(folder: Folder, name: str) -> None:
+    folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), **{name: "lap,time_s\n1,50.1\n"})
+    assert "gps.csv" in folder.load(name).inputs
+
+
 def test_sentences_in_a_file_of_another_name_are_pointed_at(folder: Folder) -> None:
     folder.write(**{"gps.txt": "".join(nmea_epochs(50)), "notes.txt": "hot, 30 degrees"})
     with pytest.raises(SessionError, match=r"gps.txt holds NMEA sentences; name the file, smooth .*gps.txt, or call"):
         folder.load()
     assert len(folder.load("gps.txt").gnss) == 50
+
+
+def test_sentences_behind_a_long_header_are_found(folder: Folder) -> None:
+    """As Android's GnssLogger writes them, with the names of its columns and raw measurements before."""
+    raw = "".join(f"Raw,{k},$,G,{'1.5,' * 30}\n" for k in range(400))
+    sentences = "".join(f"NMEA,{line.strip()},{1717149600000 + 200 * k}\n" for k, line in enumerate(nmea_epochs(50)))
+    folder.write(**{"gnss_log.txt": f"# Raw,utcTimeMillis\n{raw}{sentences}"})
+    assert len(folder.load("gnss_log.txt").gnss) == 50
+    with pytest.raises(SessionError, match=r"gnss_log.txt holds NMEA sentences; name the file"):
+        folder.load()
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])

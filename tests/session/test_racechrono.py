@@ -61,8 +61,9 @@ def test_of_repeated_names_that_of_the_receiver_is_taken_with_its_unit(tmp_path:
 
 
 def test_a_lone_speed_is_in_the_unit_of_its_row(tmp_path: Path) -> None:
-    text = csv([fix_row(k) for k in range(60)]).replace("100: gps,calc,100: gps,calc", "100: gps,100: gps,calc,calc")
-    np.testing.assert_allclose(read(tmp_path, text).gnss.speed, 27.5)  # 99 km/h
+    text = csv([fix_row(k).replace(",99.0,", ",36.5,") for k in range(60)])
+    text = text.replace("100: gps,calc,100: gps,calc", "100: gps,100: gps,calc,calc")
+    np.testing.assert_allclose(read(tmp_path, text).gnss.speed, 36.5 / 3.6)
 
 
 def test_inertial_samples_in_rows_of_their_own_are_no_failed_fixes(tmp_path: Path) -> None:
@@ -72,6 +73,69 @@ def test_inertial_samples_in_rows_of_their_own_are_no_failed_fixes(tmp_path: Pat
     assert reading.imu is not None and reading.imu.t.size == 600
     np.testing.assert_allclose(reading.imu.accel[0], np.array([0.1, -0.2, 1.0]) * 9.80665)
     np.testing.assert_allclose(reading.imu.gyro[0], np.radians([1.0, 2.0, -90.0]))
+
+
+def union(fix_rate: float = 5.0, imu_rate: float = 50.0) -> str:
+    """A minute with a row at every stamp of every source: all is interpolated there, and only the bearing is held."""
+    rng = np.random.default_rng(1)
+    fix_t, imu_t = np.arange(0.0, 60.0, 1.0 / fix_rate), np.arange(0.0, 60.0, 1.0 / imu_rate)
+    t = np.unique(np.round(np.concatenate([fix_t, imu_t, np.arange(0.013, 59.7, 0.05)]), 3))
+    t = t[t <= fix_t[-1]]
+    course, speed = np.degrees(fix_t / 5.0) % 360.0, 12.0 + 3.0 * np.sin(fix_t / 4.0)
+    way = np.cumsum(speed * np.array([np.cos(np.radians(course)), np.sin(np.radians(course))]), axis=1) / fix_rate
+    lat, lon = (np.interp(t, fix_t, x) for x in (45 + way[0] / 111_195, 13 + way[1] / 78_600))
+    bearing = course[np.searchsorted(fix_t, t + 1e-6) - 1]
+    samples = np.array([[0.1], [-0.2], [1.0], [1.0], [2.0], [-90.0]]) + 0.1 * rng.standard_normal((6, imu_t.size))
+    imu = np.column_stack([np.interp(t, imu_t, x) for x in samples])
+    rows = [
+        f"{START + s:.3f},0,,{s:.3f},0.42,4.5,{b:.3f},3,{a:.7f},{o:.7f},16,99.0,{v:.3f},0.1,0.2,"
+        + ",".join(f"{x:.5f}" for x in values)
+        for s, b, a, o, v, values in zip(t, bearing, lat, lon, np.interp(t, fix_t, speed), imu, strict=True)
+    ]
+    return csv(rows)
+
+
+@pytest.mark.parametrize("fix_rate", [1.0, 5.0, 10.0, 25.0])
+def test_rows_at_the_stamps_of_other_sensors_are_neither_fixes_nor_samples(tmp_path: Path, fix_rate: float) -> None:
+    reading = read(tmp_path, union(fix_rate))
+    gnss = reading.gnss
+    np.testing.assert_allclose(gnss.t[:-1], np.arange(len(gnss) - 1) / fix_rate, atol=2e-3)
+    assert abs(len(gnss) - 60 * fix_rate) <= 1
+    (said,) = reading.problems
+    assert said.code == "gps_interpolated" and "positions between fixes were interpolated" in said.text
+    assert reading.imu is not None and abs(reading.imu.t.size - 50 * reading.imu.t[-1]) <= 3
+
+
+def test_a_bearing_that_does_not_change_on_the_straight_costs_no_fix(tmp_path: Path) -> None:
+    bearings = [10.0 * (k // 40 if k % 80 < 40 else k // 40 + k % 40) for k in range(600)]  # straights, and bends
+    rows = [fix_row(k).replace(",0.0,3,", f",{bearing % 360:.1f},3,") for k, bearing in enumerate(bearings)]
+    assert len(read(tmp_path, csv(rows)).gnss) == 600
+
+
+def test_accelerations_and_rates_in_rows_of_their_own_make_samples(tmp_path: Path) -> None:
+    """The rates, 90 deg/s faster every second, are interpolated to the accelerations; not across a second without."""
+    rng = np.random.default_rng(3)
+    blank = ",0,,," + "," * 11
+    rows = [fix_row(k) for k in range(60)]
+    rows += [f"{START + 0.01 * k:.3f}{blank}0.1,-0.2,{1 + 0.01 * rng.standard_normal():.4f},,," for k in range(600)]
+    rows += [
+        f"{START + 0.01 * k + 0.004:.3f}{blank},,,{rng.standard_normal():.3f},2.0,{90 * (0.01 * k + 0.004):.3f}"
+        for k in range(600)
+        if not 200 <= k < 300
+    ]
+    imu = read(tmp_path, csv(sorted(rows))).imu
+    assert imu is not None
+    inside = (imu.t < 2.0) | (imu.t > 3.0)
+    np.testing.assert_allclose(imu.gyro[:, 2], np.radians(90.0 * imu.t), atol=1e-4)
+    assert imu.t.size == pytest.approx(500, abs=3) and np.count_nonzero(inside) >= imu.t.size - 2
+
+
+def test_what_a_motion_sensor_lacks_is_said(tmp_path: Path) -> None:
+    rows = [fix_row(k) for k in range(60)]
+    reading = read(tmp_path, csv(rows, NAMES.replace("z_rate_of_rotation", "x")))
+    assert reading.imu is None
+    (problem,) = reading.problems
+    assert problem.code == "imu_incomplete" and "z_rate_of_rotation is missing" in problem.text
 
 
 def test_a_folder_with_the_file_is_a_session_and_the_file_too(tmp_path: Path) -> None:
@@ -96,6 +160,15 @@ def test_gps_csv_wins_over_a_recording_of_another_program(tmp_path: Path) -> Non
     [
         (PREAMBLE, "no rows; not, or not a whole, RaceChrono CSV"),
         (csv([]), "a header, but no rows"),
+        (csv([]).replace("Format,3", "Format,2"), "a RaceChrono CSV of version 2; export it as version 3"),
+        (
+            PREAMBLE.replace("Format,3\n", "") + "Lap #,Timestamp (s),x\n1,2,3\n",
+            "of version 1 or 2; export it as version 3",
+        ),
+        (
+            PREAMBLE + "\n".join([NAMES, *(fix_row(k) for k in range(60))]),
+            "no units below the names of its columns; export it as version 3",
+        ),
         (csv([fix_row(k) + ",1,2" for k in range(9)]), "rows have 23 values, but 21 columns are named"),
         (csv([fix_row(k) for k in range(9)], NAMES.replace("latitude", "x")), "no column latitude"),
         (csv([fix_row(0)] * 50), "rows repeat the time of another"),

@@ -133,6 +133,21 @@ def test_time_runs_on_over_midnight_and_the_date_is_that_of_the_first_row(tmp_pa
         assert gnss.unix_s[0] == pytest.approx(1_775_951_998.0)
 
 
+@pytest.mark.parametrize("start", [34_800.0, 63_180.0, 86_350.0])
+def test_times_may_be_seconds_of_the_day(tmp_path: Path, start: float) -> None:
+    rows = [row(k, f"{(start + 0.1 * k) % 86400:09.3f}") for k in range(1200)]
+    reading = read(tmp_path, vbo(rows))
+    np.testing.assert_allclose(reading.gnss.t, 0.1 * np.arange(1200), atol=1e-6)
+    assert reading.gnss.unix_s[0] % 86400 == pytest.approx(start)
+    assert "x.vbo: its times are seconds of the day; taken as such" in [problem.text for problem in reading.problems]
+
+
+def test_times_that_are_none_are_refused_and_not_half_of_them_used(tmp_path: Path) -> None:
+    rows = [row(k, f"{175_000 + 0.1 * k:010.3f}") for k in range(1200)]
+    with pytest.raises(SessionError, match=r"^x.vbo: 32% of its times, as 175061, are no UTC \(HHMMSS.sss\)$"):
+        read(tmp_path, vbo(rows))
+
+
 def test_of_columns_with_one_name_the_first_counts(tmp_path: Path) -> None:
     columns = (*COLUMNS, "velocity", "latacc", "latacc")
     reading = read(tmp_path, vbo([f"{row(k)} 099.000 +0.1 +0.2" for k in range(20)], columns=columns))
@@ -143,6 +158,47 @@ def test_of_columns_with_one_name_the_first_counts(tmp_path: Path) -> None:
 def test_the_unit_of_the_velocity_stands_in_the_header(tmp_path: Path, unit: str, speed: float) -> None:
     header = tuple(name.replace("velocity kmh", f"velocity {unit}") for name in HEADER)
     np.testing.assert_allclose(read(tmp_path, vbo([row(k) for k in range(20)], header=header)).gnss.speed, speed)
+
+
+def oval(unit: float, east: float) -> str:
+    """Fixes of a minute round an oval at 10 Hz, their positions in `unit` (60 minutes, or 1 degree)."""
+    rows = []
+    for k in range(600):
+        angle = 0.02 * k
+        lat, lon = 45.7 + 3e-4 * np.sin(angle), 13.07 + 3e-4 * np.cos(angle) / np.cos(np.radians(45.7))
+        speed, course = 3e-4 * 111.195e3 * 0.2 * 3.6, -np.degrees(angle) % 360.0
+        clock = f"1000{k // 10:02d}.{k % 10}00"
+        rows.append(f"012 {clock} {lat * unit:.7f} {east * lon * unit:.7f} {speed:.3f} {course:.2f} 4.0")
+    return vbo(rows)
+
+
+@pytest.mark.parametrize(
+    ("unit", "east", "said"),
+    [
+        (60.0, -1.0, None),
+        (60.0, 1.0, "longitudes count to the east"),
+        (1.0, 1.0, "positions are in degrees, not minutes, and longitudes count to the east"),
+        (1.0, -1.0, "positions are in degrees, not minutes"),
+    ],
+)
+def test_positions_are_taken_in_the_form_that_the_velocities_fit(
+    tmp_path: Path, unit: float, east: float, said: str | None
+) -> None:
+    reading = read(tmp_path, oval(unit, east))
+    assert reading.gnss.lat_deg[0] == pytest.approx(45.7, abs=1e-6)
+    assert reading.gnss.lon_deg[0] == pytest.approx(13.07043, abs=1e-5)
+    told = [problem.text for problem in reading.problems if problem.code == "gps_position_form"]
+    assert told == ([] if said is None else [f"x.vbo: by its speeds and courses, {said}; taken as such"])
+
+
+@pytest.mark.parametrize(
+    ("label", "said"), [("velocity", "does not say in which unit"), ("velocity furlongs", "furlongs, is")]
+)
+def test_a_unit_of_speeds_that_has_to_be_assumed_is_said(tmp_path: Path, label: str, said: str) -> None:
+    header = tuple(name.replace("velocity kmh", label) for name in HEADER)
+    reading = read(tmp_path, vbo([row(k) for k in range(20)], header=header))
+    (problem,) = [problem for problem in reading.problems if problem.code == "gps_speed_unit_assumed"]
+    assert said in problem.text and problem.text.endswith("taken as km/h")
 
 
 def test_without_column_names_the_header_names_them(tmp_path: Path) -> None:
@@ -174,6 +230,31 @@ def test_six_inertial_channels_make_an_imu_and_two_accelerations_do_not(tmp_path
     np.testing.assert_allclose(imu.gyro[0], np.radians([1.0, 2.0, -90.0]))
     rows = [f"{row(k)} +0.100 +0.200" for k in range(20)]
     assert read(tmp_path, vbo(rows, columns=(*COLUMNS, "longacc", "latacc"))).imu is None
+
+
+@pytest.mark.parametrize(
+    ("names", "code", "said"),
+    [
+        ("PitchRate RollRate Z_Accel YawRate X_Accel Y_Accel", "imu_axes_unknown", "yawrate) are not used: their axes"),
+        (
+            "LongAcc VertAcc x-rotation-gyroscope y-rotation-gyroscope z-rotation-gyroscope lean-angle",
+            "imu_incomplete",
+            "of the six channels of a motion sensor latacc is missing; the others are not used",
+        ),
+        ("x_acc y_acc z_acc a b c", "imu_incomplete", "z_rate_of_rotation are missing; the others are not used"),
+        ("longacc latacc a b c d", "", ""),
+    ],
+)
+def test_why_a_motion_sensor_that_is_there_is_not_used_is_said(
+    tmp_path: Path, names: str, code: str, said: str
+) -> None:
+    rows = [f"{row(k)} +0.1 +0.2 +1.0 +1.0 +2.0 -90.0" for k in range(40)]
+    read(tmp_path, vbo(rows, columns=(*COLUMNS, *names.split())))
+    told = {problem.code: problem.text for problem in load_raw(tmp_path).problems}
+    if code:
+        assert said in told[code] and told["imu_missing"] == "no IMU that can be used: smoothed from GPS alone"
+    else:
+        assert "imu_incomplete" not in told and told["imu_missing"] == "no IMU recorded: smoothed from GPS alone"
 
 
 def test_rows_with_too_many_or_too_few_values_are_dropped_and_counted(tmp_path: Path) -> None:

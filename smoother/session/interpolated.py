@@ -1,0 +1,122 @@
+"""Rows that an exporter put between measurements: to the last digit on the line between the rows beside them.
+
+Taken for fixes they would make a result far too sure of itself, as each would count as measured on its own.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+
+DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the line beside it by as much
+MANTISSA = 1e-15  # share; as finely as a float is written
+FARTHEST = 1e9  # roundings; more is nonsense, and would not add up
+MILLISECOND, MICROSECOND = 1e-3, 1e-6  # s
+FEWEST_KNOTS = 20  # that show how often they come
+SHORT_STEP = 10.0  # per cent of the steps between knots, that are no longer than to the next one
+REGULAR = 0.2  # of the period, by which a knot may be early or late
+ROUNDING = 1e-3  # likewise, by the digits of stamps
+MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
+MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
+SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row bends the next one a little, too
+LONGEST_RUN = 2  # rows beside a knot that are off their chord; measured ones follow one another
+FEW_RUNS = 0.05  # share that may be longer
+FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd steps are off any chord, or unknown
+def off_chord(t: Array, channels: Sequence[Array]) -> Array:
+    """How far (N,) rows are off the line between their neighbours, at most of channels (N,); 0 within rounding.
+
+    t (N,) s, increasing. In units of what rounding makes; 0 for the first and last row, and where a channel is unknown.
+    """
+    off = np.zeros(t.size)
+    if t.size < 3:
+        return off
+    before, after = np.diff(t)[:-1], np.diff(t)[1:]
+    stamp = _stamp_error(t)
+    for values in channels:
+        if (digit := _digit(values)) > 0.0:
+            rise, next_rise = np.diff(values)[:-1], np.diff(values)[1:]
+            by = np.abs(rise * after - next_rise * before) / (before + after)
+            rounding = DIGITS * digit + stamp * (np.abs(rise) / before + np.abs(next_rise) / after)
+            off[1:-1] = np.fmax(off[1:-1], np.where(by > rounding, np.minimum(by / rounding, FARTHEST), 0.0))
+    return off
+
+
+def _stamp_error(t: Array) -> float:
+    """How far, s, times t (N,) may be off those that rows were interpolated for: rounded to milliseconds, or finer.
+
+    Even ones are not rounded.
+    """
+    early, late = np.percentile(np.diff(t), (5.0, 95.0))
+    in_milliseconds = np.max(np.abs(t / MILLISECOND - np.round(t / MILLISECOND))) < 2.0 * MICROSECOND / MILLISECOND
+    return 0.5 * MILLISECOND if in_milliseconds and late - early > 2.0 * MICROSECOND else MICROSECOND
+
+
+def _digit(values: Array) -> float:
+    """Worth of the last digit that values (N,) are written with, 0 where they never change."""
+    known = values[np.isfinite(values)]
+    fine = MANTISSA * float(np.max(np.abs(known), initial=0.0))
+    gaps = np.diff(np.unique(known))
+    return max(float(np.min(gaps[gaps > fine], initial=np.inf)), 4.0 * fine) if np.any(gaps > fine) else 0.0
+
+
+def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
+    """Rows (K,) nearest to where the channels (N,) were measured, by the bends of lines between; None if all were.
+
+    t (N,) s, increasing. The bends come as often as the receiver measures, most of them seen and the rest filled in.
+    """
+    off = off_chord(t, channels)
+    beside = np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1]))
+    off[off < SLIGHT * beside] = 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], off > 0.0, [False]]).astype(np.int8)))
+    first, end = edges[0::2], edges[1::2]
+    if first.size < FEWEST_KNOTS or np.mean(end - first > LONGEST_RUN) > FEW_RUNS:
+        return None
+    weight, moment = (np.add.reduceat(values, first) for values in (off, off * t))
+    return rows_at_knots(t, moment / weight)
+
+
+def rows_at_knots(t: Array, seen: Array) -> IntArray | None:
+    """Rows (K,) of t (N,) s nearest to knots, some of which were `seen` (M,) s; None unless they come regularly and
+    with rows between them.
+    """
+    seen = np.unique(seen)
+    gaps = np.diff(seen)
+    if gaps.size < FEWEST_KNOTS:
+        return None
+    period = float(np.median(gaps[gaps < 1.5 * np.percentile(gaps, SHORT_STEP)]))
+    between = np.diff(np.searchsorted(t, seen))
+    with np.errstate(over="ignore"):
+        count = np.clip(np.round(gaps / period), 1.0, between + 1.0)  # in a pause there is nothing to fill
+    if np.mean(np.abs(gaps - count * period) < REGULAR * period) < MOSTLY:
+        return None
+    alone = between[count == 1.0]
+    if np.sum(alone) <= MORE_ROWS * alone.size:
+        return None
+    place = np.concatenate([[0.0], np.cumsum(count)])
+    knots = np.interp(np.arange(place[-1] + 1.0), place, seen)
+    ends = (knots[0] - t[0], t[-1] - knots[-1])
+    most = (np.searchsorted(t, knots[0]), t.size - np.searchsorted(t, knots[-1]))
+    early, late = (min(float(n), np.floor(end / period + ROUNDING)) for end, n in zip(ends, most, strict=True))
+    before, after = knots[0] - period * np.arange(early, 0.0, -1.0), knots[-1] + period * np.arange(1.0, late + 1.0)
+    knots = np.concatenate([before, knots, after])
+    rows = _nearest(t, knots)
+    return np.unique(rows[np.abs(t[rows] - knots) <= 0.5 * period])
+
+
+def _nearest(t: Array, at: Array) -> IntArray:
+    right = np.clip(np.searchsorted(t, at), 1, t.size - 1)
+    return np.where(at - t[right - 1] <= t[right] - at, right - 1, right)
+
+
+def between_samples(t: Array, channels: Sequence[Array]) -> BoolArray:
+    """Mask (N,) of the rows that are on the line between their neighbours in each of the channels (N,), and change.
+
+    t (N,) s, increasing. Noise keeps measured rows of several channels from it; a sensor that stands still is none.
+    """
+    change = np.any([np.diff(values) != 0.0 for values in channels], axis=0)
+    changing = np.append(False, change) & np.append(change, False)
+    return np.asarray(changing & (off_chord(t, channels) == 0.0))

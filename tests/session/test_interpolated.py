@@ -1,0 +1,104 @@
+"""Rows that an exporter put between fixes: found whatever the rates, and never where all rows were measured."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.session.csv_form import read_fixes
+from smoother.session.interpolated import between_samples, measured_rows
+from smoother.session.load import load_raw
+
+FOLDERS = (
+    *("kart_lignano_racebox", "kart_massafinalese_racechrono", "kart_adria_first_half", "kart_okc_doves"),
+    *("nmea_kart_okc", "bicycle_neo6m", "car_hi600_rtk"),
+)
+DIGITS = (8, 8, 2, 4)  # of degrees, metres and m/s, as exporters write them
+
+
+def drive(rate: float, duration: float = 120.0) -> tuple[Array, list[Array]]:
+    """Fixes round an oval: times, latitude, longitude, height and speed."""
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, duration, 1.0 / rate)
+    course, speed = t / 5.0 + 0.3 * np.sin(t), 14.0 + 4.0 * np.sin(t / 4.0) + 0.05 * rng.standard_normal(t.size)
+    north, east = np.cumsum(speed * np.array([np.cos(course), np.sin(course)]), axis=1) / rate
+    return t, [45 + north / 111_195, 12 + east / 78_600, 8.0 + 0.1 * rng.standard_normal(t.size), speed]
+
+
+def exported(rate: float, row_rate: float, late: float = 0.0) -> tuple[Array, list[Array]]:
+    """The same with straight lines between fixes, at rows that begin `late` s after the first of them."""
+    t, channels = drive(rate)
+    rows = np.round(np.arange(late, t[-1], 1.0 / row_rate), 6)
+    return rows, [np.round(np.interp(rows, t, x), digits) for x, digits in zip(channels, DIGITS, strict=True)]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.003])
+@pytest.mark.parametrize(("rate", "row_rate"), [(1, 100), (5, 20), (10, 50), (10, 100), (18, 100), (25, 100)])
+def test_rows_between_fixes_are_left_out_whatever_the_rates(rate: float, row_rate: float, late: float) -> None:
+    t, channels = exported(rate, row_rate, late)
+    rows = measured_rows(t, channels)
+    assert rows is not None
+    assert abs(rows.size - drive(rate)[0].size) <= 2
+    phase = np.mod(t[rows] * rate + 0.5, 1.0) - 0.5
+    assert np.percentile(np.abs(phase), 90) <= 0.55 * rate / row_rate  # the row nearest to each fix
+
+
+def test_every_second_row_is_left_out_where_rows_come_twice_as_often() -> None:
+    t, channels = exported(10.0, 20.0)
+    rows = measured_rows(t, channels)
+    assert rows is not None and np.all(np.diff(rows) == 2)
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 25.0])
+@pytest.mark.parametrize("digits", [5, 6, 7, 9])
+def test_measured_rows_stay_whatever_their_digits(rate: float, digits: int) -> None:
+    t, (lat, lon, *others) = drive(rate, 600.0)
+    for speed_digits in (1, 3):
+        channels = [np.round(lat, digits), np.round(lon, digits), *(np.round(x, speed_digits) for x in others)]
+        assert measured_rows(t, channels) is None
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("step", [1e-310, 1e-9, 1e9])
+def test_absurd_times_neither_warn_nor_fill_the_memory(step: float) -> None:
+    t, channels = exported(5, 50)
+    t = np.where(np.arange(t.size) % 1000 < 900, t, t + step).cumsum()
+    rows = measured_rows(t, [*channels, np.linspace(0.0, 1e308, t.size)])
+    assert rows is None or rows.size <= t.size
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("digits", [5, 6, 7, 9])
+def test_fixes_of_real_receivers_stay_whatever_their_digits(data_directory: Path, folder: str, digits: int) -> None:
+    raw = load_raw(data_directory / folder)
+    assert "gps_interpolated" not in {problem.code for problem in raw.problems}
+    gnss = raw.gnss
+    positions = [np.round(gnss.lat_deg, digits), np.round(gnss.lon_deg, digits)]
+    assert measured_rows(gnss.t, positions) is None
+    assert measured_rows(gnss.t, [*positions, np.round(gnss.speed, 1 if digits < 7 else 3)]) is None
+
+
+def test_a_table_of_interpolated_fixes_has_as_many_as_were_measured(tmp_path: Path) -> None:
+    t, channels = exported(5, 50)
+    rows = np.column_stack([t, *channels])
+    np.savetxt(tmp_path / "gps.csv", rows, "%.10f", ",", header="t_s,lat_deg,lon_deg,alt_m,speed_mps", comments="")
+    fixes, problems = read_fixes(tmp_path / "gps.csv")
+    assert abs(len(fixes) - 600) <= 2
+    (said,) = [problem for problem in problems if problem.code == "gps_interpolated"]
+    assert said.count == t.size - len(fixes)
+    assert said.text == (
+        f"gps.csv: positions between fixes were interpolated by the exporter; {said.count} rows left out"
+    )
+
+
+def test_samples_at_the_stamps_of_other_sensors_are_told_from_those_that_were_measured() -> None:
+    rng = np.random.default_rng(4)
+    measured = np.round(np.arange(0.0, 60.0, 0.02), 3)
+    t = np.unique(np.round(np.concatenate([measured, rng.uniform(0.0, 59.9, 900)]), 3))
+    samples = np.round(rng.standard_normal((6, measured.size)), 3)
+    channels = [np.round(np.interp(t, measured, x), 5) for x in samples]
+    between = between_samples(t, channels)
+    np.testing.assert_array_equal(t[~between], measured)
+    assert not np.any(between_samples(measured, list(samples)))
+    assert not np.any(between_samples(t, [np.full(t.size, 0.5)] * 6))  # a sensor that stands still
