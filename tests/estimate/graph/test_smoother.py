@@ -380,9 +380,10 @@ class TestDegrading:
         s = smoothed(simulation, replace(session, imu=wrong[kind]))
         assert np.all(np.isfinite(s.trajectory.position_n))
         assert horizontal_rms(s.error_n) < horizontal_rms(s.raw_error_n)
-        if kind in ("stuck", "dead", "noise", "late"):
+        told = {p.code: p.text for p in s.trajectory.report.problems}
+        assert ("clock_offset" in told) == (kind == "late")  # found, and as good as any other
+        if kind in ("stuck", "dead", "noise"):
             assert s.trajectory.report.mode == "gps-only"
-            told = {p.code: p.text for p in s.trajectory.report.problems}
             assert "one clock" in told["imu_unusable"] and "[gps] position_latency" in told["imu_unusable"]
 
     def test_a_kart_that_never_moved_stays_where_it_is(self) -> None:
