@@ -6,7 +6,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
-from smoother.session.fix_columns import FixColumns, metres
+from smoother.session.fix_columns import ESTIMATED, FixColumns, metres
 from smoother.session.heights import without_height_jumps
 from smoother.session.interpolated import measured_rows, rows_at_knots
 from smoother.session.rows import RowFilter, put_in_time_order
@@ -63,10 +63,13 @@ def interpolated_note(file: str, count: int) -> list[Problem]:
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     with np.errstate(invalid="ignore"):
-        searching, unsure = (c.fix < 1.0) | c.is_blank, c.sigma_horizontal > UNUSABLE_SIGMA
+        estimated = (c.fix == ESTIMATED) & ~c.is_blank
+        searching, unsure = ((c.fix < 1.0) & ~estimated) | c.is_blank, c.sigma_horizontal > UNUSABLE_SIGMA
     if np.any(unsure & ~searching) and np.all(unsure | searching):  # then it is the column that is wrong
         rows.drop(unsure & ~searching, "sigma_absurd", f"sure to more than {UNUSABLE_SIGMA:.0f} m (is hacc_m in m?)")
     rows.drop((searching | unsure) & np.isfinite(c.t), "no_fix", "without a fix")
+    if np.any(rows.keep & ~estimated):
+        rows.drop(estimated, "estimated", "that the receiver estimated without satellites")
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 
@@ -211,7 +214,7 @@ def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
         hdop=hdop,
         unix_s=c.unix_s,
         num_sv=np.where(np.isfinite(satellites), satellites, -1.0).astype(np.int64),
-        fix=np.where(np.isfinite(c.fix), np.minimum(c.fix, 99.0), 1.0).astype(np.int64),
+        fix=np.where(np.isfinite(c.fix), np.minimum(np.ceil(c.fix), 99.0), 1.0).astype(np.int64),
     )
 
 

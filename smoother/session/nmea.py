@@ -21,7 +21,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
 from smoother.session.encoding import wide_encoding
-from smoother.session.fix_columns import FixColumns
+from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
 from smoother.session.time_unit import in_seconds, unit_by_utc
@@ -224,13 +224,18 @@ def _position(message: Any) -> tuple[float, float]:
         return math.nan, math.nan
 
 
+def _quality(mode: str) -> float:
+    """What one system's mode says of a fix: none, the receiver's dead reckoning, or measured."""
+    return {"N": 0.0, "E": ESTIMATED}.get(mode, 1.0)
+
+
 def _rmc(message: Any) -> tuple[float, ...]:
     date = str(message.data[8]) if len(message.data) > 8 else ""
     known = len(date) == 6 and date.isdigit()
     mode = message.data[11] if len(message.data) > 11 else ""
     return (
         *_position(message),
-        1.0 if message.status == "A" and mode != "N" else 0.0,
+        _quality(mode) if message.status == "A" else 0.0,
         _number(message.spd_over_grnd) * KNOT,
         _number(message.true_course),
         _day(2000 + int(date[4:]), int(date[2:4]), int(date[:2])) if known else math.nan,
@@ -240,7 +245,7 @@ def _rmc(message: Any) -> tuple[float, ...]:
 def _gga(message: Any) -> tuple[float, ...]:
     return (
         *_position(message),
-        _number(message.gps_qual),
+        ESTIMATED if message.gps_qual == 6 else _number(message.gps_qual),
         _number(message.num_sats),
         _number(message.horizontal_dil),
         _number(message.altitude),
@@ -251,7 +256,7 @@ def _gns(message: Any) -> tuple[float, ...]:
     mode = message.mode_indicator
     return (
         *_position(message),
-        0.0 if mode and set(mode) <= {"N"} else 1.0,
+        max(map(_quality, mode), default=1.0),
         _number(message.num_sats),
         _number(message.hdop),
         _number(message.altitude),

@@ -211,6 +211,28 @@ def test_one_sentence_that_denies_the_fix_is_believed(first: bool) -> None:
     np.testing.assert_array_equal(reading.gnss.t, [1.0])
 
 
+def estimated(tod: float, kind: str) -> str:
+    """A fix of the receiver's own dead reckoning, as the three sentences tell it."""
+    return {
+        "GGA": gga(tod, quality=6),
+        "RMC": sentence(f"GPRMC,{clock(tod)},A,4502.0,N,01208.9400,E,19.4,90.0,310524,,,E"),
+        "GNS": sentence(f"GNGNS,{clock(tod)},4502.0,N,01208.9400,E,EEN,08,0.9,12.5,44.0,,"),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["GGA", "RMC", "GNS"])
+def test_what_a_receiver_estimates_without_satellites_is_no_fix(kind: str) -> None:
+    reading = read(gga(START) + estimated(START + 1, kind) + gga(START + 2))
+    np.testing.assert_array_equal(reading.gnss.t, [0.0, 2.0])
+    assert codes(reading) == {"gps_estimated": 1}
+
+
+def test_a_file_of_nothing_but_estimates_is_used() -> None:
+    reading = read("".join(estimated(START + k, "GGA") for k in range(4)))
+    np.testing.assert_array_equal(reading.gnss.t, np.arange(4.0))
+    assert np.all(reading.gnss.fix == 1)
+
+
 def test_missing_fields_are_unknown_and_never_zero() -> None:
     fixes = read(sentence("GPGGA,100000.00,4502.0,N,01208.9,E,1,,,,M,,M,,")).gnss
     assert np.isnan(fixes.alt_m[0]) and np.isnan(fixes.hdop[0]) and fixes.num_sv[0] == -1
