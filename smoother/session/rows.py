@@ -21,7 +21,6 @@ GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has 
 GLITCH_ROWS = 10
 COARSE_STEP = 1.5  # units of the last decimal from stamp to stamp; more is no want of decimals
 MOSTLY = 0.95  # share; single stamps may be damaged
-HASTE = 0.1  # of the mean time between rows; rows that are nearer come from one reading of the sensor
 MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
@@ -117,14 +116,13 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
 
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
     as repeated would thin the recording. They lie between their stamp and the next one. Where the stamps have decimals
-    enough, rows that share one were read out of the sensor together, at the time of the last of them; so were rows that
-    follow one another far quicker than they come. A few equal stamps are left to be dropped.
+    enough, rows that share one were read out of the sensor together, at the time of the last of them. A few equal
+    stamps are left to be dropped.
     """
-    in_haste = _come_in_haste(t)
-    if np.all(rows.keep) and is_increasing(t) and not in_haste:
+    if np.all(rows.keep) and is_increasing(t):
         return t
     index = np.flatnonzero(rows.keep)
-    time = _when_read_out(t[index]) if in_haste else t[index]
+    time = t[index]
     shares = np.diff(time) == 0.0
     equal = np.flatnonzero(shares)
     here, before = index[equal + 1], index[equal]
@@ -137,7 +135,7 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     steps = np.diff(time[first])
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     place, count = np.arange(index.size) - first[group], int(np.count_nonzero(shares))
-    said = f"{counted(count, 'row')} {'right behind' if in_haste else 'with the time of'} the row before; "
+    said = f"{counted(count, 'row')} with the time of the row before; "
     if _are_read_together(time[first], size, typical):
         room = np.append(typical, steps)
         place = place - (size - 1)[group]
@@ -149,24 +147,6 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     spread = t.copy()
     spread[index] = time + place * (room / size)[group]
     return spread
-
-
-def _come_in_haste(t: Array) -> bool:
-    """Whether most rows at t (N,) s follow the one before far quicker than they come: each stamped when read out."""
-    if len(t) < MANY or not t[-1] > t[0]:
-        return False
-    shortest, count = HASTE * (t[-1] - t[0]) / (len(t) - 1), 0
-    for part in pieces(len(t)):
-        steps = np.diff(t[part])
-        count += int(np.count_nonzero((steps > 0.0) & (steps < shortest)))
-        release(t)
-    return count > 0.5 * len(t)
-
-
-def _when_read_out(t: Array) -> Array:
-    """The time (N,) s of the first of rows at t (N,) s that were read out together: the last had just been taken."""
-    begins = np.append(True, ~((np.diff(t) >= 0.0) & (np.diff(t) < HASTE * (t[-1] - t[0]) / (len(t) - 1))))
-    return np.asarray(t[np.flatnonzero(begins)][np.cumsum(begins) - 1])
 
 
 def _are_read_together(stamps: Array, size: IntArray, step: float) -> bool:

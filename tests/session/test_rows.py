@@ -246,25 +246,3 @@ def test_whatever_the_times_the_result_increases_and_every_row_is_accounted_for(
     assert np.all(np.diff(time) > 0)
     dropped = sum(count for code, count in codes(rows).items() if code not in ("imu_reordered", "imu_clock_wrapped"))
     assert dropped + index.size == len(t)
-
-
-@pytest.mark.parametrize("size", [3, 4, 5, 10, 20])
-def test_samples_that_are_stamped_one_by_one_as_they_are_read_out(size: int) -> None:
-    """Popped from the sensor's store within a fraction of a millisecond each; the last of them was just taken."""
-    true = 0.035 + np.arange(4000) / 200.0
-    last = np.minimum((np.arange(4000) // size + 1) * size - 1, 3999)
-    rng = np.random.default_rng(3)
-    late = np.repeat(rng.exponential(4e-4, 4000), size)[:4000]  # reading begins now sooner, now later
-    stamps = true[last] + late + (np.arange(4000) % size) * 1e-4
-    rows = rows_of(4000)
-    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
-    assert np.max(np.abs(spread - true - np.median(late))[size:-size]) < 0.006
-    assert abs(np.median(spread - true)) < 0.001
-    assert "read out together" in rows.problems[0].text
-
-
-def test_a_logger_that_catches_up_now_and_then_is_left_alone() -> None:
-    stamps = np.arange(4000) / 200.0
-    stamps[500:520] = stamps[520] - 1e-4 * np.arange(20, 0, -1)
-    rows = rows_of(4000)
-    np.testing.assert_array_equal(spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None]), stamps)
