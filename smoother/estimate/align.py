@@ -113,10 +113,10 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 def sampled_at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
     """Return which fixes of a moving kart have samples around them."""
     inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
-    return np.flatnonzero((path.speed > MIN_SPEED) & inside & ~_in_gap(imu.t, path.t))
+    return np.flatnonzero((path.speed > MIN_SPEED) & inside & ~in_gap(imu.t, path.t))
 
 
-def _in_gap(sampled: Array, t: Array) -> BoolArray:
+def in_gap(sampled: Array, t: Array) -> BoolArray:
     """Mask (N,) of times t s in a stretch without samples, or a second from it, where averages are made up.
 
     sampled (M,) s: times of the samples.
@@ -130,7 +130,7 @@ def _in_gap(sampled: Array, t: Array) -> BoolArray:
 
 def _unsampled(sampled: Array, t: Array) -> BoolArray:
     """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
-    return np.asarray(_in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
+    return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
 
 
 def _peak(x: Array, y: Array) -> float:

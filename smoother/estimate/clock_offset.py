@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
 
 from smoother.arrays import Array
 from smoother.estimate.align import MIN_SPEED, WINDOW, Averages, PathMotion, align, path_axes
@@ -104,13 +103,13 @@ def _shares(imu: ImuSamples, path: PathMotion) -> tuple[Array, Array]:
     told = (told - told[:, driven].mean(axis=1, keepdims=True)) * driven if driven.any() else told
     felt = np.concatenate(Averages(imu).around(t_felt, WINDOW), axis=1).T
     felt = felt - np.median(felt, axis=1, keepdims=True)
-    size = fft.next_fast_len(len(t_path) + len(t_felt), real=True)
+    size = 1 << (len(t_path) + len(t_felt) - 1).bit_length()
 
     def spectrum(values: Array) -> Array:
-        return np.asarray(fft.rfft(values, size))
+        return np.asarray(np.fft.rfft(values, size))
 
     def correlated(left: Array, right: Array) -> Array:
-        return np.asarray(fft.irfft(left * np.conj(right), size))
+        return np.asarray(np.fft.irfft(left * np.conj(right), size))
 
     of_mask, of_felt = spectrum(driven.astype(np.float64)), spectrum(felt)
     of_one, of_told, of_power = spectrum(np.ones(len(t_felt))), spectrum(told), spectrum(felt**2)

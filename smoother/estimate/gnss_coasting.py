@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import Alignment, Averages, PathMotion, initial_attitude
+from smoother.estimate.align import Alignment, Averages, PathMotion, in_gap, initial_attitude
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.words import counted
 
@@ -91,6 +91,8 @@ def _windows(t: Array, felt_at: Array, imu: ImuSamples) -> tuple[IntArray, IntAr
     holes = np.flatnonzero(np.diff(imu.t) > STEP)
     before = np.searchsorted(imu.t[holes], felt_at)
     sampled = (felt_at[first] > imu.t[0]) & (felt_at[last] < imu.t[-1]) & (before[first] == before[last])
+    made_up = in_gap(imu.t, felt_at)  # where samples are missing so is the attitude beside them
+    sampled &= ~(made_up[first] | made_up[last])
     keep = sampled & (t[last] - t[first] < 1.6 * WINDOW)
     return first[keep], last[keep]
 

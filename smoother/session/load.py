@@ -33,7 +33,6 @@ from smoother.samples import (
     RawSession,
 )
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
-from smoother.session.clock_steps import without_clock_steps
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
@@ -170,9 +169,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     settings = files.find("session.toml")
     config = SessionConfig() if settings is None else load_settings(settings)
     _require_fixes(recording)
-    stepless = without_clock_steps(recording.gnss, recording.imu, recording.mag, recording.gnss_file)
-    recording = replace(recording, gnss=stepless.gnss, imu=stepless.imu, mag=stepless.mag)
-    problems = [*recording.problems, *stepless.problems, *_missing_heights(recording)]
+    problems = [*recording.problems, *_missing_heights(recording)]
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     if imu is not None:

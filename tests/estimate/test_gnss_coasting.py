@@ -17,6 +17,7 @@ from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw
 from smoother.sim.motion import Spin
+from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation, simulate_preset
 
 DURATION = 200.0
@@ -107,6 +108,7 @@ def test_nothing_is_left_out_where_every_fix_is_measured(session: Session) -> No
         {"imu_accel_range": 2.0 * 9.80665},
         {"imu_gyro_range": 1.0},
         {"gnss_rate": 1.0},
+        {"gnss_rate": 10.0, "imu_gaps": tuple(Interval(30.0 * k, 6.0) for k in range(1, 6))},
     ):
         other = prepare(simulate_preset("kart", 4, duration=DURATION, **changes).raw)
         assert not found_in(other).any(), changes
