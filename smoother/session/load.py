@@ -52,6 +52,7 @@ SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
 PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
+STEADY_PARTS, STEADY_TIME = 8, 10.0  # of a recording, at most, and s of each at least: each of them has gravity
 LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
 LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
 PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
@@ -255,7 +256,9 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
     some = thinned(imu.accel, step)
     force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
-    steady = float(np.linalg.norm(np.mean(some, axis=0))) * imu.accel_scale
+    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
+    parts = np.array_split(some, count)  # a box that turns over in one of them has gravity in all others
+    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in parts])) * imu.accel_scale
     if steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION:
         yield "imu_implausible", "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
         return
