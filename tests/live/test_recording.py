@@ -120,7 +120,7 @@ def test_a_program_that_is_killed_leaves_what_it_received(drive, tmp_path: Path)
     os.close(writing)
     records, losses = read_records(list_recordings((tmp_path / "new").glob("*.KLG"))[0])
     whole, _ = find_frames(drive.stream[:30_000])
-    assert records.imu_t[-1] * 1e-6 == pytest.approx(newest, abs=0.1)
+    assert records.imu_t[-1] * 1e-6 > newest - 0.1  # what it told of is there, and what it read while it was killed
     assert len(records.imu_t) == len(decode_frames(whole).imu_t)
     assert losses.blocks == 0
 
