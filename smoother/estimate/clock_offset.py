@@ -1,9 +1,10 @@
 """Samples and fixes whose clocks show different times: by how much.
 
-A second device, GPS time in place of UTC (18 s), a file that counts from its own start: then what the box felt is what
-the fixes tell of seconds before or after. Forward and left acceleration and yaw rate of the path are correlated with
-all that the box felt, for all offsets at once (by Fourier transforms: Oppenheim & Schafer 2010, 8.7). Laps are alike:
-an offset is believed where it explains clearly more than smaller ones do, by whole laps among them.
+A second device, GPS time in place of UTC (18 s), a file that counts from its own start: then, as long as the stamps
+overlap, what the box felt is what the fixes tell of seconds before or after. Forward and left acceleration and yaw rate
+of the path are correlated with all that the box felt, for all offsets at once (by Fourier transforms: Oppenheim &
+Schafer 2010, 8.7). Laps are alike: an offset is believed where it explains clearly more than smaller ones do, by whole
+laps among them.
 """
 
 import math
@@ -21,7 +22,7 @@ SHORTEST = 60.0  # s of driving that must be in both
 LEAST_SHARED = 1.0 / 3.0  # of the driving, likewise
 APART = 3.0  # s between offsets that are told apart; a delay within one corner explains much too
 PEAKS = 4  # that are looked at closely
-EXPLAINED = 0.8  # share of rate and force; karts and cars on one clock have 0.78 or more
+EXPLAINED = 0.8  # share of rate and force by fixes of one clock: most have more; less is another time, or motion
 BLOCK = 5.0  # s, in which slip and noise of fixes are the same
 CLEARLY = 5.0  # by which the log-likelihood must be above that of any offset that is smaller
 DELAY = 0.1  # s by which fixes are left late, as receivers are; which part of the offset is theirs nobody can tell

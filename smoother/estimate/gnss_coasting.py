@@ -6,12 +6,11 @@ samples tell: they feel the kart turn or brake while the receiver says straight 
 changes far less than the samples say, by more than they ever are off else, what was sent at that velocity is left out.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.align import Alignment, Averages, PathMotion, in_gap, initial_attitude
+from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.words import counted
 
@@ -27,7 +26,6 @@ ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise inclu
 SHORTEST = 0.8  # s
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
-MEDIAN_TO_SIGMA = 1.177  # of the length of two normal numbers
 FEWEST = 100  # windows that tell what is usual
 
 
@@ -52,7 +50,7 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
     told, felt = velocity[last] - velocity[first], felt[last] - felt[first]
     off = told - felt
     off = off - np.median(off, axis=0)
-    beyond = np.hypot(*off.T) / max(median(np.hypot(*off.T)) / MEDIAN_TO_SIGMA, 1e-3)
+    beyond = np.hypot(*off.T) / max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3)
     goes_straight = np.hypot(*told.T) < STRAIGHT * np.hypot(*felt.T)
     is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     sigmas = SIGMAS if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE
@@ -61,14 +59,6 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
         if t[alike.stop - 1] - t[alike.start] > SHORTEST:
             out[rows[alike]] = True
     return out
-
-
-def without_coasting(session: Session, out: BoolArray) -> Session:
-    """Return the session without what the fixes `out` (N,) say; their times stay."""
-    gnss = session.gnss
-    lat_deg, lon_deg, alt_m = (np.where(out, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
-    velocity_n = np.where(out[:, None], np.nan, gnss.velocity_n)
-    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, velocity_n=velocity_n))
 
 
 def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:
@@ -107,7 +97,7 @@ def _summed_up(imu: ImuSamples, path: PathMotion, alignment: Alignment, t: Array
 
 
 def _alike(t: Array, velocity: Array, first: int, last: int) -> slice:
-    """The fixes around those from first to last whose velocity is that of these, without a hole, and one beyond."""
+    """The fixes around those from first to last whose velocity is that of these, without a hole."""
     usual = np.median(velocity[first : last + 1], axis=0)
     reach = np.hypot(*(velocity - usual).T) < ALIKE
     reach[1:] &= np.diff(t) < 2.0 * QUICK

@@ -7,12 +7,11 @@ it changes in the first minutes by far more than it ever does later, and for goo
 error that comes and goes is another matter.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
 from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, unbroken_runs
+from smoother.estimate.left_out import without_positions
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
 
@@ -34,15 +33,12 @@ def settled(session: Session) -> tuple[Session, tuple[Problem, ...]]:
     if not out.any():
         return session, ()
     gnss = session.gnss
-    lat_deg, lon_deg, alt_m = (np.where(out, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
     text = (
         f"the receiver had not settled {_when(out)}: for {span(_lasts(gnss.t, out))} its positions came in from many "
         f"metres off, against the speed it measured; {counted(int(out.sum()), 'position')} left out. Switch it on a "
         "minute before driving"
     )
-    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)), (
-        Problem(UNSETTLED, text, int(out.sum())),
-    )
+    return without_positions(session, out), (Problem(UNSETTLED, text, int(out.sum())),)
 
 
 def unsettled(session: Session) -> BoolArray:
@@ -67,7 +63,7 @@ def unsettled(session: Session) -> BoolArray:
 def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
     """Index of the first fix of a receiver that has settled, at t (M,) s with errors (M, 2) m; 0 if it always had.
 
-    change (K,) m in the LATER s from each of the first K on, `usual` m in the mean of the session.
+    change (K,) m in the LATER s from each of the first K on, of which `usual` m is the session's median.
     """
     early = np.flatnonzero((change > max(SETTLING, SETTLINGS * usual)) & (t[: len(change)] - t[0] < EARLY))
     calm = np.flatnonzero(change <= SETTLED * usual)

@@ -9,10 +9,11 @@ import numpy as np
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
-from smoother.estimate.gnss_coasting import coasting, coasting_problems, without_coasting
+from smoother.estimate.gnss_coasting import coasting, coasting_problems
 from smoother.estimate.gnss_settling import settled
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
+from smoother.estimate.left_out import without_fixes
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
@@ -20,8 +21,7 @@ from smoother.samples import Problem, Session
 # of rate and force, by which a delay of the force is not believed. True ones explain 0.005 more to 0.0015 less (a nose
 # that turns in early takes the part of a force that is), hairpins that seemed to show one of 0.1 s 0.006 to 0.017 less.
 LESS_EXPLAINED = 0.003
-LOOKS = 3  # for such fixes; those that are left out first hid others
-LEAST_EXPLAINED = 0.8  # of both, by samples and fixes of one clock; less is noise or another motion
+LOOKS = 3  # for fixes of a receiver that went straight on; those that are left out first hid others
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
         if not more.any():
             break
         out |= more
-        begun = _on_one_clock(without_coasting(given, out), options, cut_out)
-    rest, problems = settled(without_coasting(given, out) if out.any() else given)
+        begun = _on_one_clock(without_fixes(given, out), options, cut_out)
+    rest, problems = settled(without_fixes(given, out) if out.any() else given)
     if problems:
         begun = _on_one_clock(rest, options, cut_out)
     return replace(begun, problems=(*coasting_problems(out), *problems))
@@ -62,7 +62,7 @@ def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Sess
     if not offset.is_found:
         return begun
     better = _at_one_pace(without_offset(given, offset), options, cut_out)
-    return replace(better, offset=offset) if _explains(better) > max(_explains(begun), LEAST_EXPLAINED) else begun
+    return replace(better, offset=offset) if _explains(better) > max(_explains(begun), EXPLAINED) else begun
 
 
 def _explains(begun: Begun) -> float:
@@ -82,7 +82,7 @@ def _at_one_pace(given: Session, options: GraphOptions, cut_out: Callable[[Sessi
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
-        if _explains(better) > max(_explains(begun), LEAST_EXPLAINED):
+        if _explains(better) > max(_explains(begun), EXPLAINED):
             return replace(better, drift=drift)
         drift = replace(drift, is_found=False)
     return replace(begun, drift=drift)

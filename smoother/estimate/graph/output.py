@@ -272,7 +272,7 @@ class _Rows:
             self.sigmas[name][part] = values
 
     def unsure_of_time(self, part: slice, sigma: float) -> None:
-        """Let the rows `part` be where the kart is `sigma` s sooner or later, all that RTK fixes are off by."""
+        """Add the way that the kart goes in `sigma` s to the sigmas of position, m, of the rows `part`."""
         along = sigma * self.velocity_n[part]
         self.sigmas["position_n"][part] = np.hypot(self.sigmas["position_n"][part], along)
 

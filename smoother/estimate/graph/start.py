@@ -19,6 +19,7 @@ from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
+from smoother.estimate.left_out import without_positions
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -185,13 +186,6 @@ def on_path_without(session: Session, start: Start, doubted: BoolArray) -> Start
     """Return the start with the path through all fixes but the positions `doubted` (N,)."""
     path = fit_path(without_positions(session, doubted))
     return replace(start, path=path, driven=PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n))
-
-
-def without_positions(session: Session, doubted: BoolArray) -> Session:
-    """Return the session with the positions of the fixes `doubted` (N,) unknown, their velocities as they are."""
-    gnss = session.gnss
-    lat_deg, lon_deg, alt_m = (np.where(doubted, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
-    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
 
 
 def for_slow_receiver(start: Start, constants: Constants) -> Start | None:

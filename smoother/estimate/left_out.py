@@ -1,0 +1,22 @@
+"""Sessions without what some of their fixes say. The rows stay, so that masks of fixes fit before and after."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from smoother.arrays import BoolArray
+from smoother.samples import Session
+
+
+def without_positions(session: Session, out: BoolArray) -> Session:
+    """Return the session with the positions of the fixes `out` (N,) unknown, their velocities as they are."""
+    gnss = session.gnss
+    lat_deg, lon_deg, alt_m = (np.where(out, np.nan, v) for v in (gnss.lat_deg, gnss.lon_deg, gnss.alt_m))
+    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+
+
+def without_fixes(session: Session, out: BoolArray) -> Session:
+    """Return the session with positions and velocities of the fixes `out` (N,) unknown."""
+    rest = without_positions(session, out)
+    velocity_n = np.where(out[:, None], np.nan, rest.gnss.velocity_n)
+    return replace(rest, gnss=replace(rest.gnss, velocity_n=velocity_n))
