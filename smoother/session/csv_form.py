@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
@@ -20,6 +20,7 @@ ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
 FIELD_COLUMNS = ("mx", "my", "mz")
 ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
+EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 OPTIONAL_FIX_COLUMNS = (
     *("alt_m", "speed_mps", "course_deg", "vel_n_mps", "vel_e_mps", "vel_u_mps"),
@@ -88,7 +89,7 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
     imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds.
     """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
-    t, unix_s = table.column("t_s"), _unix_seconds(table)
+    t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, joined = joined_by_the_hour(t, "gps", path.name, unix_s)
     columns = FixColumns(
@@ -112,7 +113,7 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
     )
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_cut_row(table, "gps"), *said, *joined, *problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_times(table)]
 
 
 def _cut_row(table: Table, prefix: str) -> list[Problem]:
@@ -137,9 +138,19 @@ def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
     return np.where(np.isfinite(one), one, mean)
 
 
-def _unix_seconds(table: Table) -> Array:
-    """The receiver's UTC in seconds since 1970, from whichever column has it."""
-    time = table.column("unix_s")
+def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:
+    """The receiver's UTC in seconds since 1970, from whichever column has it, and what was wrong with it."""
+    time, problems = table.column("unix_s"), []
+    usual = median(time[np.isfinite(time)]) if np.any(np.isfinite(time)) else np.nan
+    unit = next((name for name, size in UNITS.items() if EARLIEST_UTC <= usual / size <= LATEST_UTC), None)
+    if unit is not None:  # no two units make a plausible date of one number
+        time = time / UNITS[unit]
+        problems.append(Problem("gps_utc_unit", f"{table.file}: unix_s is in {unit}; taken as such"))
     for other in (table.column("utc"), table.column("utc_ms") / 1000.0):
         time = np.where(np.isfinite(time), time, other)
-    return time
+    with np.errstate(invalid="ignore"):
+        absurd = (time < EARLIEST_UTC) | (time > LATEST_UTC)
+    if count := int(np.count_nonzero(absurd)):
+        text = f"{table.file}: UTC of {counted(count, 'row')} is before 1980 or after 2100; not used"
+        problems.append(Problem("gps_utc_absurd", text, count))
+    return np.where(absurd, np.nan, time), problems
