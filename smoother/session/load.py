@@ -463,12 +463,12 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.csv_form import read_imu_and_unit, read_mag
+    from smoother.session.csv_form import find_restarts, read_imu_and_unit, read_mag
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
-    imu, mag, unit = None, None, None
+    imu, mag, unit, restarts = None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
         try:
@@ -483,10 +483,17 @@ def _read_columns(files: SessionFiles) -> Recording:
         may_be_set_back = not _is_set_back(problems) or _is_set_back(gnss_problems)
         if is_slow or not may_be_set_back:
             imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=may_be_set_back, is_slow=is_slow)
+        if (fix_table := files.fix_table()) is not None and _is_restarted([*problems, *gnss_problems]):
+            restarts = find_restarts(imu_table, fix_table, unit)
+        if restarts is not None:
+            imu, problems, unit = read_imu_and_unit(imu_table, is_slow=is_slow, shifts=restarts.samples)
+            gnss, gnss_file, gnss_problems = _read_any_fixes(files, True, unit, restarts.fixes)
+            problems.append(restarts.problem)
     problems += gnss_problems
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit)
+            shifts = None if restarts is None else restarts.samples
+            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, shifts=shifts)
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
@@ -501,12 +508,19 @@ def _is_set_back(problems: Sequence[Problem]) -> bool:
     return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 
-def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
+def _is_restarted(problems: Sequence[Problem]) -> bool:
+    return any(problem.code.endswith("_clock_restart") for problem in problems)
+
+
+def _read_any_fixes(
+    files: SessionFiles, has_imu: bool, imu_unit: str | None, shifts: Array | None = None
+) -> tuple[GnssFixes, Path, list[Problem]]:
+    """Fixes and what was wrong with them; shifts (K,) s : of the parts of gps.csv where its clock started again."""
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table, imu_unit)
+        gnss, problems = read_fixes(table, imu_unit, shifts)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems

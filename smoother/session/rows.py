@@ -300,13 +300,21 @@ def _without_repeats(t: Array) -> Array:
     return np.delete(t, np.flatnonzero(np.diff(t) == 0.0) + 1)
 
 
+def parts_between_restarts(t: Array) -> IntArray:
+    """Number (N,) of the part that each row of times t (N,) s is in, cut where the clock was set back for good.
+
+    A row without a time is in the part of the row before it.
+    """
+    part = np.zeros(t.size, dtype=np.int64)
+    known = np.flatnonzero(np.isfinite(t))
+    calm = known[_is_calm(t[known])]
+    part[calm[1:]] = np.diff(t[calm]) < -RESTART_STEP
+    return np.cumsum(part)
+
+
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
     """Cut where the clock was set back for good; keep the piece with most rows."""
-    calm = _is_calm(t)
-    steps = np.diff(t[calm])
-    piece = np.zeros(t.size, dtype=np.int64)
-    piece[np.flatnonzero(calm)[1:]] = steps < -RESTART_STEP
-    piece = np.cumsum(piece)
+    piece = parts_between_restarts(t)
     chosen = piece == np.argmax(np.bincount(piece))
     rows.drop(
         _mask(rows, index[~chosen]),
