@@ -23,6 +23,7 @@ from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.frozen import without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
@@ -159,6 +160,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
+        imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -282,9 +284,7 @@ def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Prob
         return imu
     text = f"{file}: {counted(lost, 'sample')} like the one before while the fixes move on; left out, as not measured"
     problems.append(Problem("imu_frozen", text, lost))
-    temperature = None if imu.temperature is None else imu.temperature[~frozen]
-    kept_rows = {name: getattr(imu, name)[~frozen] for name in ("t", "accel", "gyro")}
-    return replace(imu, temperature=temperature, **kept_rows)
+    return without_rows(imu, frozen)
 
 
 def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
