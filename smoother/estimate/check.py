@@ -11,8 +11,8 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import pieces, release
-from smoother.estimate.align import PathMotion, align
-from smoother.samples import DEAD_AXES, GnssFixes, ImuSamples, RawImu, RawMag, RawSession
+from smoother.estimate.sensor_units import aligned
+from smoother.samples import DEAD_AXES, GnssFixes, RawImu, RawMag, RawSession
 from smoother.session.clock import regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -231,12 +231,9 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
 
 def _check_axes(fixes: GnssFixes, imu: RawImu) -> _Part:
     """Whether the axes are those of a box that is turned, which driving shows; of a long recording its beginning."""
-    t, driven = imu.t[:ENOUGH], np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
-    if len(t) < 2 or not driven.any():
-        return _Part([], {})
-    samples = ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
-    found = align(samples, PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
-    return _Part([Finding("stop", "IMU", problem.text) for problem in found.problems], {})
+    found = aligned(imu, fixes)
+    problems = () if found is None else found.problems
+    return _Part([Finding("stop", "IMU", problem.text) for problem in problems], {})
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
