@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.arrays import Array, median
+from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.disc import kept, pieces, release, settle, thinned
+from smoother.disc import kept, pieces, release, settle
 from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
@@ -25,6 +25,7 @@ from smoother.session.clock import describe_time_base, regularize, true_fix_time
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.frozen import without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
+from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.time_unit import LONGEST_PERIOD
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
-ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
-PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
-PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
@@ -161,6 +159,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
+        imu = without_other_units(imu, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -235,13 +234,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     if period * SLOWEST_IMU > 1.0:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
-    step = max(1, imu.t.size // ENOUGH_SAMPLES)
-    force = median(np.linalg.norm(thinned(imu.accel, step), axis=1)) * imu.accel_scale
-    if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
-        yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
-    rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
-    if rate > PLAUSIBLE_RATE:
-        yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+    for reason in implausible_units(imu):
+        yield "imu_implausible", reason
 
 
 def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
