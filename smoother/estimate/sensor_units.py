@@ -44,11 +44,16 @@ def in_known_units(raw: RawSession) -> RawSession:
 
 def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
     """Return how the box lies in the kart by the first ENOUGH samples, None without velocities."""
-    t, driven = imu.t[:ENOUGH], np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
-    if len(t) < 2 or not driven.any():
+    driven = np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
+    if len(imu.t) < 2 or not driven.any():
         return None
-    samples = ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
-    return align(samples, PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
+    return align(beginning(imu), PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
+
+
+def beginning(imu: RawImu) -> ImuSamples:
+    """Return the first ENOUGH samples as if calibrated."""
+    t = imu.t[:ENOUGH]
+    return ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
 
 
 def _turning_slower(imu: RawImu, times: float) -> RawImu:
