@@ -73,12 +73,13 @@ def read_mag(
     """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
 
     fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
-    has_imu beside it, times are in the unit of that, imu_unit; a compass alone may be of any rate. shifts (K,) s : of
-    the samples beside it, see `read_imu_and_unit`. Raises SessionError if its clock did not start again as often.
+    has_imu beside it, times are in the unit of that, imu_unit, or in seconds; a compass alone may be of any rate.
+    shifts (K,) s : of the samples beside it, see `read_imu_and_unit`. Raises SessionError if its clock did not start
+    again as often.
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    unit = imu_unit if has_imu else _unit_of_compass(t, fixes_t)
+    unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
     if shifts is not None:
         if number_of_parts(t) != len(shifts):
@@ -94,8 +95,8 @@ def read_mag(
     return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
 
 
-def _unit_of_compass(t: Array, fixes_t: Array | None) -> str | None:
-    unit = unit_by_rate(t)
+def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:
+    """The unit of the times t (N,) of a compass, None where they last as long as the fixes (M,) s in seconds."""
     if unit is None or fixes_t is None or lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit):
         return unit
     return None
