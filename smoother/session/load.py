@@ -22,6 +22,7 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import DEAD_AXES, SENSOR_AXES, STUCK_AXES, GnssFixes, Problem, RawImu, RawMag, RawSession
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
+from smoother.session.days import longest_recording
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
 from smoother.session.frozen import without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
@@ -154,6 +155,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
+    gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
@@ -167,7 +169,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         name=files.session_name(),
         gnss=gnss,
         imu=imu,
-        mag=_evened_mag(recording.mag),
+        mag=mag,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
