@@ -27,6 +27,7 @@ from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, Sessi
 from smoother.session.frozen import without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.plausible import implausible_units, without_other_units
+from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.time_unit import LONGEST_PERIOD
@@ -89,9 +90,11 @@ def load_raw(path: Path) -> RawSession:
     """
     files = list_files(path)
     if (form := _format_of(files)) is not None:
-        recording = form.read(files)
+        recording = _read(files, form)
         problems = (*recording.problems, *_left_out(files, form, recording))
         return _finish(files, replace(recording, problems=problems))
+    if (reason := unrecognised(files)) is not None:
+        raise SessionError(f"{path}: no recording found; {reason}")
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
@@ -104,6 +107,16 @@ def load_raw(path: Path) -> RawSession:
             f"for all of them: smooth batch {path}"
         )
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")
+
+
+def _read(files: SessionFiles, form: Format) -> Recording:
+    try:
+        return form.read(files)
+    except SessionError as error:
+        named = files.directory / str(error).partition(":")[0]
+        if named.is_file() and holds_only_zeros(named):
+            raise SessionError(f"{named.name}: {NEVER_WRITTEN}") from error
+        raise
 
 
 def _session_below(path: Path) -> Path | None:
