@@ -102,6 +102,7 @@ BOX_ON_WHEEL = (
 )
 
 MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of axes that no mounting of a box explains
+MIRRORED_PLACES = "gps_mirrored"  # likewise, explained by places of which one coordinate has the wrong sign
 
 
 @dataclass(frozen=True, eq=False)

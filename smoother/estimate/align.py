@@ -82,6 +82,8 @@ class Alignment:
     is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
+    turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
+    NaN where the fixes do not explain it.
     """
 
     R_bs: Array
@@ -92,6 +94,8 @@ class Alignment:
     accel_noise: float = 0.0
     gyro_noise: float = 0.0
     problems: tuple[Problem, ...] = ()
+    turn_scale: float = np.nan
+    force_scale: float = np.nan
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -200,6 +204,8 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
         float(force_fit.rest) * root,
         float(rate_fit.rest) * root,
         tuple(_doubts(force_fit, rate_fit)),
+        float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
+        float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
     )
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import pieces, release
-from smoother.estimate.align import PathMotion, align
-from smoother.samples import DEAD_AXES, GnssFixes, ImuSamples, RawImu, RawMag, RawSession
+from smoother.estimate.mirrored import mirrored_places
+from smoother.estimate.sensor_units import aligned, beginning
+from smoother.samples import DEAD_AXES, GnssFixes, RawImu, RawMag, RawSession
 from smoother.session.clock import regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -92,7 +93,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     gps_only = _is_gps_only(raw)
     parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits, gps_only), _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
-        parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw.gnss, raw.imu)]
+        parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
     judged = (*_JUDGED_HERE, "imu_missing") if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
@@ -229,14 +230,13 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
     return _Part([Finding("stop" if covered < 0.5 else "warning", "IMU", text)], {"fixes_with_imu_share": covered})
 
 
-def _check_axes(fixes: GnssFixes, imu: RawImu) -> _Part:
+def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
     """Whether the axes are those of a box that is turned, which driving shows; of a long recording its beginning."""
-    t, driven = imu.t[:ENOUGH], np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
-    if len(t) < 2 or not driven.any():
-        return _Part([], {})
-    samples = ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
-    found = align(samples, PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
-    return _Part([Finding("stop", "IMU", problem.text) for problem in found.problems], {})
+    if len(imu.t) > 1 and (mirrored := mirrored_places(beginning(imu), raw.gnss, raw.problems)):
+        return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
+    found = aligned(imu, raw.gnss)
+    problems = () if found is None else found.problems
+    return _Part([Finding("stop", "IMU", problem.text) for problem in problems], {})
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:

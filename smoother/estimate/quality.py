@@ -14,7 +14,7 @@ from smoother.estimate.gnss_settling import UNSETTLED, unsettled
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
-from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES, Trajectory
+from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
 from smoother.words import counted
 
@@ -106,12 +106,16 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 
 
 def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
-    """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole."""
+    """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole.
+
+    A mirrored track is wrong whatever was made of it.
+    """
+    places = [p.text.partition(":")[0] for p in estimate.report.problems if p.code == MIRRORED_PLACES]
     if estimate.report.mode != "full":
-        return []
+        return places
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
     dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code in (DEAD_AXES, STUCK_AXES)]
-    return wrong + dead
+    return places + wrong + dead
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:

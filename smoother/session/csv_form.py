@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
+from smoother.session.restarts import Restarts, number_of_parts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_by_the_hour
 from smoother.session.tables import Table, head_lines, names_of, read_table
@@ -21,11 +22,13 @@ ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
 FIELD_COLUMNS = ("mx", "my", "mz")
 ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
+EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
+UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
 OPTIONAL_FIX_COLUMNS = (
     *("alt_m", "speed_mps", "course_deg", "vel_n_mps", "vel_e_mps", "vel_u_mps"),
     *("hacc_m", "hacc_n_m", "hacc_e_m", "vacc_m", "sacc_mps", "sacc_n_mps", "sacc_e_mps"),
-    *("hdop", "num_sv", "fix", "unix_s", "utc_ms"),
+    *("hdop", "num_sv", "fix", *UTC_COLUMNS),
 )
 
 
@@ -36,12 +39,13 @@ def read_imu(path: Path) -> tuple[RawImu, list[Problem]]:
 
 
 def read_imu_and_unit(
-    path: Path, *, may_be_set_back: bool = True, is_slow: bool = False
+    path: Path, *, may_be_set_back: bool = True, is_slow: bool = False, shifts: Array | None = None
 ) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds.
 
     may_be_set_back : a clock that falls by an hour was set, and what follows is joined; not started again.
     is_slow : times are in seconds, however far apart they are.
+    shifts (K,) s : to be added to the times of each part between restarts of the clock, NaN for parts left out.
     """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
@@ -51,24 +55,39 @@ def read_imu_and_unit(
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
+    if shifts is not None:
+        t, used = over_restarts(t, shifts)
+        t, accel, gyro = t[used], accel[used], gyro[used]
     t, joined = joined_by_the_hour(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, problems = screen_imu(path.name, t, accel, gyro)
     return imu, [*cut, *said, *joined, *problems], unit
 
 
 def read_mag(
-    path: Path, fixes_t: Array | None = None, *, has_imu: bool = False, imu_unit: str | None = None
+    path: Path,
+    fixes_t: Array | None = None,
+    *,
+    has_imu: bool = False,
+    imu_unit: str | None = None,
+    shifts: Array | None = None,
 ) -> tuple[RawMag, list[Problem]]:
     """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
 
     fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
-    has_imu beside it, times are in the unit of that, imu_unit; a compass alone may be of any rate.
+    has_imu beside it, times are in the unit of that, imu_unit, or in seconds; a compass alone may be of any rate.
+    shifts (K,) s : of the samples beside it, see `read_imu_and_unit`. Raises SessionError if its clock did not start
+    again as often.
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    unit = imu_unit if has_imu else _unit_of_compass(t, fixes_t)
+    unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
-    rows = RowFilter(path.name, "mag", np.ones(table.length, dtype=np.bool_))
+    if shifts is not None:
+        if number_of_parts(t) != len(shifts):
+            raise SessionError(f"{path.name}: its clock did not start again as often as that of the samples")
+        t, used = over_restarts(t, shifts)
+        t, field = t[used], field[used]
+    rows = RowFilter(path.name, "mag", np.ones(t.size, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
     with np.errstate(invalid="ignore"):
@@ -77,22 +96,36 @@ def read_mag(
     return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
 
 
-def _unit_of_compass(t: Array, fixes_t: Array | None) -> str | None:
-    unit = unit_by_rate(t)
+def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:
+    """The unit of the times t (N,) of a compass, None where they last as long as the fixes (M,) s in seconds."""
     if unit is None or fixes_t is None or lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit):
         return unit
     return None
 
 
-def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list[Problem]]:
+def find_restarts(imu_table: Path, fix_table: Path, imu_unit: str | None) -> Restarts | None:
+    """Return which parts of imu.csv and gps.csv belong together; None where not both have a clock that started again.
+
+    imu_unit : unit of the times in imu.csv, where it is not seconds.
+    """
+    samples, fixes = read_table(imu_table, ("t_s",)), read_table(fix_table, ("t_s",), UTC_COLUMNS, iso_times=("utc",))
+    samples_t, _ = in_seconds(samples.column("t_s"), imu_unit, "imu", imu_table.name)
+    t, (unix_s, _) = fixes.column("t_s"), _unix_seconds(fixes)
+    fixes_t, _ = in_seconds(t, unit_of_fixes(fix_table.name, t, unix_s, imu_unit), "gps", fix_table.name)
+    return pair_parts(samples_t, fixes_t, unix_s, f"{imu_table.name} and {fix_table.name}")
+
+
+def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = None) -> tuple[GnssFixes, list[Problem]]:
     """Read gps.csv, columns as in the contract; maybe without a single usable fix.
 
-    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds.
+    imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. shifts (K,) s : see
+    `read_imu_and_unit`.
     """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
-    t, unix_s = table.column("t_s"), _unix_seconds(table)
+    t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     _require_numbers(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
+    t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
     t, joined = joined_by_the_hour(t, "gps", path.name, unix_s)
     columns = FixColumns(
         t=t,
@@ -113,9 +146,10 @@ def read_fixes(path: Path, imu_unit: str | None = None) -> tuple[GnssFixes, list
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
+    columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_cut_row(table, "gps"), *said, *joined, *problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_times(table)]
 
 
 def _require_numbers(path: Path, t: Array) -> None:
@@ -151,9 +185,19 @@ def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
     return np.where(np.isfinite(one), one, mean)
 
 
-def _unix_seconds(table: Table) -> Array:
-    """The receiver's UTC in seconds since 1970, from whichever column has it."""
-    time = table.column("unix_s")
+def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:
+    """The receiver's UTC in seconds since 1970, from whichever column has it, and what was wrong with it."""
+    time, problems = table.column("unix_s"), []
+    usual = median(time[np.isfinite(time)]) if np.any(np.isfinite(time)) else np.nan
+    unit = next((name for name, size in UNITS.items() if EARLIEST_UTC <= usual / size <= LATEST_UTC), None)
+    if unit is not None:  # no two units make a plausible date of one number
+        time = time / UNITS[unit]
+        problems.append(Problem("gps_utc_unit", f"{table.file}: unix_s is in {unit}; taken as such"))
     for other in (table.column("utc"), table.column("utc_ms") / 1000.0):
         time = np.where(np.isfinite(time), time, other)
-    return time
+    with np.errstate(invalid="ignore"):
+        absurd = (time < EARLIEST_UTC) | (time > LATEST_UTC)
+    if count := int(np.count_nonzero(absurd)):
+        text = f"{table.file}: UTC of {counted(count, 'row')} is before 1980 or after 2100; not used"
+        problems.append(Problem("gps_utc_absurd", text, count))
+    return np.where(absurd, np.nan, time), problems

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.arrays import Array, median
+from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.disc import kept, pieces, release, settle, thinned
+from smoother.disc import kept, pieces, release, settle
 from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import (
@@ -33,8 +33,12 @@ from smoother.samples import (
     RawSession,
 )
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
+from smoother.session.days import longest_recording
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
+from smoother.session.frozen import without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
+from smoother.session.plausible import implausible_units, without_other_units
+from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.time_unit import LONGEST_PERIOD
@@ -50,12 +54,6 @@ SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contra
 SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 FEWEST_IMU_SAMPLES = 100
-ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
-PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
-STEADY_PARTS, STEADY_TIME = 8, 10.0  # of a recording, at most, and s of each at least: each of them has gravity
-LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
-LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
-PLAUSIBLE_RATE = 8.0  # rad/s, median of 460 deg/s: degrees were written for radians
 SENSORS = 2  # of force and of rate
 FROZEN = 1.0  # s for which not one of six noisy values changes
 FROZEN_WAY = 10.0  # m on which it should have
@@ -105,9 +103,11 @@ def load_raw(path: Path) -> RawSession:
     """
     files = list_files(path)
     if (form := _format_of(files)) is not None:
-        recording = form.read(files)
+        recording = _read(files, form)
         problems = (*recording.problems, *_left_out(files, form, recording))
         return _finish(files, replace(recording, problems=problems))
+    if (reason := unrecognised(files)) is not None:
+        raise SessionError(f"{path}: no recording found; {reason}")
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
@@ -122,6 +122,16 @@ def load_raw(path: Path) -> RawSession:
     if (table := files.unknown_table()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")
+
+
+def _read(files: SessionFiles, form: Format) -> Recording:
+    try:
+        return form.read(files)
+    except SessionError as error:
+        named = files.directory / str(error).partition(":")[0]
+        if named.is_file() and holds_only_zeros(named):
+            raise SessionError(f"{named.name}: {NEVER_WRITTEN}") from error
+        raise
 
 
 def _session_below(path: Path) -> Path | None:
@@ -173,10 +183,13 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
+    gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
+        imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
+        imu = without_other_units(imu, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -184,7 +197,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         name=files.session_name(),
         gnss=gnss,
         imu=imu,
-        mag=_evened_mag(recording.mag),
+        mag=mag,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
@@ -253,20 +266,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     if period * SLOWEST_IMU > 1.0 + SAME_RATE:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
         yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
-    step = max(1, imu.t.size // ENOUGH_SAMPLES)
-    some = thinned(imu.accel, step)
-    force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
-    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
-    parts = np.array_split(some, count)  # a box that turns over in one of them has gravity in all others
-    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in parts])) * imu.accel_scale
-    if steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION:
-        yield "imu_implausible", "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
-        return
-    if not PLAUSIBLE_FORCE[0] < force < PLAUSIBLE_FORCE[1]:
-        yield "imu_implausible", f"typically {force:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
-    rate = median(np.linalg.norm(thinned(imu.gyro, step), axis=1)) * imu.gyro_scale
-    if rate > PLAUSIBLE_RATE:
-        yield "imu_implausible", f"typically {rate:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+    for reason in implausible_units(imu):
+        yield "imu_implausible", reason
 
 
 def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
@@ -309,9 +310,7 @@ def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Prob
         return imu
     text = f"{file}: {counted(lost, 'sample')} like the one before while the fixes move on; left out, as not measured"
     problems.append(Problem("imu_frozen", text, lost))
-    temperature = None if imu.temperature is None else imu.temperature[~frozen]
-    kept_rows = {name: getattr(imu, name)[~frozen] for name in ("t", "accel", "gyro")}
-    return replace(imu, temperature=temperature, **kept_rows)
+    return without_rows(imu, frozen)
 
 
 def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
@@ -490,12 +489,12 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.csv_form import read_imu_and_unit, read_mag
+    from smoother.session.csv_form import find_restarts, read_imu_and_unit, read_mag
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
     imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
-    imu, mag, unit = None, None, None
+    imu, mag, unit, restarts = None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
         try:
@@ -510,10 +509,17 @@ def _read_columns(files: SessionFiles) -> Recording:
         may_be_set_back = not _is_set_back(problems) or _is_set_back(gnss_problems)
         if is_slow or not may_be_set_back:
             imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=may_be_set_back, is_slow=is_slow)
+        if (fix_table := files.fix_table()) is not None and _is_restarted([*problems, *gnss_problems]):
+            restarts = find_restarts(imu_table, fix_table, unit)
+        if restarts is not None:
+            imu, problems, unit = read_imu_and_unit(imu_table, is_slow=is_slow, shifts=restarts.samples)
+            gnss, gnss_file, gnss_problems = _read_any_fixes(files, True, unit, restarts.fixes)
+            problems.append(restarts.problem)
     problems += gnss_problems
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit)
+            shifts = None if restarts is None else restarts.samples
+            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, shifts=shifts)
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
@@ -528,12 +534,19 @@ def _is_set_back(problems: Sequence[Problem]) -> bool:
     return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 
-def _read_any_fixes(files: SessionFiles, has_imu: bool, imu_unit: str | None) -> tuple[GnssFixes, Path, list[Problem]]:
+def _is_restarted(problems: Sequence[Problem]) -> bool:
+    return any(problem.code.endswith("_clock_restart") for problem in problems)
+
+
+def _read_any_fixes(
+    files: SessionFiles, has_imu: bool, imu_unit: str | None, shifts: Array | None = None
+) -> tuple[GnssFixes, Path, list[Problem]]:
+    """Fixes and what was wrong with them; shifts (K,) s : of the parts of gps.csv where its clock started again."""
     table, logs = files.fix_table(), files.sentence_logs()
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table, imu_unit)
+        gnss, problems = read_fixes(table, imu_unit, shifts)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", _preferred(table.name, logs)))
         return gnss, table, problems

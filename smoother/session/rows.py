@@ -1,7 +1,7 @@
 """Choosing the rows of a stream that can be used, and counting the others. Knows times, not files or units."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,8 +61,8 @@ def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> t
     Returns the times (K,) s, unwrapped, and the indices (K,) of their rows in the file.
     Rows out of order or repeated are dropped (the first of a repeated time stays); a stray far-future stamp costs
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
-    cost a large part of it, and so are blocks that were written twice or in another order. After a restart of the clock
-    only the longest piece is kept.
+    cost a large part of it, and so are blocks that were written twice or in another order. Rows in place of which older
+    ones stand again are a gap. After a restart of the clock only the longest piece is kept.
     """
     if _is_flawless(rows, t):
         time = t.view()
@@ -264,6 +264,10 @@ def _resolve_disorder(
         rows.drop(_mask(rows, index[~calm]), "out_of_order", "out of time order")
         order = np.argsort(t[calm], kind="stable")
         return index[calm][order], t[calm][order]
+    for copies in _copies(t, [value[index] for value in values]):
+        if np.count_nonzero(~longest_increasing(t[~copies])) <= tolerated:
+            rows.drop(_mask(rows, index[copies]), "written_again", "that stand elsewhere too, in place of others")
+            return index[~copies], t[~copies]
     return _longest_piece(rows, index, t)
 
 
@@ -281,12 +285,7 @@ def _are_moved_blocks(t: Array, values: Sequence[npt.NDArray[Any]]) -> bool:
     """
     order = np.argsort(t, kind="stable")
     again = np.diff(t[order]) == 0.0
-    differs = np.full(order.size - 1, fill_value=not values)
-    for value in values:
-        pairs = value[order[1:]], value[order[:-1]]
-        same = (pairs[0] == pairs[1]) | (np.isnan(pairs[0]) & np.isnan(pairs[1]))
-        differs |= ~(same if same.ndim == 1 else np.all(same, axis=1))
-    if np.count_nonzero(again & differs) > GLITCH_SHARE * np.count_nonzero(again):
+    if np.count_nonzero(again & _differ(order, values)) > GLITCH_SHARE * np.count_nonzero(again):
         return False
     block = np.cumsum(np.diff(t, prepend=t[:1]) < 0.0)
     kept = order[np.append(True, ~again)]
@@ -296,17 +295,46 @@ def _are_moved_blocks(t: Array, values: Sequence[npt.NDArray[Any]]) -> bool:
     return bool(joined <= 2 * (int(block[-1]) + 1) and holes <= GLITCH_SHARE * joined)
 
 
+def _copies(t: Array, values: Sequence[npt.NDArray[Any]]) -> Iterator[BoolArray]:
+    """Masks (N,) of the rows that are the same as an earlier one, and of those that are as a later one, if any are."""
+    order = np.argsort(t, kind="stable")
+    same = (np.diff(t[order]) == 0.0) & ~_differ(order, values)
+    if np.any(same):
+        for which in (order[1:], order[:-1]):
+            mask = np.zeros(t.size, dtype=np.bool_)
+            mask[which[same]] = True
+            yield mask
+
+
+def _differ(order: IntArray, values: Sequence[npt.NDArray[Any]]) -> BoolArray:
+    """Mask (N - 1,) of the rows, in this order, that are unlike the one before; all of them where nothing tells."""
+    differs = np.full(order.size - 1, fill_value=not values)
+    for value in values:
+        pairs = value[order[1:]], value[order[:-1]]
+        same = (pairs[0] == pairs[1]) | (np.isnan(pairs[0]) & np.isnan(pairs[1]))
+        differs |= ~(same if same.ndim == 1 else np.all(same, axis=1))
+    return differs
+
+
 def _without_repeats(t: Array) -> Array:
     return np.delete(t, np.flatnonzero(np.diff(t) == 0.0) + 1)
 
 
+def parts_between_restarts(t: Array) -> IntArray:
+    """Number (N,) of the part that each row of times t (N,) s is in, cut where the clock was set back for good.
+
+    A row without a time is in the part of the row before it.
+    """
+    part = np.zeros(t.size, dtype=np.int64)
+    known = np.flatnonzero(np.isfinite(t))
+    calm = known[_is_calm(t[known])]
+    part[calm[1:]] = np.diff(t[calm]) < -RESTART_STEP
+    return np.cumsum(part)
+
+
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
     """Cut where the clock was set back for good; keep the piece with most rows."""
-    calm = _is_calm(t)
-    steps = np.diff(t[calm])
-    piece = np.zeros(t.size, dtype=np.int64)
-    piece[np.flatnonzero(calm)[1:]] = steps < -RESTART_STEP
-    piece = np.cumsum(piece)
+    piece = parts_between_restarts(t)
     chosen = piece == np.argmax(np.bincount(piece))
     rows.drop(
         _mask(rows, index[~chosen]),

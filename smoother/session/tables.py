@@ -135,6 +135,8 @@ def read_table(
     if not header:
         raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
     head = _text_head(path)
+    if not head.strip("\0"):
+        raise NoRowsError(f"{path.name}: begins with {len(head)} zero bytes; was it ever written? Copy it again")
     _require_columns(path.name, header, required, head)
     _require_points(path.name, header, head)
     numbers = tuple(name for name in (*required, *optional) if name in header)

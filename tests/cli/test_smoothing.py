@@ -159,6 +159,22 @@ def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys:
     assert any("not right-handed" in reason for reason in json.loads(capsys.readouterr().out)["reasons"])
 
 
+@pytest.mark.parametrize("coordinate", ["lon_deg", "lat_deg"])
+def test_a_mirrored_track_is_said_and_not_the_sensors_fault(tmp_path: Path, capsys: Captured, coordinate: str) -> None:
+    monday = tmp_path / "monday"
+    assert run(["simulate", str(monday), "--duration", "60", "--seed", "3"]) == 0
+    fixes = pl.read_csv(monday / "gps.csv")
+    fixes.with_columns(-pl.col(coordinate)).write_csv(monday / "gps.csv")
+    capsys.readouterr()
+    assert run([str(monday), "--json", *TABLES_ONLY]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document["quality"]["reasons"] == ["longitude (or latitude) has the wrong sign"]
+    assert "imu_mirrored" not in [problem["code"] for problem in document["problems"]]
+    assert run(["check", str(monday), "--json"]) == 3
+    (reason,) = json.loads(capsys.readouterr().out)["reasons"]
+    assert reason.startswith("longitude (or latitude) has the wrong sign")
+
+
 @pytest.fixture(scope="module")
 def results(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("results") / "smoothed"

@@ -150,6 +150,24 @@ def test_utc_comes_in_several_forms(tmp_path: Path, column: str, value: str) -> 
     assert fixes.unix_s[0] == pytest.approx(1717149600.25, abs=1e-6)
 
 
+@pytest.mark.parametrize(("unit", "size"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+def test_utc_in_another_unit_is_found_by_its_size_and_said(tmp_path: Path, unit: str, size: float) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{(1717149600 + 0.2 * k) * size:.0f}" for k in range(9)]
+    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s\n" + "\n".join(rows) + "\n", "gps.csv"))
+    np.testing.assert_allclose(fixes.unix_s, 1717149600 + 0.2 * np.arange(9), atol=1e-3)
+    assert [problem.text for problem in problems] == [f"gps.csv: unix_s is in {unit}; taken as such"]
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("utc", "0001-01-01T00:00:01Z"), ("utc", "9999-12-31T23:59:59Z"), ("unix_s", "4.7e9")]
+)
+def test_utc_of_a_receiver_that_has_no_date_is_not_used(tmp_path: Path, column: str, value: str) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{value}" for k in range(9)]
+    fixes, problems = read_fixes(save(tmp_path, f"t_s,lat_deg,lon_deg,{column}\n" + "\n".join(rows) + "\n", "gps.csv"))
+    assert len(fixes) == 9 and np.all(np.isnan(fixes.unix_s)) and fixes.unix_at_zero is None
+    assert codes(problems) == {"gps_utc_absurd": 9}
+
+
 def straight(directory: Path, factor: float, as_components: bool = False):
     """Fixes of a minute to the north, with speeds `factor` times the true ones; and these."""
     rng = np.random.default_rng(2)

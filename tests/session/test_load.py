@@ -358,6 +358,15 @@ def test_a_compass_has_the_unit_of_the_imu_beside_it(folder: Folder, rate: float
     assert read.mag is not None and read.mag.t[-1] == pytest.approx(10.0 - 1.0 / rate)
 
 
+@pytest.mark.parametrize("size", [1e3, 1e6])
+def test_a_compass_may_be_in_seconds_beside_an_imu_that_is_not(folder: Folder, size: float) -> None:
+    mag = "\n".join(["t_s,mx,my,mz", *(f"{k / 10:.1f},0.3,0.{k % 7},-0.4" for k in range(100))])
+    files = {"imu__csv": imu_csv(1000, rate=100.0 / size), "gps__csv": gps_csv(), "mag__csv": mag + "\n"}
+    read = folder.write(**files).load()
+    assert read.mag is not None and read.mag.t[-1] == pytest.approx(9.9)
+    assert "imu_time_unit" in codes(read) and "mag_time_unit" not in codes(read)
+
+
 def test_an_imu_of_a_kilohertz_may_be_in_milliseconds(folder: Folder) -> None:
     read = folder.write(imu__csv=imu_csv(10_000, rate=1.0), gps__csv=gps_csv(50, rate=0.005)).load()
     assert read.imu is not None and read.imu.t[-1] == pytest.approx(9.999)

@@ -154,6 +154,19 @@ def test_blocks_written_twice_or_in_another_order_cost_nothing(parts: tuple[slic
     assert which.tolist() == list(range(1000)) and codes(rows) == said
 
 
+@pytest.mark.parametrize(
+    ("parts", "lost"),
+    [
+        ((slice(0, 700), slice(250, 350), slice(800, 1000)), slice(700, 800)),  # a block holds an older one
+        ((slice(0, 250), slice(700, 800), slice(350, 1000)), slice(250, 350)),  # or a newer one
+    ],
+)
+def test_a_block_in_place_of_which_another_stands_again_is_a_gap(parts: tuple[slice, ...], lost: slice) -> None:
+    _, which, rows = blocks(*parts)
+    assert which.tolist() == np.delete(np.arange(1000), lost).tolist()
+    assert codes(rows) == {"imu_written_again": 100}
+
+
 def test_a_file_from_the_newest_row_to_the_oldest_may_have_gaps() -> None:
     t = np.delete(np.arange(1000) * 0.1, np.s_[40::50])
     t = (t + 1.1 * np.floor(t / 5.0))[::-1]

@@ -43,6 +43,7 @@ from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
+from smoother.estimate.mirrored import explained
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
@@ -94,7 +95,8 @@ class GraphSmoother:
             found = self._in_true_time(session)
         else:
             found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
-        return replace(found, report=replace(found.report, problems=(*found.report.problems, *problems)))
+        told = explained(found.report.problems, session)
+        return replace(found, report=replace(found.report, problems=(*told, *problems)))
 
     def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None:

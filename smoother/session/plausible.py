@@ -1,0 +1,113 @@
+"""Whether inertial samples are in m/s^2 and rad/s, by the usual size of force and rate: of all, or of a stretch."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, median
+from smoother.disc import PIECE, pieces, release, thinned
+from smoother.samples import Problem, RawImu
+from smoother.session.frozen import without_rows
+from smoother.words import counted
+
+ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
+PLAUSIBLE_FORCE = (4.0, 40.0)  # m/s^2, median: outside, the unit is wrong (g, mg) or the sensor dead
+STEADY_PARTS, STEADY_TIME = 8, 10.0  # of a recording, at most, and s of each at least: each of them has gravity
+LEAST_STEADY, LEAST_STEADY_SHARE = 2.5, 0.5  # m/s^2 and of the usual force, that is always there: gravity is
+LEAST_MOTION = 0.5  # m/s^2; less is a dead sensor
+PLAUSIBLE_RATE = (0.0, 8.0)  # rad/s, median of 460 deg/s: degrees were written for radians
+WINDOW = 5.0  # s judged together; in no shorter time is a box thrown, or turned in the hand
+FEW_BETWEEN = 3  # windows between two that are off are of them: who writes deg/s stands now and then
+FEWEST_LEFT = 100  # samples
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    """Samples of one sensor and what is usual of them, SI; `said` completes what is said of another size."""
+
+    values: Array
+    scale: float
+    usual: tuple[float, float]
+    said: str
+
+    def sizes(self, values: Array) -> Array:
+        """Length (N,) of samples (N, 3), SI."""
+        return np.asarray(np.linalg.norm(values, axis=1) * self.scale)
+
+    def is_off(self, size: Array | float) -> BoolArray:
+        low, high = self.usual
+        return np.asarray((size < low) | (size > high))
+
+    def reason(self, size: float) -> str:
+        return self.said.format(size)
+
+
+def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
+    force = "typically {:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
+    rate = "typically {:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
+    return (
+        _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force),
+        _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate),
+    )
+
+
+def implausible_units(imu: RawImu) -> Iterator[str]:
+    """Yield what speaks against the units of samples, one or more, as a whole."""
+    step = max(1, imu.t.size // ENOUGH_SAMPLES)
+    if _has_no_gravity(imu, thinned(imu.accel, step)):
+        yield "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
+        return
+    for sensor in _sensors(imu):
+        size = median(sensor.sizes(thinned(sensor.values, step)))
+        if sensor.is_off(size):
+            yield sensor.reason(size)
+
+
+def _has_no_gravity(imu: RawImu, some: Array) -> bool:
+    """Whether samples move without a force that stays; some (N, 3) : of `imu.accel`, evenly taken."""
+    force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
+    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
+    parts = np.array_split(some, count)  # a box that turns over in one of them has gravity in all others
+    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in parts])) * imu.accel_scale
+    return bool(steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION)
+
+
+def without_other_units(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
+    """Return the samples without stretches in which they are in another unit, and say so in `problems`.
+
+    file : name for the sentences. A window on either side goes with them, as what is in another unit may begin there.
+    """
+    count = max(1, round(WINDOW / median(np.diff(imu.t[:ENOUGH_SAMPLES]))))
+    bad = np.zeros(imu.t.size, dtype=np.bool_)
+    said = []
+    for sensor in _sensors(imu):
+        sizes = _window_sizes(sensor, count)
+        for first, last in _runs(sensor.is_off(sizes)):
+            rows = slice(max(0, (first - 1) * count), (last + 2) * count)
+            bad[rows] = True
+            lost, begin, end = imu.t[rows].size, imu.t[rows][0], imu.t[rows][-1]
+            reason = sensor.reason(median(sizes[first : last + 1]))
+            text = f"{file}: from {begin:.0f} to {end:.0f} s {reason} {counted(lost, 'sample')} left out"
+            said.append(Problem("imu_unit_changes", text, lost))
+    if not said or np.count_nonzero(~bad) < FEWEST_LEFT:
+        return imu
+    problems += said
+    return without_rows(imu, bad)
+
+
+def _window_sizes(sensor: _Sensor, count: int) -> Array:
+    """Median size (K,) of each `count` samples; what is left at the end, of fewer, is of the last window."""
+    whole, sizes = len(sensor.values) // count * count, []
+    for part in pieces(whole, max(1, PIECE // count) * count):
+        sizes.append(np.median(sensor.sizes(sensor.values[part]).reshape(-1, count), axis=1))
+        release(sensor.values)
+    return np.concatenate(sizes) if sizes else np.empty(0)
+
+
+def _runs(off: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and last window of each run of those that are off, with the few between two of them."""
+    index = np.flatnonzero(off)
+    if index.size:
+        ends = np.flatnonzero(np.diff(index) > FEW_BETWEEN + 1)
+        yield from zip(index[np.append(0, ends + 1)].tolist(), index[np.append(ends, -1)].tolist(), strict=True)

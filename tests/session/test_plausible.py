@@ -1,0 +1,74 @@
+"""Units of the inertial samples by their usual size, of all and of stretches."""
+
+import numpy as np
+import pytest
+
+from smoother.arrays import Array
+from smoother.samples import Problem, RawImu
+from smoother.session.plausible import implausible_units, without_other_units
+from smoother.units import DEG, STANDARD_GRAVITY
+
+RATE, LASTS = 100, 120  # Hz, s
+
+
+def samples() -> tuple[Array, Array]:
+    """Specific force (N, 3) m/s^2 and rate (N, 3) rad/s of a kart that stands for the first third of the time."""
+    rng = np.random.default_rng(2)
+    n = RATE * LASTS
+    driven = (np.arange(n) > n / 3)[:, None]
+    force = [0.0, 0.0, STANDARD_GRAVITY] + np.where(driven, 4.0, 0.02) * rng.standard_normal((n, 3))
+    rate = np.where(driven, 0.5, 0.003) * rng.standard_normal((n, 3))
+    return np.asarray(force), rate
+
+
+def judged(force: Array, rate: Array, scale: float = 1.0) -> tuple[RawImu, list[Problem]]:
+    """What is left of samples that are written as counts of `scale`."""
+    problems: list[Problem] = []
+    imu = RawImu(np.arange(len(force)) / RATE, force / scale, rate / scale, scale, scale)
+    return without_other_units(imu, "imu.csv", problems), problems
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_samples_of_a_kart_that_stands_and_drives_all_stay(scale: float) -> None:
+    imu, problems = judged(*samples(), scale)
+    assert problems == [] and len(imu.t) == RATE * LASTS
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+@pytest.mark.parametrize(
+    ("of_force", "of_rate", "said"),
+    [
+        (1.0 / STANDARD_GRAVITY, 1.0, "m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2? "),
+        (1.0, 1.0 / DEG, "rad/s, which no kart turns; are gx, gy, gz in rad/s? "),
+    ],
+)
+def test_a_stretch_in_another_unit_is_left_out_and_said(
+    of_force: float, of_rate: float, said: str, scale: float
+) -> None:
+    force, rate = samples()
+    other = slice(RATE * 62, RATE * 93)
+    force[other] *= of_force
+    rate[other] *= of_rate
+    imu, problems = judged(force, rate, scale)
+    assert not np.any((imu.t > 61.99) & (imu.t < 93.0)), "all of it, though it begins within a window"
+    assert len(imu.t) >= RATE * (LASTS - 31 - 20), "no more than two windows beside it"
+    assert [(p.code, p.count) for p in problems] == [("imu_unit_changes", RATE * LASTS - len(imu.t))]
+    assert problems[0].text.startswith("imu.csv: from ") and said in problems[0].text
+
+
+def test_a_stop_between_is_of_the_stretch() -> None:
+    """In deg/s, a kart that stands for ten seconds turns as fast as one that drives in rad/s."""
+    force, rate = samples()
+    rate[RATE * 70 : RATE * 80] = 0.003 * np.random.default_rng(3).standard_normal((RATE * 10, 3))
+    rate[RATE * 60 :] /= DEG
+    imu, problems = judged(force, rate)
+    assert imu.t[-1] <= 60.0 and len(problems) == 1
+
+
+def test_a_whole_recording_in_another_unit_is_named() -> None:
+    force, rate = samples()
+    t = np.arange(len(force)) / RATE
+    assert not list(implausible_units(RawImu(t, force, rate)))
+    assert [text[:9] for text in implausible_units(RawImu(t, force / STANDARD_GRAVITY, rate / DEG))] == [
+        "typically"
+    ] * 2
