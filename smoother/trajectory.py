@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from smoother.arrays import Array, frozen, require_increasing
+from smoother.arrays import Array, BoolArray, frozen, require_increasing
 from smoother.disc import thinned
 from smoother.frames import euler_from_rotation
 from smoother.samples import Problem
@@ -114,6 +114,7 @@ class EstimateReport:
     fixes: FixResiduals | None = None
     keyframes: Keyframes | None = None
     problems: tuple[Problem, ...] = ()
+    left_out: BoolArray | None = None  # (F,) fixes of which no position was used, as `problems` say; None: all were
     timings: dict[str, float] = field(default_factory=dict)  # s per stage
     mode: str = "full"  # "full" or "gps-only"
 

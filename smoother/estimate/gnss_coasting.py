@@ -20,10 +20,11 @@ QUICK = 0.3  # s between fixes; of slower ones single fixes are wrong, and lose 
 SIGMAS = 4.5  # beyond the usual scatter; without coasting 4 is not reached, in hairpins 5 once
 # the same where the path explains less of what is felt: a box that turns with the wheel reaches 8 once
 SIGMAS_OF_LOOSE, LOOSE = 9.0, 0.92
+LEAST_FELT = 0.7  # m/s of such a change; where little is felt two cars' receivers seemed to go straight on at 0.4
 STRAIGHT = 0.25  # of the change that is felt is what was sent at most
 MIN_SPEED = 5.0  # m/s; nobody who crawls goes straight on
 ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise included
-SHORTEST = 0.8  # s
+SHORTEST, REACH = 0.8, 10.0  # s of one coasting, at least, and to either side of where it is felt, at most
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -51,7 +52,8 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
     off = told - felt
     off = off - np.median(off, axis=0)
     beyond = np.hypot(*off.T) / max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3)
-    goes_straight = np.hypot(*told.T) < STRAIGHT * np.hypot(*felt.T)
+    size = np.hypot(*felt.T)
+    goes_straight = (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT)
     is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     sigmas = SIGMAS if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE
     for k in np.flatnonzero((beyond > sigmas) & goes_straight & is_fast).tolist():
@@ -101,6 +103,7 @@ def _alike(t: Array, velocity: Array, first: int, last: int) -> slice:
     usual = np.median(velocity[first : last + 1], axis=0)
     reach = np.hypot(*(velocity - usual).T) < ALIKE
     reach[1:] &= np.diff(t) < 2.0 * QUICK
+    reach &= (t > t[first] - REACH) & (t < t[last] + REACH)
     begin, end = first, last
     while begin > 0 and reach[begin - 1] and reach[begin]:
         begin -= 1

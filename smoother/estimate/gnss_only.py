@@ -17,7 +17,8 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.gnss_settling import settled
+from smoother.estimate.gnss_settling import settling_problems, unsettled
+from smoother.estimate.left_out import without_positions
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -58,7 +59,8 @@ class GnssSmoother:
     def estimate(self, session: Session) -> Trajectory:
         """Return the trajectory from the first fix to the last; without a height the Up of the origin, 100 m unsure."""
         options, started = self._options, time.perf_counter()
-        session, settling = settled(session)
+        early = unsettled(session)
+        session = without_positions(session, early) if early.any() else session
         path = fit_path(session, options.path)
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
@@ -71,7 +73,8 @@ class GnssSmoother:
             residuals=_statistics(path),
             fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
             timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
-            problems=(*settling, *_unknown_delay(latency_sigma)),
+            problems=(*settling_problems(session.gnss.t, early), *_unknown_delay(latency_sigma)),
+            left_out=early if early.any() else None,
             mode="gps-only",
         )
         return Trajectory(

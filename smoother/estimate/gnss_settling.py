@@ -11,7 +11,6 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
 from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, unbroken_runs
-from smoother.estimate.left_out import without_positions
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
 
@@ -25,20 +24,6 @@ LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a sh
 EARLY = 120.0  # s, in which a receiver settles
 FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
 SETTLED = 1.2  # times the usual change, from which on a receiver wanders as it always does
-
-
-def settled(session: Session) -> tuple[Session, tuple[Problem, ...]]:
-    """Return the session without the positions of fixes before the receiver had settled, and what to say of it."""
-    out = unsettled(session)
-    if not out.any():
-        return session, ()
-    gnss = session.gnss
-    text = (
-        f"the receiver had not settled {_when(out)}: for {span(_lasts(gnss.t, out))} its positions came in from many "
-        f"metres off, against the speed it measured; {counted(int(out.sum()), 'position')} left out. Switch it on a "
-        "minute before driving"
-    )
-    return without_positions(session, out), (Problem(UNSETTLED, text, int(out.sum())),)
 
 
 def unsettled(session: Session) -> BoolArray:
@@ -58,6 +43,18 @@ def unsettled(session: Session) -> BoolArray:
             continue
         out[rows[0] : rows[_settled_at(t[rows], error, change, usual)]] = True
     return out
+
+
+def settling_problems(t: Array, out: BoolArray) -> tuple[Problem, ...]:
+    """Say so where positions of fixes at t (N,) s were left out."""
+    if not out.any():
+        return ()
+    text = (
+        f"the receiver had not settled {_when(out)}: for {span(_lasts(t, out))} its positions came in from many "
+        f"metres off, against the speed it measured; {counted(int(out.sum()), 'position')} left out. Switch it on a "
+        "minute before driving"
+    )
+    return (Problem(UNSETTLED, text, int(out.sum())),)
 
 
 def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:

@@ -10,7 +10,6 @@ import numpy as np
 
 from smoother.arrays import Array, are_near, median
 from smoother.disc import release
-from smoother.estimate.gnss_settling import UNSETTLED, unsettled
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
@@ -123,8 +122,8 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     latency = estimate.report.identified.get("gps_position_latency")
     t = session.gnss.t - (latency.value if latency is not None and isinstance(latency.value, float) else 0.0)
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
-    if any(problem.code == UNSETTLED for problem in estimate.report.problems):
-        inside &= ~unsettled(session)  # left by the trajectory, and said
+    if estimate.report.left_out is not None:
+        inside &= ~estimate.report.left_out  # the trajectory does not follow them, and it is said
     if not inside.any():
         return {}
     place = bracket(estimate.t, t[inside])

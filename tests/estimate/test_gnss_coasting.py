@@ -1,6 +1,6 @@
 """A receiver that goes straight on without satellites: its fixes are found by the samples, and left out."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.graph.start import GraphOptions
 from smoother.estimate.pauses import pauses_of
+from smoother.estimate.quality import assess
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import Session
@@ -129,3 +130,35 @@ def test_without_doppler_or_samples_nothing_is_said(session: Session) -> None:
 )
 def test_real_recordings(recording: str, data_directory: Path) -> None:
     assert not found_in(prepare(load_raw(data_directory / recording))).any()
+
+
+def part_of(session: Session, first: float, lasts: float) -> Session:
+    """`lasts` s of a session, from `first` s on, as it would have been recorded alone."""
+    assert session.imu is not None
+    since = session.gnss.t[0] + first
+    gnss, imu = (
+        replace(
+            given,
+            **{f.name: value[rows] for f in fields(given) if isinstance(value := getattr(given, f.name), np.ndarray)},
+        )
+        for given in (session.gnss, session.imu)
+        for rows in [(given.t >= since) & (given.t < since + lasts)]
+    )
+    return replace(session, gnss=gnss, imu=imu, mag=None)
+
+
+def test_a_car_that_is_driven_gently_goes_straight_on_by_itself(data_directory: Path) -> None:
+    session = prepare(load_raw(data_directory / "car_hi600_twin_b"))
+    assert not found_in(part_of(session, 540.0, 180.0)).any()
+    assert not found_in(part_of(session, 600.0, 300.0)).any()
+
+
+def test_the_trajectory_may_leave_fixes_that_were_left_out(session: Session) -> None:
+    given, out = coasted(session, np.arange(30.0, DURATION - 20.0, 40.0).tolist(), 6.0)
+    found = GraphSmoother().estimate(given)
+    left_out = found.report.left_out
+    assert left_out is not None and np.mean(left_out[out]) > 0.5
+    quality = assess(given, found)
+    assert not [reason for reason in quality.reasons if "fixes" in reason]
+    followed = assess(given, replace(found, report=replace(found.report, left_out=None)))
+    assert [reason for reason in followed.reasons if "fixes" in reason]

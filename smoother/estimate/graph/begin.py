@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from smoother.arrays import BoolArray
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.gnss_coasting import coasting, coasting_problems
-from smoother.estimate.gnss_settling import settled
+from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
-from smoother.estimate.left_out import without_fixes
+from smoother.estimate.left_out import without_fixes, without_positions
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
@@ -26,7 +27,10 @@ LOOKS = 3  # for fixes of a receiver that went straight on; those that are left 
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """A session with its samples on the clock of its fixes and its force at the time of its rate, and its start."""
+    """A session with its samples on the clock of its fixes and its force at the time of its rate, and its start.
+
+    left_out (N,) : fixes as given of which no position is used, None where all are; `problems` say why.
+    """
 
     session: Session
     start: Start
@@ -34,6 +38,7 @@ class Begun:
     drift: ClockDrift = UNSEEN_DRIFT
     offset: ClockOffset = NO_OFFSET
     problems: tuple[Problem, ...] = ()
+    left_out: BoolArray | None = None
 
 
 def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
@@ -46,10 +51,12 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
             break
         out |= more
         begun = _on_one_clock(without_fixes(given, out), options, cut_out)
-    rest, problems = settled(without_fixes(given, out) if out.any() else given)
-    if problems:
-        begun = _on_one_clock(rest, options, cut_out)
-    return replace(begun, problems=(*coasting_problems(out), *problems))
+    rest = without_fixes(given, out) if out.any() else given
+    early = unsettled(rest)
+    if early.any():
+        begun = _on_one_clock(without_positions(rest, early), options, cut_out)
+    problems = (*coasting_problems(out), *settling_problems(given.gnss.t, early))
+    return replace(begun, problems=problems, left_out=out | early if problems else None)
 
 
 def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:

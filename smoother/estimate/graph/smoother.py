@@ -174,6 +174,7 @@ class GraphSmoother:
                 "imu_clock_drift": identified_drift(begun.drift),
             },
             timings=watch.seconds,
+            left_out=begun.left_out,
             problems=(
                 *start.alignment.problems,
                 *told.problems,
