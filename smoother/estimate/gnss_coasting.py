@@ -20,7 +20,7 @@ QUICK = 0.3  # s between fixes; of slower ones single fixes are wrong, and lose 
 SIGMAS = 4.5  # beyond the usual scatter; without coasting 4 is not reached, in hairpins 5 once
 # the same where the path explains less of what is felt: a box that turns with the wheel reaches 8 once
 SIGMAS_OF_LOOSE, LOOSE = 9.0, 0.92
-LEAST_FELT = 0.7  # m/s of such a change; where little is felt two cars' receivers seemed to go straight on at 0.4
+LEAST_FELT = 1.0  # m/s of such a change; where little is felt cars' receivers seemed to go straight on at 0.8
 STRAIGHT = 0.25  # of the change that is felt is what was sent at most
 MIN_SPEED = 5.0  # m/s; nobody who crawls goes straight on
 ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise included
