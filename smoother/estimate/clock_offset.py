@@ -17,6 +17,7 @@ from smoother.estimate.align import MIN_SPEED, WINDOW, Averages, PathMotion, ali
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
 
+CLOCK_OFFSET = "clock_offset"  # code of the problem that says so
 STEP = 0.1  # s between offsets that are compared; what is felt is averaged over WINDOW
 SHORTEST = 60.0  # s of driving that must be in both
 LEAST_SHARED = 1.0 / 3.0  # of the driving, likewise
@@ -73,7 +74,7 @@ def offset_problems(found: ClockOffset) -> tuple[Problem, ...]:
         f"the samples' clock is {abs(found.offset):.1f} s {'ahead of' if found.offset > 0.0 else 'behind'} that of the "
         "fixes; taken out, so that times are those of the fixes and delays are what is left"
     )
-    return (Problem("clock_offset", text),)
+    return (Problem(CLOCK_OFFSET, text),)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ ROUNDS = 4  # of reweighting
 BESIDE = 3.0  # s of samples on either side of a stretch of fixes
 TURN = 0.05  # s to either side, over which the slope of what was felt is read
 BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the session, are independent of those of others
-UNLIKE = 0.25  # of the drift, by which no axis may differ from it, unless by its own sigmas; slip of a real kart made it 0.33
+UNLIKE = 0.25  # of the drift, by which no axis may differ from it, unless by its own sigmas; a real kart's slip: 0.33
 SIGNIFICANT = 5.0  # sigmas
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
 # s likewise of a session of less than LONG s: a spin or two is as much of it

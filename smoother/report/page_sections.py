@@ -19,7 +19,7 @@ from smoother.report.page_charts import settings
 from smoother.report.page_data import drawn_laps
 from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
-from smoother.report.summary import distance_driven, is_told, known_axes, merged, mounting_angles, smoothing_time
+from smoother.report.summary import distance_driven, is_told, known_axes, mounting_angles, smoothing_time, told_problems
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
@@ -254,6 +254,9 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
     if not any(lap.is_valid and i != laps.reference_lap for i, lap in enumerate(laps.laps)):
         return []
     lost, title = largest_losses(laps), element("h3", "Where time was lost", id="lost")
+    if not any(np.isfinite(corner.time_lost_sigma).any() for corner in laps.corners):
+        text = f"How sure the losses to {against} are can not be told of this session; none is called real."
+        return [title, element("p", text)]
     if not lost:
         text = f"Nowhere for sure: what the laps lost to {against} in single corners is within what luck does."
         return [title, element("p", text)]
@@ -432,7 +435,7 @@ def trust(told: Told) -> list[Element]:
     sentences = [element("li", text) for text in _trust_sentences(told)]
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
-    problems = merged([*told.session.problems, *told.smoothed.report.problems])
+    problems = told_problems(told.session, told.smoothed.report)
     said = [element("li", repeated(p.text, p.count)) for p in problems]
     made = [verdict, element("ul", *sentences)]
     if said:

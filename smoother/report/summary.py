@@ -7,12 +7,13 @@ import numpy as np
 
 import smoother
 from smoother.arrays import are_near, median
+from smoother.estimate.clock_offset import CLOCK_OFFSET
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_start
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
-from smoother.samples import Problem, Session
-from smoother.trajectory import Identified, Trajectory
+from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES, Problem, Session
+from smoother.trajectory import EstimateReport, Identified, Trajectory
 from smoother.units import DEG
 
 Document = dict[str, object]
@@ -48,7 +49,7 @@ def summary(
         "counts": _counts(session, estimate),
         "origin": {"lat_deg": session.origin.lat_deg, "lon_deg": session.origin.lon_deg, "alt_m": session.origin.alt_m},
         "calibration": list(session.calibration),
-        "problems": merged([*session.problems, *report.problems]),
+        "problems": told_problems(session, report),
         "identified": report.identified,
         "residuals": report.residuals,
         "quality": quality,
@@ -57,9 +58,15 @@ def summary(
     }
 
 
-def merged(problems: list[Problem]) -> list[Problem]:
-    """Return the problems without repetitions: the reader and an estimator may have met the same one."""
-    return list(dict.fromkeys(problems))
+def told_problems(session: Session, report: EstimateReport) -> list[Problem]:
+    """Return what the reader and an estimator say, without repetitions: both may have met the same.
+
+    Where the samples' clock showed another time, what the reader says of samples before and after the fixes is of that.
+    """
+    problems = list(dict.fromkeys([*session.problems, *report.problems]))
+    if not any(problem.code == CLOCK_OFFSET for problem in problems):
+        return problems
+    return [problem for problem in problems if problem.code not in (IMU_BEFORE_FIXES, IMU_AFTER_FIXES)]
 
 
 def is_told(name: str, found: Identified, mode: str) -> bool:

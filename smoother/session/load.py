@@ -22,7 +22,9 @@ from smoother.errors import SessionError
 from smoother.frames import Origin
 from smoother.samples import (
     DEAD_AXES,
+    IMU_AFTER_FIXES,
     IMU_AXES_UNKNOWN,
+    IMU_BEFORE_FIXES,
     IMU_INCOMPLETE,
     SENSOR_AXES,
     STUCK_AXES,
@@ -402,10 +404,10 @@ def _without_fixes(recording: Recording, imu: RawImu, gnss: GnssFixes) -> Iterat
     before, after = gnss.t[0] - imu.t[0], imu.t[-1] - gnss.t[-1]
     if before > least:
         text = f"the first fix comes {before:.0f} s after the IMU's first sample; nothing is smoothed before it"
-        yield Problem("imu_before_fixes", f"{recording.gnss_file}: {text}")
+        yield Problem(IMU_BEFORE_FIXES, f"{recording.gnss_file}: {text}")
     if after > least:
         text = f"the last fix comes {after:.0f} s before the IMU's last sample; nothing is smoothed after it"
-        yield Problem("imu_after_fixes", f"{recording.gnss_file}: {text}; did the GPS stop?")
+        yield Problem(IMU_AFTER_FIXES, f"{recording.gnss_file}: {text}; did the GPS stop?")
 
 
 def recordings(path: Path) -> list[LogFiles]:

@@ -200,6 +200,16 @@ def test_real_recordings_of_one_clock(recording: str, data_directory: Path) -> N
     assert apart.drift.drift == pytest.approx(8e-3, abs=6e-4)
 
 
+@pytest.mark.parametrize("place", [0.5, 0.8])
+def test_a_hole_in_the_fixes_of_a_real_kart_makes_no_drift(place: float, data_directory: Path) -> None:
+    """Its axes seem to drift, by a third apart; so they do with a part of it, by a little less."""
+    session = prepare(load_raw(data_directory / "kart_adria_first_half"))
+    gnss = session.gnss
+    since = gnss.t - gnss.t[0] - place * np.ptp(gnss.t)
+    holed = replace(session, gnss=gnss.select((since < 0.0) | (since > 30.0)))
+    assert not begin_module.begin(holed, GraphOptions(), pauses_of).drift.is_found
+
+
 def test_what_changes_a_lap_by_less_than_slip_does_is_no_clock() -> None:
     session = with_drift(prepare(simulate_preset("white", 1, duration=DURATION).raw), 4e-5)
     found = found_in(session)

@@ -183,6 +183,16 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     assert text.count('class="slower"') + text.count('class="faster"') == real
 
 
+def test_where_nothing_says_how_sure_a_loss_is_no_luck_is_spoken_of(report: Report) -> None:
+    assert report.laps is not None
+    unknown = (
+        replace(c, time_lost_sigma=np.full_like(c.time_lost_sigma, np.nan), is_real=np.zeros_like(c.is_real))
+        for c in report.laps.corners
+    )
+    text = page(replace(report, laps=replace(report.laps, corners=tuple(unknown))))
+    assert "can not be told of this session" in text and "Nowhere for sure" not in text
+
+
 def _timed(laps: LapAnalysis) -> list[int]:
     return [i for i, lap in enumerate(laps.laps) if lap.is_timed]
 
