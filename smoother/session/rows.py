@@ -21,6 +21,12 @@ GLITCH_SHARE = 0.01  # up to this share of rows out of order is flaws; more has 
 GLITCH_ROWS = 10
 COARSE_STEP = 1.5  # units of the last decimal from stamp to stamp; more is no want of decimals
 MOSTLY = 0.95  # share; single stamps may be damaged
+HASTE = 0.1  # of the mean time between rows; rows that are nearer come from one reading of the sensor
+SAMPLED_APART = 1e-3  # s; no sensor of a logger takes samples nearer to one another
+LONGEST_WAIT = 1.0  # s from one reading to the next; a longer one is a pause
+MOST_TOGETHER = 256  # rows of one reading; sensors store fewer
+ENOUGH = 100_000  # rows that show how all are read out
+UNEVEN = 0.6  # share by which time from reading to reading may differ from what its rows take: two in place of three
 MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
@@ -116,13 +122,14 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
 
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
     as repeated would thin the recording. They lie between their stamp and the next one. Where the stamps have decimals
-    enough, rows that share one were read out of the sensor together, at the time of the last of them. A few equal
-    stamps are left to be dropped.
+    enough, rows that share one were read out of the sensor together, at the time of the last of them; so were rows that
+    follow one another far quicker than they come. A few equal stamps are left to be dropped.
     """
-    if np.all(rows.keep) and is_increasing(t):
+    together = _step_within_reading(t)
+    if np.all(rows.keep) and is_increasing(t) and not together:
         return t
     index = np.flatnonzero(rows.keep)
-    time = t[index]
+    time = _when_read_out(t[index], together) if together else t[index]
     shares = np.diff(time) == 0.0
     equal = np.flatnonzero(shares)
     here, before = index[equal + 1], index[equal]
@@ -135,8 +142,8 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     steps = np.diff(time[first])
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     place, count = np.arange(index.size) - first[group], int(np.count_nonzero(shares))
-    said = f"{counted(count, 'row')} with the time of the row before; "
-    if _are_read_together(time[first], size, typical):
+    said = f"{counted(count, 'row')} {'right behind' if together else 'with the time of'} the row before; "
+    if together or _are_read_together(time[first], size, typical):
         room = np.append(typical, steps)
         place = place - (size - 1)[group]
         rows.say("coarse_time", f"{said}read out together, spread evenly up to it", count)
@@ -147,6 +154,36 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     spread = t.copy()
     spread[index] = time + place * (room / size)[group]
     return spread
+
+
+def _step_within_reading(t: Array) -> float:
+    """What rows at t (N,) s, each stamped as it was read out, are less apart than within one reading, s; 0 if not so.
+
+    Most rows then follow the one before in a fraction of a millisecond, and the time from one reading to the next goes
+    with how many rows were waiting. Pauses between readings are no part of either.
+    """
+    if len(t) > ENOUGH and not _step_within_reading(t[:ENOUGH]):  # a day's steps would take a gigabyte
+        return 0.0
+    steps = np.diff(t)
+    going_on = steps[(steps >= 0.0) & (steps < LONGEST_WAIT)]
+    shortest = min(HASTE * float(np.mean(going_on)), SAMPLED_APART) if going_on.size else 0.0
+    if not np.count_nonzero((steps > 0.0) & (steps < shortest)) > 0.5 * len(t):
+        return 0.0
+    begins = np.flatnonzero(np.append(True, (steps < 0.0) | (steps >= shortest)))
+    size, wait = np.diff(begins), np.diff(t[begins])
+    waited = (wait > 0.0) & (wait < LONGEST_WAIT)
+    if size.size < MANY or np.max(size) > MOST_TOGETHER or not waited.any():
+        return 0.0
+    each = wait[waited] / size[waited]
+    is_even = np.abs(each / np.median(each) - 1.0) < UNEVEN
+    return shortest if np.mean(is_even) > MOSTLY else 0.0
+
+
+def _when_read_out(t: Array, shortest: float) -> Array:
+    """The time (N,) s of the first of rows at t (N,) s that were read out together: the last had just been taken."""
+    step = np.diff(t)
+    begins = np.append(True, (step < 0.0) | (step >= shortest))
+    return np.asarray(t[np.flatnonzero(begins)][np.cumsum(begins) - 1])
 
 
 def _are_read_together(stamps: Array, size: IntArray, step: float) -> bool:

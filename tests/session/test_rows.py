@@ -259,3 +259,43 @@ def test_whatever_the_times_the_result_increases_and_every_row_is_accounted_for(
     assert np.all(np.diff(time) > 0)
     dropped = sum(count for code, count in codes(rows).items() if code not in ("imu_reordered", "imu_clock_wrapped"))
     assert dropped + index.size == len(t)
+
+
+@pytest.mark.parametrize("size", [3, 4, 5, 10, 20])
+def test_samples_that_are_stamped_one_by_one_as_they_are_read_out(size: int) -> None:
+    """Popped from the sensor's store within a fraction of a millisecond each; the last of them was just taken."""
+    true = 0.035 + np.arange(4000) / 200.0
+    last = np.minimum((np.arange(4000) // size + 1) * size - 1, 3999)
+    rng = np.random.default_rng(3)
+    late = np.repeat(rng.exponential(4e-4, 4000), size)[:4000]  # reading begins now sooner, now later
+    stamps = true[last] + late + (np.arange(4000) % size) * 1e-4
+    rows = rows_of(4000)
+    spread = spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None])
+    assert np.max(np.abs(spread - true - np.median(late))[size:-size]) < 0.006
+    assert abs(np.median(spread - true)) < 0.001
+    assert "read out together" in rows.problems[0].text
+
+
+def test_a_logger_that_catches_up_now_and_then_is_left_alone() -> None:
+    stamps = np.arange(4000) / 200.0
+    stamps[500:520] = stamps[520] - 1e-4 * np.arange(20, 0, -1)
+    rows = rows_of(4000)
+    np.testing.assert_array_equal(spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None]), stamps)
+
+
+@pytest.mark.parametrize("pause", [0.3, 40.0, 3000.0])
+def test_pauses_are_no_part_of_how_samples_are_read_out(pause: float) -> None:
+    """A table of two drives, stamped evenly or read out: a long pause makes the mean time between rows long."""
+    even = np.arange(4000) / 200.0 + np.repeat(np.arange(8) * pause, 500)
+    rows = rows_of(4000)
+    np.testing.assert_array_equal(spread_coarse_times(rows, even, np.arange(4000.0)[:, None]), even)
+    assert not rows.problems
+    stamps = np.repeat(even[9::10], 10) + np.tile(np.arange(10) * 2e-4, 400)
+    spread = spread_coarse_times(rows_of(4000), stamps, np.arange(4000.0)[:, None])
+    assert np.max(np.abs(spread - even)) < 0.001
+
+
+def test_samples_taken_in_short_drives_of_a_fast_sensor_are_no_readings() -> None:
+    """2 kHz for a tenth of a second in each: nothing waits for as many as come."""
+    stamps = (np.arange(200) / 2000.0 + np.arange(40)[:, None] * np.geomspace(0.15, 0.9, 40)[:, None]).ravel()
+    np.testing.assert_array_equal(spread_coarse_times(rows_of(8000), stamps, np.arange(8000.0)[:, None]), stamps)
