@@ -18,7 +18,7 @@ from smoother.samples import ImuSamples, MagSamples, Session
 from smoother.sim.scenario import Interval, Jump
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import BOX_ON_WHEEL, Trajectory
-from smoother.units import DEG
+from smoother.units import DEG, STANDARD_GRAVITY
 
 WHITE_SEEDS = (0, 1, 2)
 DRIVEN = 40.0  # s; `white` stands for 30 s, and alignment in motion needs some seconds
@@ -649,10 +649,30 @@ def test_fixes_without_a_height_are_as_good_on_the_level(solver: str) -> None:
     assert np.max(np.sqrt(np.mean(without.euler_error[driving] ** 2, axis=0))) < 1.5 * DEG
     sigmas = without.trajectory.sigmas
     assert sigmas is not None
-    # where up is nobody knows; how fast it goes there the samples know
+    # where up is nobody knows; how fast it goes there the samples know, but for how the ground rises
     assert np.all((sigmas.position_n[:, 2] > 100.0) & (sigmas.position_n[:, 2] < 110.0))
-    climb = (without.velocity_error_n[:, 2] / sigmas.velocity_n[:, 2])[driving]
+    ground = 0.03 * without.trajectory.speed
+    assert np.all(sigmas.velocity_n[driving, 2] > ground[driving])
+    climb = (without.velocity_error_n[:, 2] / np.sqrt(sigmas.velocity_n[:, 2] ** 2 - ground**2))[driving]
     assert 0.5 < np.sqrt(np.mean(climb**2)) < 1.5
+
+
+def test_where_no_height_tells_ground_may_rise() -> None:
+    """A level drive put on a slope: what it climbs nobody measured, and the sigma of the velocity up knows."""
+    simulation, slope = simulate_preset("kart", 6, duration=120.0, gnss_outages=()), 0.04
+    session, imu = prepare(simulation.raw), simulation.scenario.imu
+    assert session.imu is not None and imu is not None
+    gravity_n = STANDARD_GRAVITY * np.array([np.sin(slope), 0.0, np.cos(slope) - 1.0])
+    felt_b = np.einsum("nji,j->ni", simulation.truth.at(session.imu.t).R_nb, gravity_n)
+    force_s = session.imu.specific_force_s + felt_b @ simulation.scenario.R_bs
+    blind = replace(session.gnss, alt_m=np.full(len(session.gnss), np.nan))
+    uphill = replace(session, gnss=blind, imu=replace(session.imu, specific_force_s=force_s))
+    found = GraphSmoother().estimate(uphill)
+    truth = simulation.truth.trajectory(found.t, simulation.scenario.lever_arm_b, session.origin)
+    assert found.sigmas is not None and found.report.mode == "full"
+    driving = found.speed > 5.0
+    off = found.velocity_n[:, 2] - slope * truth.velocity_n[:, 0]
+    assert np.sqrt(np.mean((off / found.sigmas.velocity_n[:, 2])[driving] ** 2)) < 1.5
 
 
 @pytest.mark.parametrize("solver", ["batch", "isam2"])
