@@ -9,7 +9,7 @@ changes far less than the samples say, by more than they ever are off else, what
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import Alignment, Averages, PathMotion, in_gap, initial_attitude
+from smoother.estimate.align import LAGS, Alignment, Averages, PathMotion, in_gap, initial_attitude
 from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.words import counted
@@ -25,6 +25,8 @@ STRAIGHT = 0.25  # of the change that is felt is what was sent at most
 MIN_SPEED = 5.0  # m/s; nobody who crawls goes straight on
 ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise included
 SHORTEST, REACH = 0.8, 10.0  # s of one coasting, at least, and to either side of where it is felt, at most
+CAUGHT_UP = 0.7  # of what it was off is left, WINDOW after the first fix with which it has its satellites again
+MISSING = 5.0  # s without fixes before that, at most
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -42,25 +44,53 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
         return out
     t, velocity = gnss.t[rows], gnss.velocity_n[rows, :2]
     felt_at = t - alignment.lag
-    if median(np.diff(t)) > QUICK:
+    if median(np.diff(t)) > QUICK or alignment.lag > LAGS[-1]:
         return out
     first, last = _windows(t, felt_at, imu)
     if first.size < FEWEST:
         return out
-    felt = _summed_up(imu, path, alignment, felt_at)
-    told, felt = velocity[last] - velocity[first], felt[last] - felt[first]
+    summed = _summed_up(imu, path, alignment, felt_at)
+    told, felt = velocity[last] - velocity[first], summed[last] - summed[first]
     off = told - felt
     off = off - np.median(off, axis=0)
-    beyond = np.hypot(*off.T) / max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3)
+    usual, shaken = max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3), _shaken(imu, felt_at[first], felt_at[last])
+    beyond = np.hypot(*off.T) / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0))
+    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     size = np.hypot(*felt.T)
     goes_straight = (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT)
-    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     sigmas = SIGMAS if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE
+    apart = velocity - summed
+    ended: dict[int, bool] = {}
     for k in np.flatnonzero((beyond > sigmas) & goes_straight & is_fast).tolist():
         alike = _alike(t, velocity, int(first[k]), int(last[k]))
-        if t[alike.stop - 1] - t[alike.start] > SHORTEST:
+        if alike.stop not in ended:  # the first window of several that see the same
+            ended[alike.stop] = _catches_up(t, apart, int(first[k]), alike.stop - 1)
+        if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
             out[rows[alike]] = True
     return out
+
+
+def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
+    """Variance (W,) m^2/s^2 of what is summed up from begin to end (W,) s, were all change between samples noise.
+
+    Vibration grows with the revolutions: what is usual of a whole session is not, at full throttle.
+    """
+    steps = np.diff(imu.t)
+    squared = np.sum(np.diff(imu.specific_force_s, axis=0) ** 2, axis=1) / 6.0 * steps**2  # (m/s)^2 per axis
+    total = np.concatenate([[0.0], np.cumsum(squared)])
+    return np.asarray(total[np.searchsorted(imu.t, end) - 1] - total[np.searchsorted(imu.t, begin) - 1])
+
+
+def _catches_up(t: Array, apart: Array, first: int, end: int) -> bool:
+    """Whether velocities sent and felt, apart (M, 2) m/s at t (M,) s, come together again once it does not go straight.
+
+    From fix `first` to fix `end` they part. A road that climbs is felt as braking too, but there they stay apart.
+    """
+    if end + 1 == len(t) or t[end + 1] - t[end] > MISSING:
+        return False
+    after = slice(end + 1, int(np.searchsorted(t, t[end + 1] + WINDOW)))
+    left = np.min(np.hypot(*(apart[after] - apart[first]).T))
+    return bool(left < CAUGHT_UP * np.hypot(*(apart[end] - apart[first])))
 
 
 def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:

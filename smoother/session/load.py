@@ -186,6 +186,12 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
+    if imu is not None and imu.t.size < FEWEST_IMU_SAMPLES:
+        text = f"{recording.imu_file}: only {counted(imu.t.size, 'usable sample')} in the recording that is used"
+        problems.append(Problem("imu_missing", f"{text}: smoothed from GPS alone"))
+        imu = None
+    if mag is not None and mag.t.size == 0:
+        mag = None
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)

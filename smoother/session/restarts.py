@@ -39,6 +39,10 @@ class _Part:
         """How long both run, s."""
         return max(0.0, min(self.end, other.end) - max(self.begin, other.begin))
 
+    def likeness(self, other: "_Part") -> float:
+        """How much of the time in which either runs both do, 0 to 1: parts of one run begin and end together."""
+        return self.shared(other) / max(max(self.end, other.end) - min(self.begin, other.begin), 1e-9)
+
 
 def pair_parts(samples_t: Array, fixes_t: Array, unix_s: Array, files: str) -> Restarts | None:
     """Which parts of samples (N,) s belong to which of fixes (M,) s, by their order; None where one has one part only.
@@ -49,7 +53,7 @@ def pair_parts(samples_t: Array, fixes_t: Array, unix_s: Array, files: str) -> R
     if not (1 < len(samples) <= MOST_PARTS and 1 < len(fixes) <= MOST_PARTS):
         return None
     shared = np.array([[part.shared(other) for other in fixes] for part in samples])
-    pairs = _in_order(shared)
+    pairs = _in_order(np.array([[part.likeness(other) for other in fixes] for part in samples]))
     if not pairs:
         return None
     shifts = _by_utc([(samples[i], fixes[j]) for i, j in pairs])
