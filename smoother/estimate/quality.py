@@ -40,7 +40,7 @@ class QualityLimits:
     rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
-    direction of travel, beyond any banked track; by less, stated axes may be off a box that does not lie level.
+    direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be off a box that does not lie level.
     near_seconds: of a fix, beyond which rows are not judged: where both sensors paused nobody knows what was between.
     fewest_fixes: that make a path at all.
     """
@@ -200,10 +200,18 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
-        "overturned_rad": float(np.max(np.abs(np.median(angles[:, :2], axis=0)))),
+        "overturned_rad": _off_level(angles[:, :2]),
+        "overturned_stretch_rad": max(
+            _off_level(part) for part in np.array_split(angles[:, :2], max(1, int(t.size * step / limits.lean_seconds)))
+        ),
         "largest_lean_step_rad": max(steps),
         "rattling_s": max(_rattling(angles[sure, i], step, limits) for i in range(2)),
     }
+
+
+def _off_level(angles: Array) -> float:
+    """The larger median, rad, of roll and floor (N, 2) rad."""
+    return float(np.max(np.abs(np.median(angles, axis=0))))
 
 
 def _thinned(estimate: Trajectory) -> Trajectory:
@@ -257,6 +265,11 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
         reasons.append(
             f"the kart seems to drive {overturned / DEG:.0f} deg off level: are the axes of the samples, and those "
             "stated for the box, right?"
+        )
+    elif (overturned := measures.get("overturned_stretch_rad", 0.0)) > limits.overturned:
+        reasons.append(
+            f"the kart seems to drive {overturned / DEG:.0f} deg off level for {limits.lean_seconds:.0f} s and more: "
+            "did the box move?"
         )
     share = measures.get("sideways_share", 0.0)
     if share > limits.sideways_share:

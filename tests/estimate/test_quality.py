@@ -146,6 +146,16 @@ def test_a_kart_that_drives_on_its_side_is_none(axis: int) -> None:
     assert any("deg off level: are the axes of the samples" in reason for reason in quality.reasons), quality.reasons
 
 
+def test_a_box_that_was_mounted_anew_is_seen_however_unsure_its_attitude_is() -> None:
+    """Two mountings in one leave a third of the session on its side, and noise so large that no row is sure."""
+    n = len(estimate())
+    moved = leaning(np.where(np.arange(n) < 0.35 * n, np.radians(120.0), 0.0))
+    assert moved.sigmas is not None
+    unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((n, 3), np.radians(4.0))))
+    reasons = assess(session(), unsure).reasons
+    assert [reason for reason in reasons if "deg off level for 60 s and more: did the box move?" in reason], reasons
+
+
 def test_a_kart_on_a_banked_track_passes() -> None:
     assert assess(session(), leaning(np.radians(18.0))).passed
 
