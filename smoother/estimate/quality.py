@@ -40,7 +40,8 @@ class QualityLimits:
     rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
-    direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be off a box that does not lie level.
+    direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be
+    off a box that does not lie level.
     near_seconds: of a fix, beyond which rows are not judged: where both sensors paused nobody knows what was between.
     fewest_fixes: that make a path at all.
     """

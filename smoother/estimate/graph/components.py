@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
@@ -97,14 +97,15 @@ def update_noise(
     """
     state, solution = solved.state, solved.solution
     now = noise.inertial
-    good = binned.missing == 0.0
-    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes
-        good[solved.rows["standstill"].interval] = False
+    good, driven = binned.missing == 0.0, np.ones(binned.missing.size, dtype=np.bool_)
+    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes,
+        driven[solved.rows["standstill"].interval] = False  # and of a receiver that may hold its last place and speed
+    good &= driven
     some = np.zeros_like(good)
     some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
     density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
     force, rate = inertial_components(state, solved.inertial, solution, density, shape, some)
-    positions, velocities = (RowComponent.of(solved.rows[f"gps_{name}"], solution) for name in ("position", "velocity"))
+    positions, velocities = (_component_of(solved, f"gps_{name}", driven) for name in ("position", "velocity"))
     white = _row_sigma(positions, noise.position, USUAL_POSITION, USUAL_POSITION_COUNT, LARGEST_SQUARE)
     velocity = _row_sigma(velocities, noise.velocity, USUAL_VELOCITY, USUAL_VELOCITY_COUNT)
     if doppler is None:
@@ -134,6 +135,12 @@ def update_noise(
         offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
+
+
+def _component_of(solved: Solved, name: str, counts: BoolArray) -> "RowComponent":
+    """Of the rows `name`, those in the intervals that count (K-1,)."""
+    rows = solved.rows[name]
+    return RowComponent.of(rows, solved.solution).only(counts[rows.interval])
 
 
 def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
@@ -266,6 +273,10 @@ class RowComponent:
         information = rows.information
         left = rows.weight[:, None] - posterior_variance(rows, solution) * information
         return cls(rows.residual**2 * information, np.where(information > 0.0, np.maximum(left, 0.0), 0.0))
+
+    def only(self, chosen: BoolArray) -> "RowComponent":
+        """The component of the rows (N,) that are chosen; nothing of the others."""
+        return RowComponent(self.squares * chosen[:, None], self.expected * chosen[:, None])
 
 
 def _row_sigma(component: RowComponent, sigma: Array, usual: Array, count: float, largest: float = math.inf) -> Array:

@@ -15,6 +15,7 @@ from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, MagSamples, Session
+from smoother.sim.motion import Stop
 from smoother.sim.scenario import Interval, Jump
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import BOX_ON_WHEEL, Trajectory
@@ -655,6 +656,27 @@ def test_fixes_without_a_height_are_as_good_on_the_level(solver: str) -> None:
     assert np.all(sigmas.velocity_n[driving, 2] > ground[driving])
     climb = (without.velocity_error_n[:, 2] / np.sqrt(sigmas.velocity_n[:, 2] ** 2 - ground**2))[driving]
     assert 0.5 < np.sqrt(np.mean(climb**2)) < 1.5
+
+
+def test_a_receiver_that_holds_its_place_at_rest_is_no_better_than_it_drives() -> None:
+    """Many do: waits of a session, repeated to the last digit, said that fixes are good to centimetres."""
+    stops = tuple(Stop(40.0 * k, 20.0) for k in range(1, 5))
+    simulation = simulate_preset("kart", 4, duration=200.0, motion_stops=stops, gnss_outages=())
+    session = prepare(simulation.raw)
+    rests = np.hypot(*simulation.truth.at(session.gnss.t - 0.2).velocity_n[:, :2].T) < 0.05
+    begins = rests & ~np.append(False, rests[:-1])
+    last = np.maximum.accumulate(np.where(begins | ~rests, np.arange(len(rests)), 0))
+    gnss, sent = session.gnss, np.where(rests[:, None], 0.0, session.gnss.velocity_n)
+    holds = replace(
+        gnss, lat_deg=gnss.lat_deg[last], lon_deg=gnss.lon_deg[last], alt_m=gnss.alt_m[last], velocity_n=sent
+    )
+    plain, held = (smoothed(simulation, s) for s in (session, replace(session, gnss=holds)))
+    for name in ("gps_position_noise", "gps_velocity_noise"):
+        one, other = (s.trajectory.report.identified[name].value for s in (plain, held))
+        assert other[0] == pytest.approx(one[0], rel=0.2)
+    drives = plain.trajectory.speed > 2.0
+    one, other = (np.sqrt(np.mean(s.velocity_error_n[drives, :2] ** 2)) for s in (plain, held))
+    assert other < 1.1 * one
 
 
 def test_where_no_height_tells_ground_may_rise() -> None:
