@@ -13,14 +13,15 @@ from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.graph.start import GraphOptions
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
-from smoother.frames import Origin, nwu_to_geodetic
+from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
-from smoother.samples import GnssFixes, RawImu, RawSession, Session
+from smoother.samples import Session
 from smoother.session.load import load_raw
 from smoother.sim.motion import Spin
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation, simulate_preset
-from smoother.units import STANDARD_GRAVITY
+
+from .roads import country_road
 
 DURATION = 200.0
 
@@ -165,39 +166,14 @@ def test_the_trajectory_may_leave_fixes_that_were_left_out(session: Session) -> 
     assert [reason for reason in followed.reasons if "fixes" in reason]
 
 
-def country_road(slope: float = 0.0, vibration: float = 0.0) -> Session:
-    """Bends at nearly one speed: in every 40 s 8 s up or down a slope; vibration, m/s^2 rms, where it goes fast."""
-    rng, rate = np.random.default_rng(5), 200.0
-    t = np.arange(0.0, 400.0, 1.0 / rate)
-    speed = 14.0 + 3.0 * np.sin(2.0 * np.pi * t / 80.0)
-    yaw = 1.5 * np.sin(2.0 * np.pi * t / 31.0) + 0.4 * np.sin(2.0 * np.pi * t / 7.3)
-    ramp = np.clip(2.5 * np.cos(2.0 * np.pi * (t % 40.0 - 20.0) / 20.0) - 1.0, 0.0, 1.0) * (
-        np.abs(t % 40.0 - 20.0) < 10.0
-    )
-    climb = slope * ramp * np.where(t % 80.0 < 40.0, 1.0, -1.0)
-    force = np.stack([np.gradient(speed, t), speed * np.gradient(yaw, t), np.zeros_like(t)], axis=1)
-    force += STANDARD_GRAVITY * np.stack([np.sin(climb), np.zeros_like(t), np.cos(climb)], axis=1)
-    force += (0.1 + vibration * np.clip((speed - 14.0) / 2.0, 0.0, 1.0))[:, None] * rng.standard_normal((t.size, 3))
-    turn = np.stack([np.zeros_like(t), -np.gradient(climb, t), np.gradient(yaw, t)], axis=1)
-    velocity = np.stack([speed * np.cos(yaw), speed * np.sin(yaw), speed * np.tan(climb)], axis=1)
-    position = np.cumsum(velocity, axis=0) / rate
-    at = slice(0, None, 20)
-    fixes = position[at] + 0.3 * rng.standard_normal((t[at].size, 3))
-    lat_deg, lon_deg, alt_m = nwu_to_geodetic(fixes, Origin(45.0, 12.0, 0.0))
-    sent = velocity[at] + 0.05 * rng.standard_normal((t[at].size, 3))
-    gnss = GnssFixes(t[at] + 0.1, lat_deg, lon_deg, alt_m, sent)
-    turn += 2e-3 * rng.standard_normal((t.size, 3))
-    return prepare(RawSession("road", gnss, RawImu(t, force, turn)))
-
-
 def test_hills_are_no_braking_that_a_receiver_missed() -> None:
-    assert not found_in(country_road()).any()
-    assert not found_in(country_road(slope=0.25)).any()
+    assert not found_in(country_road().session).any()
+    assert not found_in(country_road(slope=0.25).session).any()
 
 
 def test_vibration_that_grows_with_the_revolutions_is_no_motion() -> None:
-    assert not found_in(country_road(vibration=15.0)).any()
-    assert not found_in(country_road(vibration=30.0)).any()
+    assert not found_in(country_road(vibration=15.0).session).any()
+    assert not found_in(country_road(vibration=30.0).session).any()
 
 
 def test_a_receiver_that_finds_its_satellites_after_a_gap_went_straight_on(session: Session) -> None:

@@ -34,6 +34,7 @@ from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
     KEYFRAME_SIZE,
+    LEVER_ARM,
     ROTATION,
     ChainState,
 )
@@ -58,6 +59,7 @@ SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or f
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have less
+UP = np.array([0.0, 0.0, 1.0])  # in n
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
@@ -153,7 +155,8 @@ def build_trajectory(
     level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
     source = _Source(found.state, binned, noise.inertial, level, up, pauses)
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
-    keyframes = _keyframes(found, source, mounting, unsure)
+    height_sigma = float(priors.constants_sigma[LEVER_ARM][2]) if priors.holds_height and priors.drives else 0.0
+    keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
     if not (priors.has_height or np.any(np.isfinite(fixes.velocity_n[:, 2]))):
         _may_climb(keyframes)
     swing = swing_on_the_wheel(keyframes)
@@ -332,8 +335,13 @@ def _made_up(binned: BinnedImu) -> BoolArray | None:
     return None if np.all(sampled) else ~sampled
 
 
-def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unseen: Array) -> Keyframes:
-    """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position."""
+def _keyframes(
+    found: Estimated, source: _Source, mounting: FittedMounting, unseen: Array, height_sigma: float
+) -> Keyframes:
+    """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position.
+
+    height_sigma, m: of the antenna above the box where the graph held it, which tilting swings it by.
+    """
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
@@ -347,8 +355,10 @@ def _keyframes(found: Estimated, source: _Source, mounting: FittedMounting, unse
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * of_mounting**2) @ R_nb[part].transpose(0, 2, 1)
         felt, arm_n = source.around(state.t[part]).felt, R[part] @ arm_s
-        velocity_n[part] += np.cross(felt.rate_at(state.t[part]), arm_n)
-        covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n)
+        rate_n = felt.rate_at(state.t[part])
+        velocity_n[part] += np.cross(rate_n, arm_n)
+        by_height = height_sigma * np.cross(rate_n, UP)
+        covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n) + by_height[:, :, None] * by_height[:, None, :]
         release(covariance, known, source.binned)
     return Keyframes(
         t=state.t,

@@ -21,6 +21,8 @@ from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import BOX_ON_WHEEL, Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
 
+from ..roads import country_road
+
 WHITE_SEEDS = (0, 1, 2)
 DRIVEN = 40.0  # s; `white` stands for 30 s, and alignment in motion needs some seconds
 
@@ -656,6 +658,17 @@ def test_fixes_without_a_height_are_as_good_on_the_level(solver: str) -> None:
     assert np.all(sigmas.velocity_n[driving, 2] > ground[driving])
     climb = (without.velocity_error_n[:, 2] / np.sqrt(sigmas.velocity_n[:, 2] ** 2 - ground**2))[driving]
     assert 0.5 < np.sqrt(np.mean(climb**2)) < 1.5
+
+
+@pytest.mark.parametrize("height", [0.0, 0.7])
+def test_a_car_that_rocks_swings_its_antenna_by_a_height_that_nobody_knows(height: float) -> None:
+    road = country_road(rocking=0.03, height=height)
+    found = GraphSmoother().estimate(road.session)
+    inside = (found.t > 5.0) & (found.t < road.t[-1] - 5.0)
+    assert found.sigmas is not None
+    for i in range(2):
+        off = found.velocity_n[:, i] - np.interp(found.t, road.t, road.velocity_n[:, i])
+        assert 0.6 < np.sqrt(np.mean((off / found.sigmas.velocity_n[:, i])[inside] ** 2)) < 1.8
 
 
 def test_a_receiver_that_holds_its_place_at_rest_is_no_better_than_it_drives() -> None:
