@@ -399,7 +399,7 @@ def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.Preint
     eye = np.eye(3)
     params.setAccelerometerCovariance(np.array(noise.accel_shape) * accel**2)
     params.setGyroscopeCovariance(np.array(noise.gyro_shape) * gyro**2)
-    params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s^2
+    params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s
     params.setBiasAccCovariance(eye * noise.accel_bias_walk**2)
     params.setBiasOmegaCovariance(eye * noise.gyro_bias_walk**2)
     return params

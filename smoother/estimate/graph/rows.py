@@ -123,8 +123,9 @@ def position_rows(
     pitch: a kart's rates of these are smaller than that noise, and multiplying the unknown height of the antenna by it
     would seem to observe it. The slope by the latency is along this motion too (:func:`_along`).
 
-    The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant.
-    (Reading that rough process at a moving time would make the fit of the latency overshoot.)
+    The offset belongs to the receiver and does not move with the latency: it is read at t - offset_latency, a constant,
+    or at the nearer end of the interval around the fix where that is outside. (Reading that rough process at a moving
+    time would make the fit of the latency overshoot.)
     """
     at = t - state.constants.position_latency
     b, R_ns = bracket(state, at), attitude_at(path, at)
