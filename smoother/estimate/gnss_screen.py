@@ -12,6 +12,8 @@ import polars as pl
 from smoother.arrays import Array, BoolArray
 
 LONGEST_STEP = 2.5  # s; across a longer gap fixes are not compared with one another
+RATE_ROWS = 15  # whose median step is the receiver's; single fixes that are missing do not change it
+OTHER_RATE = np.log(1.7)  # of the steps before and after
 QUICK = 0.3  # s between fixes, up to which their own steps tell a jump from driving
 STEP = 0.2  # s over which these steps are taken; its two ends spoil less than half of VELOCITY_WINDOW
 FEWEST_FIXES = 10  # in a run; fewer do not outvote anything
@@ -65,8 +67,17 @@ def _near_median(t: Array, values: Array, size: int, slack: float, rate: float) 
 
 
 def unbroken_runs(t: Array, rows: np.ndarray) -> list[np.ndarray]:
-    """Split row numbers where more than LONGEST_STEP lies between their times."""
-    return np.split(rows, np.flatnonzero(np.diff(t[rows]) > LONGEST_STEP) + 1) if rows.size else []
+    """Split row numbers where more than LONGEST_STEP lies between their times, or the receiver changes its rate."""
+    runs = np.split(rows, np.flatnonzero(np.diff(t[rows]) > LONGEST_STEP) + 1) if rows.size else []
+    return [part for run in runs for part in _of_one_rate(t, run)]
+
+
+def _of_one_rate(t: Array, rows: np.ndarray) -> list[np.ndarray]:
+    """Split row numbers where the time from one to the next becomes another, for good; most have one for all."""
+    if rows.size < 2 * RATE_ROWS:
+        return [rows]
+    steps = running_median(np.diff(t[rows])[:, None], RATE_ROWS)[:, 0]
+    return np.split(rows, np.flatnonzero(np.abs(np.diff(np.log(np.maximum(steps, 1e-3)))) > OTHER_RATE) + 1)
 
 
 def _steps(t: Array, position: Array) -> Array:

@@ -23,6 +23,7 @@ STEPWISE = 0.7  # of the whole change within LEAST s: a step, as of false Dopple
 LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a shorter hole is one of the recording
 EARLY = 120.0  # s, in which a receiver settles
 FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
+COMES_AND_GOES = 0.1  # of the time: calm while it comes in, or as far astray after: an error that comes again and again
 SETTLED = 1.2  # times the usual change, from which on a receiver wanders as it always does
 
 
@@ -63,9 +64,13 @@ def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
     change (K,) m in the LATER s from each of the first K on, of which `usual` m is the session's median.
     """
     early = np.flatnonzero((change > max(SETTLING, SETTLINGS * usual)) & (t[: len(change)] - t[0] < EARLY))
-    calm = np.flatnonzero(change <= SETTLED * usual)
+    is_calm = change <= SETTLED * usual
+    calm = np.flatnonzero(is_calm)
     calm = calm[calm > early[-1]] if early.size else calm[:0]
     if not calm.size or t[calm[0]] - t[0] < LEAST:
+        return 0
+    again = np.mean(change[calm[0] :] > max(SETTLING, SETTLINGS * usual))
+    if max(again, np.mean(is_calm[early[0] : early[-1] + 1])) > COMES_AND_GOES:
         return 0
     # an error that wanders goes as far as this, the root of the time, in as long
     steps = max(1.0, float(t[calm[0]] - t[0]) / LATER)

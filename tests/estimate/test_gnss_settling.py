@@ -80,6 +80,26 @@ def test_behind_a_short_hole_a_receiver_has_its_satellites(session: Session) -> 
     assert not unsettled(coming_in(holed, 63.0)).any()
 
 
+def once_a_second(session: Session, until: float) -> Session:
+    """The session of a receiver that sends one fix a second until so many s, and five from then on."""
+    t = session.gnss.t - session.gnss.t[0]
+    return replace(session, gnss=session.gnss.select((np.arange(len(t)) % 5 == 0) | (t > until)))
+
+
+def test_a_receiver_that_changes_its_rate_settles_no_more_than_others(session: Session) -> None:
+    """Velocities of one fix a second were smoothed by as many as make a second of the rest."""
+    for until in (70.0, 100.0):
+        assert not unsettled(once_a_second(session, until)).any()
+
+
+def test_errors_that_come_again_and_again_are_no_settling(session: Session) -> None:
+    """Velocities that are wrong for 3 s in every lap, at one fix a second, carry dead reckoning away each time."""
+    slow = once_a_second(session, 1e3)
+    wrong = (slow.gnss.t - slow.gnss.t[0]) % 53.0 > 50.0
+    velocity_n = slow.gnss.velocity_n + np.where(wrong, 8.0, 0.0)[:, None]
+    assert not unsettled(replace(slow, gnss=replace(slow.gnss, velocity_n=velocity_n))).any()
+
+
 def test_what_is_said(session: Session) -> None:
     t = session.gnss.t - session.gnss.t[0]
     late = t[t > 121.0][0]
