@@ -119,6 +119,18 @@ def shaken_page(tmp_path_factory: pytest.TempPathFactory, session: Session, traj
     return path
 
 
+@pytest.fixture(scope="module")
+def spiked_page(tmp_path_factory: pytest.TempPathFactory, session: Session, trajectory: Trajectory) -> Path:
+    """A speed of 500 km/h that is known to be unsure."""
+    assert trajectory.sigmas is not None
+    velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    velocity[1000:1020], sigma[1000:1020] = [500.0 / 3.6, 0.0, 0.0], 100.0
+    spiked = replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
+    path = tmp_path_factory.mktemp("spiked") / "report.html"
+    write_page(path, Report(session, spiked, spiked, None, Quality(True, (), {})))
+    return path
+
+
 @pytest.fixture(params=["simulated_page", "adria_page"])
 def opened(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
     yield from watched(browser, request.getfixturevalue(request.param))
@@ -305,6 +317,38 @@ def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, re
                 ".map(t => t.getBoundingClientRect()).map(b => [b.left, b.right])"
             )
             assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
+
+
+@pytest.mark.parametrize("name", ["simulated_page", "adria_page", "shaken_page", "spiked_page", "compared_page"])
+def test_every_panel_has_a_scale_of_two_values_at_least(
+    name: str, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    browser.get(request.getfixturevalue(name).as_uri())
+    labels = browser.execute_script(
+        "return ['traces', 'compared-speed', 'quality-time'].flatMap(id => {"
+        "  const svg = document.querySelector(`#${id} svg`);"
+        "  if (!svg) return [];"
+        "  const top = (node) => node.getBoundingClientRect().top;"
+        "  const titles = [...svg.querySelectorAll('text.title')].map(top);"
+        "  const values = [...svg.querySelectorAll('text[text-anchor=end]')]"
+        "    .filter(t => t.textContent !== 'm').map(top);"
+        "  return titles.map((y, i) => values.filter(v => v > y - 3 && !(v > titles[i + 1])).length); })"
+    )
+    assert len(labels) >= 3 and min(labels) >= 2
+
+
+def test_spikes_that_are_not_sure_do_not_flatten_the_rest(spiked_page: Path, browser: Any) -> None:
+    browser.get(spiked_page.as_uri())
+    titles = [str(title.text) for title in browser.find_elements("css selector", "svg text.title")]
+    assert "speed (km/h); unsure parts go on beyond the frame" in titles
+    values = browser.execute_script(
+        "return [...document.querySelectorAll('#traces svg text, #compared-speed svg text, #map svg text')]"
+        ".map(t => t.textContent)"
+    )
+    assert "100" in values or "80" in values
+    assert not {"200", "300", "400", "500"} & set(values)
+    assert any(text.startswith("≥ ") for text in values)
+    assert "speed (km/h); the baseline and unsure parts go on beyond the frame" in titles
 
 
 @pytest.mark.parametrize("width", [1280, 390])
