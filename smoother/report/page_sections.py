@@ -520,7 +520,7 @@ def residual_table(told: Told) -> Element:
         "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
         "noise was taken too small"
     )
-    return table(["", "count", "rms", "in sigma", "rejected"], rows, caption)
+    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption)
 
 
 _NAMES = {

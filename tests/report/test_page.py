@@ -25,7 +25,7 @@ from smoother.report.page_html import LONG, element, json_in_script, row, table,
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
-from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
+from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
 
 NASTY = "<script>alert(1)</script>"
 GOOD = Quality(True, (), {"far_fix_share": 0.0})
@@ -263,6 +263,13 @@ def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) 
     assert "1 is honest" not in text
 
 
+def test_measurements_of_little_weight_are_not_called_rejected_beside_fixes_that_were_dropped(report: Report) -> None:
+    residuals = {"gps_position": ResidualStatistics("m", 500, 0.0, 0.3, 1.0, 3)}
+    counted_so = replace(report.smoothed, report=EstimateReport(residuals=residuals))
+    text = page(replace(report, smoothed=counted_so))
+    assert "<th scope=\"col\">hardly believed</th>" in text and "rejected" not in text
+
+
 def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
     laps = report.laps
     assert laps is not None and laps.statistics is not None and laps.statistics.best_lap is not None
@@ -398,6 +405,37 @@ def test_without_laps_the_time_shown_is_around_the_top_speed_that_is_told(
     speed[step], sigma[step] = [200.0, 0.0, 0.0], 100.0
     stepped = replace(trajectory, velocity_n=speed, sigmas=replace(trajectory.sigmas, speed=sigma))
     assert page_data.compared_times(page_data.Numbers(session, stepped, None, None)) == told
+
+
+def test_a_spike_that_is_not_sure_is_left_out_of_scales_as_of_the_top_speed(
+    session: Session, trajectory: Trajectory
+) -> None:
+    plain = page_data.page_data(page_data.Numbers(session, trajectory, None, None))
+    assert "is_sure" not in plain["traces"]  # type: ignore[operator]
+    document = page_data.page_data(page_data.Numbers(session, spiked(trajectory), None, None))
+    traces = document["traces"]
+    assert isinstance(traces, dict)
+    speed, sure = floats(traces["speed"]), floats(traces["is_sure"])
+    assert speed.max() > 100.0 and set(sure) == {0.0, 1.0}
+    assert speed[sure == 1.0].max() == pytest.approx(floats(plain["traces"]["speed"]).max())  # type: ignore[index]
+    assert len(floats(document["cloud"]["right"])) == len(floats(plain["cloud"]["right"])) - 20  # type: ignore[index]
+
+
+def test_a_spike_does_not_make_the_places_that_are_drawn_fewer(
+    driven: tuple[Trajectory, LapAnalysis, Session],
+) -> None:
+    trajectory, laps, _ = driven
+    assert laps.traces is not None
+    plain, with_spike = (page_data.grid_columns(one, laps.traces) for one in (trajectory, spiked(trajectory)))
+    np.testing.assert_array_equal(plain, with_spike)
+
+
+def spiked(trajectory: Trajectory) -> Trajectory:
+    """It with a spike of 0.4 s that is known to be unsure."""
+    assert trajectory.sigmas is not None
+    velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    velocity[500:520], sigma[500:520] = [120.0, 0.0, 0.0], 100.0
+    return replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
 
 
 def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, LapAnalysis, Session]) -> None:
