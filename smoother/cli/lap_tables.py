@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from smoother.cli.output import number, say, say_pairs
-from smoother.laps.clock import lap_clock, local_time, local_zone, spread_said
+from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
 from smoother.units import KMH, MPH
 from smoother.words import SLOWER_WHERE, counted
 
@@ -153,10 +153,9 @@ def _differences(loss: dict[str, Any], units: str) -> str:
 def _theoretical(said: dict[str, Any]) -> str:
     if not _is_known(said["theoretical_s"]):
         return ""
-    luck = said["theoretical_s"] - said["theoretical_raw_s"]
     text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
-    if luck > 0.0005:
-        return f"{text} (best sectors {lap_clock(said['theoretical_raw_s'])}, luck of the timing taken out)"
+    if said["theoretical_s"] - said["theoretical_raw_s"] > 0.0005:
+        return f"{text} ({luck_said(said['theoretical_s'], said['theoretical_raw_s'], said['best_s'])})"
     return (
         f"{text} (the best lap has all the best sectors)" if said["theoretical_s"] > said["best_s"] - 0.0005 else text
     )

@@ -172,7 +172,7 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     lost = losses(compared)
     rows = [_best_row(one, sectors, least, lost[k]) for k, one in enumerate(compared)]
-    sure = f"{number(lost[0].sure, 1)} sigma or more"
+    sure = f"from {number(lost[0].sure, 1)} times its ± on"
     note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
     told = table(heads, rows, class_="tight")
@@ -245,8 +245,8 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         return []
     note = (
         f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
-        "corner. Bold with a star: real; of many losses some are large by luck, so each session's must be so many "
-        "sigma that few of its stars are luck. The rest is within noise: do not chase it."
+        "corner. Bold with a star: real. Among so many losses some are large by luck, so a star takes several times "
+        "the ±; how many is found for each session. The rest is within noise: do not chase it."
     )
     heads = ["", *(corner_name(corner) for corner in corners)]
     lost, usual, slowest = [], [], []

@@ -15,7 +15,7 @@ from smoother.cli.lap_tables import figures
 from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
 from smoother.laps.analysis import analyse
-from smoother.laps.document import analysis_document
+from smoother.laps.document import analysis_document, lap_rows
 from smoother.laps.results import FixPath, LapAnalysis
 from smoother.report import page as page_module
 from smoother.report import page_data
@@ -176,7 +176,7 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     assert report.laps is not None
     real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
     real += sum(corner.usual_is_real for corner in report.laps.corners)
-    assert f"{number(report.laps.corners[0].real_from, 1)} sigma or more" in text
+    assert f"A loss must be {number(report.laps.corners[0].real_from, 1)} times its ±" in text
     corner = report.laps.corners[0]
     usual = f"{number(corner.usual_lost, 2, signed=True)}{'*' if corner.usual_is_real else ''}"
     assert f"{usual}<small> ± {number(corner.usual_lost_sigma, 2)}</small>" in text
@@ -267,7 +267,7 @@ def test_measurements_of_little_weight_are_not_called_rejected_beside_fixes_that
     residuals = {"gps_position": ResidualStatistics("m", 500, 0.0, 0.3, 1.0, 3)}
     counted_so = replace(report.smoothed, report=EstimateReport(residuals=residuals))
     text = page(replace(report, smoothed=counted_so))
-    assert "<th scope=\"col\">hardly believed</th>" in text and "rejected" not in text
+    assert '<th scope="col">hardly believed</th>' in text and "rejected" not in text
 
 
 def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
@@ -453,6 +453,41 @@ def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, La
     assert all("<td>–</td>" * len(one.corners) not in part for part in text.split("<tr"))
     said = dict(figures(json.loads(to_json(analysis_document(one, session.origin)))))
     assert "theoretical" not in said and said["consistency"] == "1 lap counts, none to compare it with"
+
+
+@pytest.mark.parametrize(
+    ("below_best", "words"),
+    [
+        (0.1, "best sectors add up to 50.877, which is 0.023 s too fast by luck of the timing"),
+        (0.0, "best sectors add up to 50.977: faster than the best lap only by luck of the timing"),
+    ],
+)
+def test_the_luck_in_the_best_sectors_is_said_in_seconds(report: Report, below_best: float, words: str) -> None:
+    assert report.laps is not None and report.laps.statistics is not None
+    theoretical = 51.0 - below_best
+    times = {"best": 51.0, "theoretical": theoretical, "theoretical_raw": theoretical - 0.023}
+    laps = replace(report.laps, statistics=replace(report.laps.statistics, **times))
+    assert f"; {words}" in page(replace(report, laps=laps))
+    document = json.loads(to_json(analysis_document(laps, report.session.origin)))
+    assert f"({words})" in dict(figures(document))["theoretical"]
+
+
+def test_consistency_is_the_spread_of_the_laps(report: Report) -> None:
+    assert report.laps is not None and report.laps.statistics is not None
+    said = replace(report.laps.statistics, counted=12, spread=0.123, within_tenth=4)
+    text = page(replace(report, laps=replace(report.laps, statistics=said)))
+    assert "<dd>0.123 s<small>spread of 12 laps that count; 3 of the others within" in text
+    said = replace(said, spread=np.nan)
+    text = page(replace(report, laps=replace(report.laps, statistics=said)))
+    assert "<dd>12 laps<small>that count; 3 of the others within" in text
+
+
+def test_reasons_why_a_lap_does_not_count_stand_apart(report: Report) -> None:
+    assert report.laps is not None
+    odd = (*report.laps.laps[:-1], replace(report.laps.laps[-1], reasons=("pit", "off-track")))
+    laps = replace(report.laps, laps=odd)
+    assert "<td>pit, off-track</td>" in page(replace(report, laps=laps))
+    assert lap_rows(laps)[-1]["reason"] == "pit, off-track"
 
 
 @pytest.mark.parametrize("faster", [0.2, -0.2])

@@ -443,6 +443,8 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     unit = Select(opened.find_element("id", "units"))
     unit.select_by_value("mph")
     assert float(cell.text) == pytest.approx(kmh / 1.609344, abs=0.1)
+    words = opened.execute_script("return document.querySelector('main').innerText")
+    assert "km/h" not in words and words.count("mph") >= 7
     unit.select_by_value("km/h")
 
 

@@ -559,7 +559,7 @@
     drawCircle(width);
     drawCompared(width);
     drawQuality(width);
-    for (const cell of document.querySelectorAll("[data-mps]")) cell.textContent = fixed(Number(cell.dataset.mps) * factor(), 1);
+    for (const cell of document.querySelectorAll("[data-mps]")) cell.textContent = fixed(Number(cell.dataset.mps) * factor(), Number(cell.dataset.digits ?? 1));
     for (const cell of document.querySelectorAll(".speed-unit")) cell.textContent = state.unit;
     moveTo(state.at);
   }
