@@ -10,7 +10,7 @@ from typing import Any
 from smoother.cli.output import number, say, say_pairs
 from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
 from smoother.units import KMH, MPH
-from smoother.words import SLOWER_WHERE, counted
+from smoother.words import SLOWER_WHERE, counted, loss_digits
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
@@ -132,7 +132,8 @@ def _slide(analysis: dict[str, Any]) -> str:
 
 
 def _most_lost(loss: dict[str, Any]) -> str:
-    lost = f"{loss['lost_s']:.2f} ± {loss['lost_sigma_s']:.2f} s"
+    digits = loss_digits(loss["lost_sigma_s"])
+    lost = f"{loss['lost_s']:.{digits}f} ± {loss['lost_sigma_s']:.{digits}f} s"
     return f"{lost} in corner {loss['corner']} {loss['direction']} on lap {loss['lap']}"
 
 

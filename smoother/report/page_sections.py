@@ -23,7 +23,7 @@ from smoother.report.summary import distance_driven, is_told, known_axes, mounti
 from smoother.samples import Session
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG, KMH
-from smoother.words import SLOWER_WHERE, counted, duration, measured, repeated
+from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, measured, repeated
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -107,8 +107,9 @@ def summary(told: Told) -> Element:
         cards.append(_card("Consistency", spread_said(said.spread, counted(said.counted, "lap")), _consistency(said)))
         if lost := largest_losses(told.laps, 1):
             at = element("a", _where(lost[0], told.laps), href="#lost")
-            below = element("span", f"± {number(lost[0].sigma, 2)} s, ", at)
-            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, 2)} s", below))
+            digits = loss_digits(lost[0].sigma)
+            below = element("span", f"± {number(lost[0].sigma, digits)} s, ", at)
+            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
     fastest = top_speed(smoothed)
     unit, sure = speed_unit(), fastest.sigma
     below = element("span", "± ", speed_span(sure), " ", unit) if np.isfinite(sure) else unit
@@ -274,7 +275,8 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
 
 
 def _lost_item(loss: Loss, laps: LapAnalysis) -> Element:
-    item: list[Child] = [element("b", f"{number(loss.lost, 2)} ± {number(loss.sigma, 2)} s"), f" {_where(loss, laps)}"]
+    lost = with_sigma(loss.lost, loss.sigma, loss_digits(loss.sigma))
+    item: list[Child] = [element("b", f"{lost} s"), f" {_where(loss, laps)}"]
     braked = [each for each in loss.differences if each.kind == "braking"]
     slower = [each for each in loss.differences if each.kind != "braking"]
     item += [f": braked {number(each.by, 0)} ± {number(each.sigma, 0)} m earlier" for each in braked]
@@ -341,8 +343,9 @@ def _lost_cell(lost: float, sigma: float, is_real: bool, *after: Child) -> Eleme
     if not np.isfinite(lost):
         return element("td", DASH)
     star, kind = ("*", "slower" if lost > 0.0 else "faster") if is_real else ("", "noise")
-    small = element("small", f" ± {number(sigma, 2)}" if np.isfinite(sigma) and sigma > 0.0 else "")
-    return element("td", f"{number(lost, 2, signed=True)}{star}", small, *after, class_=kind)
+    digits = loss_digits(sigma)
+    small = element("small", f" ± {number(sigma, digits)}" if np.isfinite(sigma) and sigma > 0.0 else "")
+    return element("td", f"{number(lost, digits, signed=True)}{star}", small, *after, class_=kind)
 
 
 def _corner_speeds(laps: LapAnalysis) -> list[Element]:
@@ -505,7 +508,8 @@ def recording_table(told: Told) -> Element:
     rows = []
     for key, (name, unit, digits) in _MEASURES.items():
         value = told.check.measures.get(key, np.nan)
-        if np.isfinite(value):
+        is_of_none = key.endswith("_gap_longest_s") and value == 0.0
+        if np.isfinite(value) and not is_of_none:
             rows.append(row(name, number(100.0 * value if unit == "%" else value, digits), unit))
     return table(["", "", ""], rows, "The recording", "words")
 

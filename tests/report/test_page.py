@@ -472,6 +472,28 @@ def test_the_luck_in_the_best_sectors_is_said_in_seconds(report: Report, below_b
     assert f"({words})" in dict(figures(document))["theoretical"]
 
 
+def test_a_loss_never_has_a_sigma_of_nought(report: Report) -> None:
+    assert report.laps is not None
+    corners = tuple(
+        replace(c, time_lost=np.full_like(c.time_lost, -0.0712), time_lost_sigma=np.full_like(c.time_lost, 0.0041))
+        for c in report.laps.corners
+    )
+    text = page(replace(report, laps=replace(report.laps, corners=corners)))
+    assert "-0.071" in text and "± 0.004</small>" in text and "± 0.00</small>" not in text
+
+
+@pytest.mark.parametrize(("gaps", "longest"), [(0, 0.0), (1, 3.0)])
+def test_without_gaps_no_longest_one_is_told(
+    gaps: int, longest: float, report: Report, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = page_module.recorded_check(report.session)
+    measures = {**found.measures, "fix_gaps": float(gaps), "fix_gap_longest_s": longest}
+    monkeypatch.setattr(page_module, "recorded_check", lambda _: replace(found, measures=measures))
+    text = page(report)
+    assert f"<td>gaps in the fixes</td><td>{gaps}</td>" in text
+    assert ("<td>longest gap in the fixes</td>" in text) == (gaps > 0)
+
+
 def test_consistency_is_the_spread_of_the_laps(report: Report) -> None:
     assert report.laps is not None and report.laps.statistics is not None
     said = replace(report.laps.statistics, counted=12, spread=0.123, within_tenth=4)
