@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, tostring
 
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 Child = Element | str | None
+SHORT = 16  # rows of a table that paper does not part
 LONG = 60  # rows of a table that scrolls by itself, so that what follows it can be reached
 
 
@@ -41,13 +42,14 @@ def cleaned(text: str) -> str:
 
 
 def table(header: Sequence[Child], rows: Sequence[Element], caption: str = "", class_: str = "") -> Element:
-    """Return a table that scrolls sideways where the screen is narrow, and by itself where it has LONG rows or more.
+    """Return a table that scrolls sideways where the screen is narrow, and by itself where it has LONG rows or more;
+    up to SHORT rows stay together on paper.
 
     `rows` as from :func:`row`.
     """
     head = element("thead", element("tr", *(_cell("th", name, {"scope": "col"}) for name in header)))
     title = [element("caption", caption)] if caption else []
-    place = "scroll long" if len(rows) >= LONG else "scroll"
+    place = "scroll long" if len(rows) >= LONG else "scroll short" if len(rows) <= SHORT else "scroll"
     return element("div", element("table", *title, head, element("tbody", *rows), class_=class_), class_=place)
 
 

@@ -21,7 +21,7 @@ from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
 from smoother.report.summary import distance_driven, is_told, known_axes, mounting_angles, smoothing_time, told_problems
 from smoother.samples import Session
-from smoother.trajectory import Identified, Trajectory
+from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, Identified, Trajectory
 from smoother.units import DEG, KMH
 from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, measured, repeated
 
@@ -432,6 +432,15 @@ def _rms_and_largest(values: Array) -> tuple[float, float]:
     return (float(np.sqrt(np.mean(known**2))), float(np.abs(known).max())) if known.size else (np.nan, np.nan)
 
 
+# what a user can do about problems that are lived with, beside what the check of the recording says
+_REMEDIES: Mapping[str, str] = {
+    IMU_SHAKEN: "IMU: damp the box against the engine's vibration (rubber, foam), or sample faster with the sensor's "
+    "low-pass filter on",
+    BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
+    "kart's",
+}
+
+
 def trust(told: Told) -> list[Element]:
     """The verdict and the sentences behind it."""
     quality = told.quality
@@ -444,6 +453,8 @@ def trust(told: Told) -> list[Element]:
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
     problems = told_problems(told.session, told.smoothed.report)
+    codes = {problem.code for problem in problems}
+    warned += [element("li", text) for code, text in _REMEDIES.items() if code in codes]
     said = [element("li", repeated(p.text, p.count)) for p in problems]
     made = [verdict, element("ul", *sentences)]
     if said:

@@ -25,7 +25,15 @@ from smoother.report.page_html import LONG, element, json_in_script, row, table,
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
-from smoother.trajectory import EstimateReport, Identified, ResidualStatistics, Sigmas, Trajectory
+from smoother.trajectory import (
+    BOX_ON_WHEEL,
+    IMU_SHAKEN,
+    EstimateReport,
+    Identified,
+    ResidualStatistics,
+    Sigmas,
+    Trajectory,
+)
 
 NASTY = "<script>alert(1)</script>"
 GOOD = Quality(True, (), {"far_fix_share": 0.0})
@@ -492,6 +500,16 @@ def test_without_gaps_no_longest_one_is_told(
     text = page(report)
     assert f"<td>gaps in the fixes</td><td>{gaps}</td>" in text
     assert ("<td>longest gap in the fixes</td>" in text) == (gaps > 0)
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"), [(IMU_SHAKEN, "damp the box"), (BOX_ON_WHEEL, "mount the box on the frame")]
+)
+def test_what_would_make_it_better_says_what_to_do_about_the_box(report: Report, code: str, remedy: str) -> None:
+    lived_with = EstimateReport(problems=(Problem(code, "so it is", 1),))
+    better = page(replace(report, smoothed=replace(report.smoothed, report=lived_with))).partition("make it better")[2]
+    assert f"<li>IMU: {remedy}" in better
+    assert remedy not in page(report)
 
 
 def test_consistency_is_the_spread_of_the_laps(report: Report) -> None:

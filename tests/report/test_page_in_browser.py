@@ -471,6 +471,36 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     assert document.startswith(b"%PDF") and len(document) > 30_000
 
 
+def test_on_paper_map_and_traces_fit_one_sheet_and_tables_stay_with_their_captions(opened: Any) -> None:
+    opened.execute_script("dispatchEvent(new Event('beforeprint'))")
+    heights = opened.execute_script(
+        "return ['map', 'traces'].map(id => document.querySelector(`#${id} svg`).viewBox.baseVal.height)"
+    )
+    opened.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert sum(heights) < 940.0  # px of A4 within its margins are 1024, less heading and laps shown
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    parted = opened.execute_script(
+        "return [...document.querySelectorAll('table')].filter(t => t.offsetParent)"
+        ".filter(t => t.caption || t.rows.length < 15)"
+        ".filter(t => getComputedStyle(t.parentNode).breakInside !== 'avoid'"
+        "  && getComputedStyle(t).breakInside !== 'avoid').map(t => t.textContent)"
+    )
+    torn = opened.execute_script(
+        "return [...document.querySelectorAll('h2, h3, caption, legend')]"
+        ".filter(h => getComputedStyle(h).breakAfter !== 'avoid').map(h => h.textContent)"
+    )
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert parted == [] and torn == []
+
+
+def test_the_fixes_are_seen_beside_the_lines_over_them(opened: Any) -> None:
+    widths = opened.execute_script(
+        "return ['fixes', 'line'].map(kind => parseFloat(getComputedStyle("
+        "document.querySelector(`#compared-map svg path.${kind}`)).strokeWidth))"
+    )
+    assert widths[0] > 2.0 * widths[1]
+
+
 def test_a_table_that_is_cut_at_an_edge_is_shaded_there_and_nowhere_on_paper(opened: Any) -> None:
     with sized(opened, 390, 800):
         wide = opened.find_element("css selector", ".scroll")

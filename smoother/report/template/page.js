@@ -116,7 +116,8 @@
     const kept = sure ? values.map((v, i) => (sure[i] ? v : NaN)) : values;
     return kept.slice(first, last + 1).some(Number.isFinite) ? kept : values;
   }
-  const holds = (limits, [low, high]) => limits[0] <= low && limits[1] >= high;
+  const spare = ([low, high]) => 0.06 * (high - low || 1); // above and below the limits of a panel
+  const holds = (limits, [low, high]) => limits[0] - spare(limits) <= low && limits[1] + spare(limits) >= high;
   function nearest(list, value) {
     let low = 0, high = list.length - 1;
     while (high - low > 1) {
@@ -173,7 +174,7 @@
     let [low, high] = spec.limits;
     const least = spec.least || 0;
     if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
-    const space = 0.06 * (high - low || 1);
+    const space = spare([low, high]);
     [low, high] = [spec.floor ?? low - space, high + space];
     const Y = (y) => bottom - ((y - low) / (high - low)) * (bottom - top);
     for (const bend of spec.bends || []) {
@@ -250,7 +251,7 @@
       const [limits, isCut] = around(scaled, first, last, p.least);
       const beyond = isCut ? "; the band goes on beyond the frame" : holds(limits, extent(series.map((s) => s.y), first, last)) ? "" : "; unsure parts go on beyond the frame";
       const title = p.title() + beyond;
-      return { ...p, series, limits, title, height: grown(p.height, title, wide) };
+      return { ...p, series, limits, title, height: grown(wanted ? 0.75 * p.height : p.height, title, wide) }; // map and traces fit one sheet of paper
     });
     const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
     const [svg, width] = sheet("traces", total, wanted);
@@ -332,7 +333,7 @@
     const lap = state.coloured, [first, last] = state.range;
     const box = place("map").clientWidth;
     const width0 = wanted || Math.max(280, box);
-    const height = Math.round(Math.min(width0 * 0.95, wanted ? 400 : 520));
+    const height = Math.round(Math.min(width0 * 0.95, wanted ? 230 : 520));
     const [svg, width] = sheet("map", height + 34, wanted);
     const laps = [...state.slots.keys()];
     const cut = (list) => list.subarray(first, last + 1);
