@@ -7,7 +7,6 @@ searches the table and switches unit and theme.
 import datetime as dt
 import math
 import os
-import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +16,7 @@ from xml.etree.ElementTree import Element
 from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.laps.clock import local_day
-from smoother.report.page_html import Child, element, row, table, whole_page
+from smoother.report.page_html import Child, element, parted, row, table, whole_page
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.units import KMH
 from smoother.words import counted, duration
@@ -259,8 +258,7 @@ def _known(value: float | None) -> float:
 def _linked(entry: Entry, directory: Path) -> Child:
     """The name of a session, linked to its report where there is one."""
     report = report_of(entry, REPORT)
-    pieces = re.findall(r"/?[^/_-]*[_-]?", _short(entry))  # a line may break before a slash and after _ and -
-    parts: list[Child] = [part for piece in pieces if piece for part in (element("wbr"), piece)][1:]
+    parts = parted(_short(entry))
     return element("span", *parts) if report is None else element("a", *parts, href=link(report, directory))
 
 

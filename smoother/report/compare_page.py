@@ -31,7 +31,7 @@ from smoother.report.page_data import (
     palette,
     stretches,
 )
-from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_html import Child, element, parted, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.words import counted
@@ -207,9 +207,10 @@ def _whole_lap(one: Compared) -> tuple[float, float]:
 
 def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
     said, start = one.statistics, one.start
+    name = element("span", *parted(one.name))
     started = DASH if start is None else local_day(start, with_zone=False)
     if said is None or said.best_lap is None:
-        return row(one.name, started, "0", *[DASH] * (sectors + 5), class_="out")
+        return row(name, started, "0", *[DASH] * (sectors + 5), class_="out")
     lap = one.analysis.laps[said.best_lap]
     times: list[Child] = [time_cell(float(t), float(s)) for t, s in zip(lap.sector_time, lap.sector_sigma, strict=True)]
     times += [DASH] * (sectors - len(times))
@@ -219,7 +220,7 @@ def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
         speed_cell(lap.top_speed),
     ]
     first: list[Child] = [
-        one.name,
+        name,
         started,
         str(said.counted),
         time_cell(said.best, said.best_sigma),

@@ -8,6 +8,7 @@ a browser may apply: nothing else runs, and nothing is fetched.
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from xml.etree.ElementTree import Element, tostring
@@ -57,6 +58,12 @@ def row(*cells: Child, class_: str = "") -> Element:
     """Return a row; a cell that is an element `td` stays as it is."""
     made = [cell if isinstance(cell, Element) and cell.tag == "td" else _cell("td", cell, {}) for cell in cells]
     return element("tr", *made, **({"class_": class_} if class_ else {}))
+
+
+def parted(name: str) -> list[Child]:
+    """Return a name that a line may part before a slash and after _ and -, so that no word is cut beside them."""
+    pieces = re.findall(r"/?[^/_-]*[_-]?", name)
+    return [part for piece in pieces if piece for part in (element("wbr"), piece)][1:]
 
 
 def _cell(tag: str, content: Child, attributes: Mapping[str, str]) -> Element:

@@ -21,7 +21,7 @@ from smoother.report import page as page_module
 from smoother.report import page_data
 from smoother.report.files import to_json
 from smoother.report.page import Report, page, write_page
-from smoother.report.page_html import LONG, element, json_in_script, row, table, whole_page
+from smoother.report.page_html import LONG, element, json_in_script, parted, row, table, whole_page
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
@@ -352,6 +352,13 @@ def test_elements_keep_text_between_and_after_children() -> None:
     node = element("p", "a<", element("b", "c"), "d&", class_="x", data_y='"')
     text = whole_page("t", [node, row("1", element("td", "2"))], "", "", {})
     assert '<p class="x" data-y="&quot;">a&lt;<b>c</b>d&amp;</p><tr><td>1</td><td>2</td></tr>' in text
+
+
+def test_a_name_is_parted_at_its_signs_and_stays_itself() -> None:
+    name = element("span", *parted("a-b/kart_okc_doves"))
+    assert "".join(name.itertext()) == "a-b/kart_okc_doves"
+    assert [wbr.tail for wbr in name] == ["b", "/kart_", "okc_", "doves"] and name.text == "a-"
+    assert parted("") == []
 
 
 def test_numbers_are_said_as_people_say_them() -> None:
