@@ -31,7 +31,8 @@ def luck_said(theoretical: float, raw: float, best: float) -> str:
     added = f"best sectors add up to {lap_clock(raw)}"
     if theoretical > best - 0.0005:
         return f"{added}: faster than the best lap only by luck of the timing"
-    return f"{added}, which is {theoretical - raw:.3f} s too fast by luck of the timing"
+    luck = round(theoretical, 3) - round(raw, 3)  # as the times that are shown differ
+    return f"{added}, which is {luck:.3f} s too fast by luck of the timing"
 
 
 def local_time(unix: float) -> str:
