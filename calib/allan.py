@@ -9,6 +9,7 @@ from smoother.calibration import Calibration
 from smoother.fit.allan import AllanDeviation, NoiseFigures, allan_deviation, fit_noise
 from smoother.fit.ellipsoid import FitError
 from smoother.units import DEG
+from smoother.words import measured
 
 PROCEDURE = "noise at rest"
 SHORTEST = 60.0  # s; a minute shows the noise density, ten the bias instability, an hour the random walk
@@ -93,7 +94,8 @@ def _values(sensor: str, found: NoiseFigures, factor: float, unit: str) -> list[
     values = []
     for k, (name, its_unit) in enumerate(names):
         unseen = ["xyz"[axis] for axis in range(3) if not found.is_seen[axis, k]]
-        most = ", ".join(f"{factor * found.upper['xyz'.index(axis), k]:.2g}" for axis in unseen)
+        upper = [factor * float(found.upper["xyz".index(axis), k]) for axis in unseen]
+        most, _ = measured(upper, upper, 2)  # with two digits that count
         note = f"not seen on {', '.join(unseen)}: at most {most}" if unseen else ""
         values.append(Value(f"{sensor} {name}", factor * found.value[:, k], factor * found.sigma[:, k], its_unit, note))
     return values

@@ -47,6 +47,11 @@ def sigma_digits(sigma: float) -> int | None:
     return min(max(0, 1 - math.floor(math.log10(sigma))), MOST_DIGITS)
 
 
+def loss_digits(sigma: float) -> int:
+    """Return how many digits behind the point a lost time s is told with: two, or those that its sigma needs."""
+    return max(2, (sigma_digits(sigma) or 0) - 1)
+
+
 def measured(values: Sequence[float], sigmas: Sequence[float], digits: int) -> tuple[str, str]:
     """Return values, and their sigmas, each list with commas between; each sigma says how many digits both have.
 

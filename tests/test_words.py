@@ -1,9 +1,11 @@
 """Counts and lengths of time in words."""
 
+import math
+
 import pytest
 
 from smoother.errors import SessionError
-from smoother.words import counted, duration, listed, repeated, span
+from smoother.words import counted, duration, listed, loss_digits, repeated, span
 
 
 @pytest.mark.parametrize(
@@ -50,3 +52,8 @@ def test_names_of_a_file_are_shown_shortened() -> None:
 
 def test_an_error_quotes_no_control_characters() -> None:
     assert str(SessionError("gps.csv: \x1b[31mred\nmore")) == "gps.csv:  [31mred more"
+
+
+@pytest.mark.parametrize(("sigma", "digits"), [(0.5, 2), (0.03, 2), (0.004, 3), (0.0003, 4), (0.0, 2), (math.nan, 2)])
+def test_a_lost_time_has_the_digits_that_its_sigma_needs(sigma: float, digits: int) -> None:
+    assert loss_digits(sigma) == digits

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 from smoother.batch.entries import Best, Entry, Track, report_of
 from smoother.batch.task import ERROR_LOG, REPORT, is_there
 from smoother.laps.clock import local_day
-from smoother.report.page_html import Child, element, row, table, whole_page
+from smoother.report.page_html import Child, element, parted, row, table, whole_page
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.units import KMH
 from smoother.words import counted, duration
@@ -30,6 +30,7 @@ STATES = {
     "lost": "lost",
     "waiting": "waiting",
 }
+MOST_TILES = 3  # of best laps, a track each; the tables below have all
 Cells = Sequence[Child]
 
 
@@ -84,10 +85,10 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     cards = [_card("Sessions", str(len(entries)), f"{good} ok" + "".join(f", {part}" for part in parts))]
     mark = element("span", str(failed), class_="bad" if failed else "good")
     cards.append(_card("Without a result", mark, element("a", "see why", href="#wrong") if failed else "none"))
-    if tracks and (bests := tracks[0].karts or tracks[0].drivers):
-        who = bests[0].who or _short(bests[0].entry)
-        where = f"{who}, {tracks[0].name}" if len(tracks) > 1 else who
-        cards.append(_card("Best lap", lap_clock(bests[0].time), where))
+    for track in tracks[:MOST_TILES]:
+        if bests := track.karts or track.drivers:
+            title = f"Best lap: {track.name}" if len(tracks) > 1 else "Best lap"
+            cards.append(_card(title, lap_clock(bests[0].time), _whose(bests[0], bool(track.karts))))
     laps = sum(entry.facts.laps or 0 for entry in entries if entry.counts)
     karts = {entry.kart for entry in entries if entry.counts and entry.kart}
     cards.append(_card("Laps", str(laps), f"that count, of {counted(len(karts), 'kart')}" if karts else "that count"))
@@ -95,6 +96,13 @@ def _cards(entries: Sequence[Entry], tracks: Sequence[Track]) -> Element:
     lasts = sum(entry.facts.duration_s or 0.0 for entry in entries)
     cards.append(_card("Driven", f"{metres / 1000.0:.1f} km", f"in {duration(lasts)}"))
     return element("section", element("dl", *cards, class_="cards"), id="summary")
+
+
+def _whose(best: Best, is_of_kart: bool) -> str:
+    """Whose lap it was, the session where nobody is named."""
+    if best.who is None:
+        return _short(best.entry)
+    return f"kart {best.who}" if is_of_kart and not best.who.lower().startswith("kart") else best.who
 
 
 def _card(name: str, value: Child, below: Child) -> Element:
@@ -250,8 +258,7 @@ def _known(value: float | None) -> float:
 def _linked(entry: Entry, directory: Path) -> Child:
     """The name of a session, linked to its report where there is one."""
     report = report_of(entry, REPORT)
-    parts: list[Child] = [part for folder in _short(entry).split("/") for part in (element("wbr"), f"/{folder}")]
-    parts[:2] = [str(parts[1])[1:]]  # a line may break before every slash, and nothing stands before the first
+    parts = parted(_short(entry))
     return element("span", *parts) if report is None else element("a", *parts, href=link(report, directory))
 
 

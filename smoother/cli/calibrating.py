@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from smoother.report.calibration_page import Section
 
 PAGE, FIGURES = "calibration.html", "calibration"
+MOST_COUNTING = 6  # digits of a number; a rate is known to more, and nobody needs them
 
 
 @click.command(short_help="Calibrate the sensors; writes calibration.toml and a page of figures.")
@@ -247,13 +249,16 @@ def _with_sigma(value: Value) -> str:
 
 
 def _pair(value: float, sigma: float) -> str:
-    """A number and its sigma, this with two digits that count."""
-    digits = sigma_digits(sigma)
-    if digits is None:
-        return f"{value:.6g} ± {sigma:.2g}"
-    if digits >= MOST_DIGITS:
-        return f"{value:.4g} ± {sigma:.2g}"
-    return f"{round(value, digits) + 0.0:.{digits}f} ± {sigma:.{digits}f}"
+    """A number and its sigma, this with two digits that count unless the number would have more than MOST_COUNTING."""
+    if not math.isfinite(sigma) or value == sigma == 0.0:
+        return f"{value:.{MOST_COUNTING}g}"
+    before = math.floor(math.log10(abs(value))) + 1 if value else 0
+    most = min(max(0, MOST_COUNTING - before), MOST_DIGITS)
+    wanted = sigma_digits(sigma)
+    digits = most if wanted is None else min(wanted, most)
+    least = 10.0**-digits
+    error = f"{sigma:.{digits}f}" if sigma >= 0.5 * least else f"below {least:.{digits}f}"
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {error}"
 
 
 def _document(results: Results) -> Mapping[str, object]:

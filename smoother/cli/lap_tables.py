@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from smoother.cli.output import number, say, say_pairs
-from smoother.laps.clock import lap_clock, local_time, local_zone, spread_said
+from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
 from smoother.units import KMH, MPH
-from smoother.words import SLOWER_WHERE, counted
+from smoother.words import SLOWER_WHERE, counted, loss_digits
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
@@ -132,7 +132,8 @@ def _slide(analysis: dict[str, Any]) -> str:
 
 
 def _most_lost(loss: dict[str, Any]) -> str:
-    lost = f"{loss['lost_s']:.2f} ± {loss['lost_sigma_s']:.2f} s"
+    digits = loss_digits(loss["lost_sigma_s"])
+    lost = f"{loss['lost_s']:.{digits}f} ± {loss['lost_sigma_s']:.{digits}f} s"
     return f"{lost} in corner {loss['corner']} {loss['direction']} on lap {loss['lap']}"
 
 
@@ -153,10 +154,9 @@ def _differences(loss: dict[str, Any], units: str) -> str:
 def _theoretical(said: dict[str, Any]) -> str:
     if not _is_known(said["theoretical_s"]):
         return ""
-    luck = said["theoretical_s"] - said["theoretical_raw_s"]
     text = f"{lap_clock(said['theoretical_s'])} ± {number(said['theoretical_sigma_s'], 3)}"
-    if luck > 0.0005:
-        return f"{text} (best sectors {lap_clock(said['theoretical_raw_s'])}, luck of the timing taken out)"
+    if said["theoretical_s"] - said["theoretical_raw_s"] > 0.0005:
+        return f"{text} ({luck_said(said['theoretical_s'], said['theoretical_raw_s'], said['best_s'])})"
     return (
         f"{text} (the best lap has all the best sectors)" if said["theoretical_s"] > said["best_s"] - 0.0005 else text
     )

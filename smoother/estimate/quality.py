@@ -77,7 +77,10 @@ class QualityLimits:
 
 @dataclass(frozen=True)
 class Quality:
-    """Verdict of the gate; `reasons` are sentences, empty when passed; `measures` are what it was judged by."""
+    """Verdict of the gate; `reasons` are sentences, empty when passed; `measures` are what it was judged by.
+
+    Their `top_speed_mps` is the highest row near a fix, unsure spikes and all: not the top speed of the session.
+    """
 
     passed: bool
     reasons: tuple[str, ...]

@@ -65,10 +65,9 @@ class EngineLine:
     @property
     def why_none(self) -> str:
         """Say what is meant where there is no line, though windows may have one, and a weak one show in a spectrum."""
-        seen = f"seen in {100.0 * self.share:.1f} % of the time" if np.any(self.is_seen) else "never seen"
-        return (
-            f"no line stands out of the noise within {LINE_WINDOW:g} s ({seen}); a weak one shows in the spectrum only"
-        )
+        seen = f"only {100.0 * self.share:.1f} %" if np.any(self.is_seen) else "none"
+        where = f"in {seen} of the windows of {LINE_WINDOW:g} s one stands out"
+        return f"no lasting line: {where}; a weak one shows in the spectrum"
 
 
 def vibration_spectrum(values: Array, rate: float) -> Spectrum:

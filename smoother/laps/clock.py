@@ -26,6 +26,15 @@ def spread_said(spread: float | None, unknown: str = "-") -> str:
     return f"{spread:.3f} s" if spread >= 0.0005 else "below 0.001 s"
 
 
+def luck_said(theoretical: float, raw: float, best: float) -> str:
+    """Return what the best sectors add up to (raw, s), and how much of it is luck; `best`: the best lap's time."""
+    added = f"best sectors add up to {lap_clock(raw)}"
+    if theoretical > best - 0.0005:
+        return f"{added}: faster than the best lap only by luck of the timing"
+    luck = round(theoretical, 3) - round(raw, 3)  # as the times that are shown differ
+    return f"{added}, which is {luck:.3f} s too fast by luck of the timing"
+
+
 def local_time(unix: float) -> str:
     """Return the time of day as the clock of this machine would have shown it, 14:03:21; see :func:`local_zone`."""
     return _local(unix).strftime("%H:%M:%S")

@@ -31,7 +31,7 @@ def _row(lap: Lap, sectors: int) -> Document:
         "lap_time_s": round(lap.time, TIME_DIGITS),
         "lap_time_sigma_s": round(lap.sigma, TIME_DIGITS),
         "valid": lap.is_valid,
-        "reason": " ".join(lap.reasons),
+        "reason": ", ".join(lap.reasons),
     }
     for i in range(sectors):
         known = i < len(lap.sector_time)

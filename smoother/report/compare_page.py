@@ -31,7 +31,7 @@ from smoother.report.page_data import (
     palette,
     stretches,
 )
-from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_html import Child, element, parted, row, table
 from smoother.report.page_sections import corner_name, lost_cell, speed_cell, time_cell, usual_cell
 from smoother.report.page_words import DASH, lap_clock, number
 from smoother.words import counted
@@ -172,7 +172,7 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     least = min((one.statistics.best for one in compared if one.statistics is not None), default=np.nan)
     lost = losses(compared)
     rows = [_best_row(one, sectors, least, lost[k]) for k, one in enumerate(compared)]
-    sure = f"{number(lost[0].sure, 1)} sigma or more"
+    sure = f"from {number(lost[0].sure, 1)} times its ± on"
     note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
     told = table(heads, rows, class_="tight")
@@ -207,9 +207,10 @@ def _whole_lap(one: Compared) -> tuple[float, float]:
 
 def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
     said, start = one.statistics, one.start
+    name = element("span", *parted(one.name))
     started = DASH if start is None else local_day(start, with_zone=False)
     if said is None or said.best_lap is None:
-        return row(one.name, started, "0", *[DASH] * (sectors + 5), class_="out")
+        return row(name, started, "0", *[DASH] * (sectors + 5), class_="out")
     lap = one.analysis.laps[said.best_lap]
     times: list[Child] = [time_cell(float(t), float(s)) for t, s in zip(lap.sector_time, lap.sector_sigma, strict=True)]
     times += [DASH] * (sectors - len(times))
@@ -219,7 +220,7 @@ def _best_row(one: Compared, sectors: int, least: float, lost: Loss) -> Element:
         speed_cell(lap.top_speed),
     ]
     first: list[Child] = [
-        one.name,
+        name,
         started,
         str(said.counted),
         time_cell(said.best, said.best_sigma),
@@ -245,8 +246,8 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         return []
     note = (
         f"Seconds lost to {compared[0].analysis.reference_name} between the fastest places before and after each "
-        "corner. Bold with a star: real; of many losses some are large by luck, so each session's must be so many "
-        "sigma that few of its stars are luck. The rest is within noise: do not chase it."
+        "corner. Bold with a star: real. Among so many losses some are large by luck, so a star takes several times "
+        "the ±; how many is found for each session. The rest is within noise: do not chase it."
     )
     heads = ["", *(corner_name(corner) for corner in corners)]
     lost, usual, slowest = [], [], []

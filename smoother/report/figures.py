@@ -435,7 +435,7 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
         _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part)
     _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED, part=part)
     axes.set_ylabel("speed (km/h)")
-    top = float(np.max(shown.smoothed.speed)) / KMH
+    top = float(shown.smoothed.speed[fastest_row(shown.smoothed)]) / KMH
     axes.set_ylim(-0.03 * top, 1.12 * top + 1.0)
     axes.set_xlim(window[0] - shown.start, window[1] - shown.start)
     style.clock_axis(axes, window[1] - window[0])

@@ -130,7 +130,7 @@ def _compared_title(told: words.Told) -> str:
 def _compared_words(told: words.Told) -> str:
     which = "the best lap" if told.statistics is not None else "a minute around the top speed"
     baseline = "dashed: the baseline, " if told.baseline is not None else ""
-    return f"Of {which}. Dots: GPS fixes as received; {baseline}solid: the smoother."
+    return f"Of {which}. Dots on the map: GPS fixes as received; {baseline}solid: the smoother."
 
 
 def _quality(told: words.Told) -> list[Element]:

@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex
 from smoother.arrays import Array, IntArray
 from smoother.laps.path import level_acceleration
 from smoother.laps.results import Lap, LapAnalysis, Line, ReferenceLine, Traces
+from smoother.laps.top_speed import speed_sigma, sure_rows
 from smoother.report.summary import fastest_row
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
@@ -130,8 +131,12 @@ def _laps(numbers: Numbers, traces: Traces) -> Document:
 
 def grid_columns(smoothed: Trajectory, traces: Traces) -> IntArray:
     """Return which places of the grid are drawn: no more than the rate allows where the kart is fastest."""
-    step = max(1, int(np.ceil(smoothed.speed.max() / (MOST_RATE * _spacing(traces.distance)))))
-    return np.arange(0, len(traces.distance), step)
+    return np.arange(0, len(traces.distance), _grid_step(smoothed, traces))
+
+
+def _grid_step(smoothed: Trajectory, traces: Traces) -> int:
+    fastest = smoothed.speed[fastest_row(smoothed)]
+    return max(1, int(np.ceil(fastest / (MOST_RATE * _spacing(traces.distance)))))
 
 
 def lap_traces(
@@ -152,11 +157,23 @@ def lap_traces(
         "offset_sigma": traces.lateral_sigma[cut],
         "is_off": np.where(traces.is_off_line[cut], 1.0, 0.0),
         **_slides(traces.sideslip[cut] / DEG, traces.sideslip_sigma[cut] / DEG),
+        **_sureness(smoothed, traces.t[cut]),
     }
 
 
 def _slides(sideslip: Array, sigma: Array) -> dict[str, Array]:
     return {"sideslip": sideslip, "sideslip_sigma": sigma} if np.isfinite(sideslip).any() else {}
+
+
+def _sureness(smoothed: Trajectory, t: Array) -> dict[str, Array]:
+    """Return 1 where the speed at times t of any shape is sure, else 0; only where one that is not tops all others.
+
+    Scales leave such spikes out, as the top speed does.
+    """
+    speed, sure = smoothed.speed, sure_rows(smoothed.speed, speed_sigma(smoothed))
+    if not sure.any() or not (speed[~sure] > speed[sure].max()).any():
+        return {}
+    return {"is_sure": np.where(np.interp(t, smoothed.t, sure.astype(np.float64)) == 1.0, 1.0, 0.0)}
 
 
 def _spacing(distance: Array) -> float:
@@ -243,6 +260,7 @@ def _whole_session(numbers: Numbers) -> Document:
         "speed": smoothed.speed[rows],
         "longitudinal": acceleration[:, 0],
         "sideways": acceleration[:, 1],
+        **_sureness(smoothed, smoothed.t[rows]),
     }
     return {
         "axis": "time",
@@ -260,8 +278,9 @@ def _whole_session(numbers: Numbers) -> Document:
 
 
 def cloud(smoothed: Trajectory) -> Document:
-    """Return accelerations of the whole session in g, and the radius that holds nearly all of them."""
-    moving = np.flatnonzero(smoothed.speed > 2.0)
+    """Return accelerations of the session, where its speed is sure, in g, and the radius that holds nearly all."""
+    sure = sure_rows(smoothed.speed, speed_sigma(smoothed))
+    moving = np.flatnonzero((smoothed.speed > 2.0) & sure)
     rows = moving[:: max(1, -(-len(moving) // CLOUD))]
     g = level_acceleration(smoothed)[rows] / STANDARD_GRAVITY
     size = np.hypot(g[:, 0], g[:, 1])
@@ -289,6 +308,7 @@ def _compared(numbers: Numbers) -> Document:
     smoothed, baseline, gnss = numbers.smoothed, numbers.baseline, numbers.session.gnss
     out: Document = {"t": packed(t - start), "x": packed(x), "y": packed(y)}
     out["speed"] = packed(np.interp(t, smoothed.t, smoothed.speed))
+    out |= {name: packed(values) for name, values in _sureness(smoothed, t).items()}
     if baseline is not None:
         out["baseline_x"] = packed(np.interp(t, baseline.t, west - baseline.position_n[:, 1]))
         out["baseline_y"] = packed(np.interp(t, baseline.t, baseline.position_n[:, 0] - north))
@@ -298,7 +318,7 @@ def _compared(numbers: Numbers) -> Document:
     out["fix_t"] = packed(gnss.t[inside] - start)
     out["fix_x"], out["fix_y"] = packed(west - fixes[:, 1]), packed(fixes[:, 0] - north)
     if numbers.laps is not None and numbers.traces is not None:
-        step = max(1, int(np.ceil(smoothed.speed.max() / (MOST_RATE * _spacing(numbers.traces.distance)))))
+        step = _grid_step(smoothed, numbers.traces)
         out["grid_t"] = packed(_filled(numbers.traces.t[main_lap(numbers.laps)][::step] - start))
     return out
 

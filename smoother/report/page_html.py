@@ -8,12 +8,14 @@ a browser may apply: nothing else runs, and nothing is fetched.
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from xml.etree.ElementTree import Element, tostring
 
 _JSON_ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 Child = Element | str | None
+SHORT = 16  # rows of a table that paper does not part
 LONG = 60  # rows of a table that scrolls by itself, so that what follows it can be reached
 
 
@@ -41,13 +43,14 @@ def cleaned(text: str) -> str:
 
 
 def table(header: Sequence[Child], rows: Sequence[Element], caption: str = "", class_: str = "") -> Element:
-    """Return a table that scrolls sideways where the screen is narrow, and by itself where it has LONG rows or more.
+    """Return a table that scrolls sideways where the screen is narrow, and by itself where it has LONG rows or more;
+    up to SHORT rows stay together on paper.
 
     `rows` as from :func:`row`.
     """
     head = element("thead", element("tr", *(_cell("th", name, {"scope": "col"}) for name in header)))
     title = [element("caption", caption)] if caption else []
-    place = "scroll long" if len(rows) >= LONG else "scroll"
+    place = "scroll long" if len(rows) >= LONG else "scroll short" if len(rows) <= SHORT else "scroll"
     return element("div", element("table", *title, head, element("tbody", *rows), class_=class_), class_=place)
 
 
@@ -55,6 +58,12 @@ def row(*cells: Child, class_: str = "") -> Element:
     """Return a row; a cell that is an element `td` stays as it is."""
     made = [cell if isinstance(cell, Element) and cell.tag == "td" else _cell("td", cell, {}) for cell in cells]
     return element("tr", *made, **({"class_": class_} if class_ else {}))
+
+
+def parted(name: str) -> list[Child]:
+    """Return a name that a line may part before a slash and after _ and -, so that no word is cut beside them."""
+    pieces = re.findall(r"/?[^/_-]*[_-]?", name)
+    return [part for piece in pieces if piece for part in (element("wbr"), piece)][1:]
 
 
 def _cell(tag: str, content: Child, attributes: Mapping[str, str]) -> Element:

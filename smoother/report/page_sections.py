@@ -10,7 +10,7 @@ from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import unix_at_start
-from smoother.laps.clock import local_day, local_time, local_zone, spread_said
+from smoother.laps.clock import local_day, local_time, local_zone, luck_said, spread_said
 from smoother.laps.lost import Loss, largest_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.sigma import least_real
@@ -21,9 +21,9 @@ from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_words import DASH, lap_clock, number, with_sigma
 from smoother.report.summary import distance_driven, is_told, known_axes, mounting_angles, smoothing_time, told_problems
 from smoother.samples import Session
-from smoother.trajectory import Identified, Trajectory
+from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, Identified, Trajectory
 from smoother.units import DEG, KMH
-from smoother.words import SLOWER_WHERE, counted, duration, measured, repeated
+from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, measured, repeated
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -71,6 +71,17 @@ def speed_cell(speed: float) -> Element:
     return element("td", number(speed / KMH, 1), data_mps=f"{speed:.4f}")
 
 
+def speed_span(speed: float, digits: int = 1) -> Element:
+    """A speed m/s within a text, in the unit that was chosen, which :func:`speed_unit` tells."""
+    more = {} if digits == 1 else {"data_digits": str(digits)}
+    return element("span", number(speed / KMH, digits), data_mps=f"{speed:.5f}", **more)
+
+
+def speed_unit() -> Element:
+    """The unit of speed that was chosen."""
+    return element("span", "km/h", class_="speed-unit")
+
+
 def header(told: Told) -> Element:
     """Title, who and where, the verdict in a line, and the settings."""
     config, started = told.session.config, told.started
@@ -93,17 +104,16 @@ def summary(told: Told) -> Element:
         if np.isfinite(said.theoretical):
             cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
         cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
-        cards.append(_card("Consistency", counted(said.counted, "lap"), _consistency(said)))
+        cards.append(_card("Consistency", spread_said(said.spread, counted(said.counted, "lap")), _consistency(said)))
         if lost := largest_losses(told.laps, 1):
             at = element("a", _where(lost[0], told.laps), href="#lost")
-            below = element("span", f"± {number(lost[0].sigma, 2)} s, ", at)
-            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, 2)} s", below))
+            digits = loss_digits(lost[0].sigma)
+            below = element("span", f"± {number(lost[0].sigma, digits)} s, ", at)
+            cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
     fastest = top_speed(smoothed)
-    top = element("span", number(fastest.speed / KMH, 1), data_mps=f"{fastest.speed:.4f}")
-    unit, sure = element("span", "km/h", class_="speed-unit"), fastest.sigma
-    plus_minus = element("span", number(sure / KMH, 1), data_mps=f"{sure:.4f}")
-    below = element("span", "± ", plus_minus, " ", unit) if np.isfinite(sure) else unit
-    cards.append(_card("Top speed", top, below))
+    unit, sure = speed_unit(), fastest.sigma
+    below = element("span", "± ", speed_span(sure), " ", unit) if np.isfinite(sure) else unit
+    cards.append(_card("Top speed", speed_span(fastest.speed), below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"
     cards.append(_card("Driven", driven, f"in {duration(length)}"))
@@ -127,7 +137,7 @@ def _pm(sigma: float, lap: Lap) -> str:
 def _theoretical(said: Statistics) -> str:
     text = f"± {number(said.theoretical_sigma, 3)} s" if np.isfinite(said.theoretical_sigma) else "best sectors"
     if said.theoretical - said.theoretical_raw > 0.0005:
-        return f"{text}; best sectors {lap_clock(said.theoretical_raw)}, less the luck of the timing"
+        return f"{text}; {luck_said(said.theoretical, said.theoretical_raw, said.best)}"
     if said.theoretical > said.best - 0.0005:
         return f"{text}; the best lap has all the best sectors"
     return text
@@ -144,10 +154,11 @@ def _rolling(said: Statistics) -> str:
 
 
 def _consistency(said: Statistics) -> str:
+    """What stands below the spread of the laps, or their number where it has none."""
     if said.counted == 1:
         return "that counts: none to compare it with"
-    spread = f"spread {spread_said(said.spread)}; " if np.isfinite(said.spread) else ""
-    return f"that count; {spread}{said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
+    which = f"spread of {counted(said.counted, 'lap')} that count" if np.isfinite(said.spread) else "that count"
+    return f"{which}; {said.within_tenth - 1 or 'none'} of the others within 0.1 s of the best"
 
 
 def _missing(told: Told) -> Iterator[str]:
@@ -176,9 +187,7 @@ def lap_section(told: Told) -> list[Element]:
     official = {one.lap: one for one in laps.official if one.lap is not None}
     heads = ["lap", *([f"started ({local_zone(started)})"] if started else []), "time ± (s)", "gap"]
     heads += [*(f"S{i + 1} ±" for i in range(laps.sectors)), "top ", "raw GPS"]
-    top: list[Child] = [
-        element("span", "top ", element("span", "km/h", class_="speed-unit")) if h == "top " else h for h in heads
-    ]
+    top: list[Child] = [element("span", "top ", speed_unit()) if h == "top " else h for h in heads]
     top += [*(["official", "ours −"] if official else []), "not counted"]
     rows = []
     for i, lap in enumerate(laps.laps):
@@ -193,7 +202,7 @@ def lap_section(told: Told) -> list[Element]:
         if official:
             theirs = official.get(i)
             cells += [DASH, DASH] if theirs is None else [lap_clock(theirs.time), number(theirs.difference, 3, True)]
-        cells.append(" ".join(lap.reasons))
+        cells.append(", ".join(lap.reasons))
         rows.append(row(*cells, class_="best" if is_best else "" if lap.is_valid else "out"))
     source = laps.start_line.source if laps.start_line is not None else ""
     line = {
@@ -266,13 +275,14 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
 
 
 def _lost_item(loss: Loss, laps: LapAnalysis) -> Element:
-    item: list[Child] = [element("b", f"{number(loss.lost, 2)} ± {number(loss.sigma, 2)} s"), f" {_where(loss, laps)}"]
+    lost = with_sigma(loss.lost, loss.sigma, loss_digits(loss.sigma))
+    item: list[Child] = [element("b", f"{lost} s"), f" {_where(loss, laps)}"]
     braked = [each for each in loss.differences if each.kind == "braking"]
     slower = [each for each in loss.differences if each.kind != "braking"]
     item += [f": braked {number(each.by, 0)} ± {number(each.sigma, 0)} m earlier" for each in braked]
     for k, each in enumerate(slower):
-        by, sigma = (element("span", number(v / KMH, 1), data_mps=f"{v:.4f}") for v in (each.by, each.sigma))
-        unit: list[Child] = [" ", element("span", "km/h", class_="speed-unit")] if k == 0 else []
+        by, sigma = speed_span(each.by), speed_span(each.sigma)
+        unit: list[Child] = [" ", speed_unit()] if k == 0 else []
         before = (", slower by " if braked else ": slower by ") if k == 0 else ", "
         item += [before, by, " ± ", sigma, *unit, f" {SLOWER_WHERE[each.kind]}"]
     drawn = drawn_laps(laps)
@@ -288,11 +298,11 @@ def _where(loss: Loss, laps: LapAnalysis) -> str:
 
 
 def stars_note(corners: Sequence[Corner]) -> str:
-    """What a star beside a loss says, with how many sigmas it takes."""
-    sure = number(corners[0].real_from, 1)
+    """What a star beside a loss says, and how many times its sigma it takes."""
+    times = number(corners[0].real_from, 1)
     return (
-        f"Bold with a star: real, {sure} sigma or more; that is so much because of many losses, all against one lap, "
-        "some are large by luck, and few of the stars should be. The rest is within noise: do not chase it."
+        f"Bold with a star: real. A loss must be {times} times its ±, because among so many some are large by luck. "
+        "The rest is within noise: do not chase it."
     )
 
 
@@ -333,8 +343,9 @@ def _lost_cell(lost: float, sigma: float, is_real: bool, *after: Child) -> Eleme
     if not np.isfinite(lost):
         return element("td", DASH)
     star, kind = ("*", "slower" if lost > 0.0 else "faster") if is_real else ("", "noise")
-    small = element("small", f" ± {number(sigma, 2)}" if np.isfinite(sigma) and sigma > 0.0 else "")
-    return element("td", f"{number(lost, 2, signed=True)}{star}", small, *after, class_=kind)
+    digits = loss_digits(sigma)
+    small = element("small", f" ± {number(sigma, digits)}" if np.isfinite(sigma) and sigma > 0.0 else "")
+    return element("td", f"{number(lost, digits, signed=True)}{star}", small, *after, class_=kind)
 
 
 def _corner_speeds(laps: LapAnalysis) -> list[Element]:
@@ -343,15 +354,8 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
     if shown is None:
         return []
     timed = [i for i, lap in enumerate(laps.laps) if lap.is_valid and i != shown]
-    unit = element("span", "km/h", class_="speed-unit")
-    heads: list[Child] = [
-        "corner",
-        "radius (m)",
-        "braking point (m)",
-        element("span", "entry ", unit),
-        "minimum",
-        "exit",
-    ]
+    heads: list[Child] = ["corner", "radius (m)", "braking point (m)"]
+    heads += [element("span", f"{name} (", speed_unit(), ")") for name in ("entry", "slowest", "exit")]
     slides = any(np.isfinite(c.slide[shown]) for c in laps.corners)
     heads += [*(["slide (deg)"] if slides else []), *(["usual loss (s)", "real in"] if timed else [])]
     rows = []
@@ -365,7 +369,7 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         cells += [usual_cell(c), real] if timed else []
         rows.append(row(*cells))
     typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
-    sure = f" Speeds are sure to ± {number(typical / KMH, 1)} km/h." if np.isfinite(typical) else ""
+    sure: list[Child] = [" Speeds are sure to ± ", speed_span(typical), " ", speed_unit(), "."]
     title = f"Corners on lap {laps.laps[shown].number}"
     slide = (
         " Slide: how far the nose points into the corner, beyond the path: in the trace of sideslip that is + in a "
@@ -374,8 +378,8 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         else ""
     )
     usual_note = " Usual loss: median of the other laps that count; with a star it is real." if timed else ""
-    note = f"Distances are metres from the line.{usual_note}{sure}{slide}"
-    return [element("h3", title), element("p", note, class_="soft"), table(heads, rows)]
+    note = [f"Distances are metres from the line.{usual_note}", *(sure if np.isfinite(typical) else []), slide]
+    return [element("h3", title), element("p", *note, class_="soft"), table(heads, rows)]
 
 
 def baseline_section(told: Told) -> list[Element]:
@@ -400,28 +404,41 @@ def _lost_north(told: Told) -> list[Element]:
     return [element("p", text, class_="soft")]
 
 
-def _differences(told: Told) -> Iterator[tuple[str, str, str]]:
+def _differences(told: Told) -> Iterator[tuple[Child, Child, Child]]:
     baseline, smoothed = told.baseline, told.smoothed
     if baseline is None:
         return
     at = np.stack([np.interp(baseline.t, smoothed.t, smoothed.position_n[:, k]) for k in (0, 1)], axis=1)
     away = np.hypot(*(baseline.position_n[:, :2] - at).T)
-    yield _rms_and_largest("position on the map (m)", away, 2)
-    speed = (baseline.speed - np.interp(baseline.t, smoothed.t, smoothed.speed)) / KMH
-    yield _rms_and_largest("speed (km/h)", speed, 2)
+    yield _told_of("position on the map (m)", away, 2)
+    rms, largest = _rms_and_largest(baseline.speed - np.interp(baseline.t, smoothed.t, smoothed.speed))
+    yield element("span", "speed (", speed_unit(), ")"), speed_span(rms, 2), speed_span(largest, 2)
     if np.isfinite(smoothed.R_nb).any():
         same = np.clip(np.searchsorted(smoothed.t, baseline.t), 0, len(smoothed) - 1)
         turn = baseline.euler - smoothed.euler[same]
         turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
         for k, name in enumerate(("roll", "pitch", "yaw")):
-            yield _rms_and_largest(f"{name} (deg)", turn[:, k] / DEG, 1)
+            yield _told_of(f"{name} (deg)", turn[:, k] / DEG, 1)
 
 
-def _rms_and_largest(name: str, values: Array, digits: int) -> tuple[str, str, str]:
+def _told_of(name: str, values: Array, digits: int) -> tuple[str, str, str]:
+    rms, largest = _rms_and_largest(values)
+    return name, number(rms, digits), number(largest, digits)
+
+
+def _rms_and_largest(values: Array) -> tuple[float, float]:
+    """Of what is known of values (N,), NaN where nothing is."""
     known = values[np.isfinite(values)]
-    if not known.size:
-        return name, DASH, DASH
-    return name, number(float(np.sqrt(np.mean(known**2))), digits), number(float(np.abs(known).max()), digits)
+    return (float(np.sqrt(np.mean(known**2))), float(np.abs(known).max())) if known.size else (np.nan, np.nan)
+
+
+# what a user can do about problems that are lived with, beside what the check of the recording says
+_REMEDIES: Mapping[str, str] = {
+    IMU_SHAKEN: "IMU: damp the box against the engine's vibration (rubber, foam), or sample faster with the sensor's "
+    "low-pass filter on",
+    BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
+    "kart's",
+}
 
 
 def trust(told: Told) -> list[Element]:
@@ -436,6 +453,8 @@ def trust(told: Told) -> list[Element]:
     findings = [f for f in told.check.findings if f.level != "ok"]
     warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
     problems = told_problems(told.session, told.smoothed.report)
+    codes = {problem.code for problem in problems}
+    warned += [element("li", text) for code, text in _REMEDIES.items() if code in codes]
     said = [element("li", repeated(p.text, p.count)) for p in problems]
     made = [verdict, element("ul", *sentences)]
     if said:
@@ -445,7 +464,7 @@ def trust(told: Told) -> list[Element]:
     return made
 
 
-def _trust_sentences(told: Told) -> Iterator[str]:
+def _trust_sentences(told: Told) -> Iterator[Child]:
     sigmas, said = told.smoothed.sigmas, told.statistics
     if sigmas is not None:
         across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
@@ -453,7 +472,8 @@ def _trust_sentences(told: Told) -> Iterator[str]:
         track = sigmas.track[np.isfinite(sigmas.track)]
         if track.size:
             yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
-        yield f"Speed is sure to ± {number(float(np.nanmedian(sigmas.speed)) / KMH, 2)} km/h."
+        typical = speed_span(float(np.nanmedian(sigmas.speed)), 2)
+        yield element("span", "Speed is sure to ± ", typical, " ", speed_unit(), ".")
     if said is not None and np.isfinite(said.best_sigma):
         alike = _alike(told.laps)
         enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
@@ -499,7 +519,8 @@ def recording_table(told: Told) -> Element:
     rows = []
     for key, (name, unit, digits) in _MEASURES.items():
         value = told.check.measures.get(key, np.nan)
-        if np.isfinite(value):
+        is_of_none = key.endswith("_gap_longest_s") and value == 0.0
+        if np.isfinite(value) and not is_of_none:
             rows.append(row(name, number(100.0 * value if unit == "%" else value, digits), unit))
     return table(["", "", ""], rows, "The recording", "words")
 
@@ -520,7 +541,7 @@ def residual_table(told: Told) -> Element:
         "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
         "noise was taken too small"
     )
-    return table(["", "count", "rms", "in sigma", "rejected"], rows, caption)
+    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption)
 
 
 _NAMES = {

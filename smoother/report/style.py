@@ -4,7 +4,7 @@ Everything here works on Figure and Axes objects; pyplot and its global state ar
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -56,7 +56,7 @@ COMPRESSION = 2  # of PNG; 6 costs twice the time for a tenth of the size
 _TICK_STEPS = (0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)  # s
 SHADES = 48  # of a line coloured by something: more than an eye tells apart
 MOST_TICKS = 6  # along an axis
-_DECADES = range(-4, 5)
+_DECADES = range(-8, 6)
 GRID: Any = {"colors": "#dddddd", "linewidths": 0.6, "zorder": 0.5}
 SETTLED: Any = STYLE | {"axes.grid": False}  # where :func:`save` draws the grid
 X_LABELS: Any = {"ha": "center", "va": "top", "color": "#444444"}
@@ -160,17 +160,19 @@ def clock_axis(axes: Axes, seconds: float) -> None:
     axes.set_xlabel("time since the first fix (h:min:s)" if seconds >= 3600 else "time since the first fix (min:s)")
 
 
-def logarithmic(axes: Axes) -> None:
-    """Make the y axis logarithmic, labelled 0.1, 0.2, 0.5, 1 instead of with powers of ten."""
-    axes.set_yscale("log")
-    low, high = axes.get_ylim()
-    for steps in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):  # the finer ones where hardly any of the others is in view
+def logarithmic(axes: Axes, name: Literal["x", "y"] = "y") -> None:
+    """Make an axis logarithmic, labelled 0.1, 0.2, 0.5, 1 instead of with powers of ten; a long one 0.1, 1, 10."""
+    axes.set(**{f"{name}scale": "log"})
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    low, high = axis.get_view_interval()
+    # the finer ones where hardly any of the others is in view
+    for steps, enough in (((1,), 5), ((1, 2, 5), 3), ((1, 1.5, 2, 3, 4, 5, 6, 8), 0)):
         ticks = [m * 10.0**e for e in _DECADES for m in steps if low <= m * 10.0**e <= high]
-        if len(ticks) > 2:
+        if len(ticks) >= enough:
             break
-    axes.yaxis.set_major_locator(FixedLocator(ticks))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: np.format_float_positional(value, precision=9, trim="-")))
+    axis.set_minor_locator(NullLocator())
 
 
 def clock(seconds: float, step: float = 1.0) -> str:

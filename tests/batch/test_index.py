@@ -186,3 +186,18 @@ def test_an_index_without_any_result_is_a_page_too(tmp_path: Path) -> None:
 def test_absurd_times_and_places_are_shown_as_they_can(tmp_path: Path) -> None:
     for start in ("9999-12-31T23:59:59.999Z", "0001-01-01T00:00:00Z", "never"):
         write_index(tmp_path, "day", [entry(tmp_path, "a", start_utc=start, best_sigma_s=None)])
+
+
+def test_every_track_has_a_tile_with_its_best_lap(tmp_path: Path) -> None:
+    """Not the first track alone, which may not be that of the fastest lap."""
+    entries = [
+        entry(tmp_path, "day/a", 60.0, kart="12", track="Adria"),
+        entry(tmp_path, "day/b", 61.0, kart="kart7", track="Adria"),
+        entry(tmp_path, "day/c", 48.2, track="Ring", lat_deg=46.0),
+    ]
+    write_index(tmp_path, "day", entries)
+    text = (tmp_path / PAGE).read_text(encoding="utf-8")
+    assert "<dt>Best lap: Adria</dt><dd>1:00.000<small>kart 12</small>" in text
+    assert "<dt>Best lap: Ring</dt><dd>48.200<small>c</small>" in text
+    write_index(tmp_path, "day", entries[1:2])
+    assert "<dt>Best lap</dt><dd>1:01.000<small>kart7</small>" in (tmp_path / PAGE).read_text(encoding="utf-8")

@@ -141,6 +141,35 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     assert float(rows(opened)[0][9]) == pytest.approx(108.0, abs=0.1)
 
 
+def test_names_of_sessions_stay_whole_or_are_parted_at_their_signs(browser: Any, tmp_path: Path) -> None:
+    names = [
+        "kart_adria_first_half",
+        "kart_massafinalese_racechrono",
+        "2026-05-16_morning_practice_with_new_tyres/LOG00002",
+    ]
+    entries = []
+    for i, name in enumerate(names):
+        facts = Facts(
+            driver="Ann", laps=5, best_s=60.0, best_sigma_s=0.02, lat_deg=45.0 + i, lon_deg=12.0, length_m=900.0
+        )
+        out = tmp_path / name / "smoothed"
+        entries.append(Entry(Task(tmp_path / name, out, (), f"data/{name}"), Outcome("done", facts=facts)))
+    write_index(tmp_path, "data", entries)
+    browser.get((tmp_path / PAGE).as_uri())
+    pieces = browser.execute_script(  # the boxes of each piece between places where a line may break
+        "return [...document.querySelectorAll('td.name a, td.name span')].flatMap(name =>"
+        "  [...name.childNodes].filter(n => n.nodeType === 3).map(n => {"
+        "    const range = document.createRange(); range.selectNodeContents(n);"
+        "    return [n.textContent, range.getClientRects().length]; }))"
+    )
+    assert [piece for piece, lines in pieces if lines > 1] == []
+    lines = browser.execute_script(
+        "return [...document.querySelectorAll('.bests td.name a, .bests td.name span')]"
+        ".map(n => [n.textContent, new Set([...n.getClientRects()].map(r => Math.round(r.top))).size])"
+    )
+    assert [count for name, count in lines if name == names[0]] == [1, 1]
+
+
 def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)

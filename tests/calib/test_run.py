@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.allan import _values
 from calib.recording import load_recording
 from calib.run import RunOptions, run
 from smoother import so3
 from smoother.calibration import load_calibration, save_calibration
+from smoother.fit.allan import NoiseFigures
 from smoother.frames import Origin
 from smoother.session.settings import load_settings
 from smoother.sim.record import write_csv
@@ -100,3 +102,10 @@ def test_laps_alone_say_what_they_do_not_show(tmp_path: Path):
     reasons = {refusal.procedure: refusal.reason for refusal in results.refusals}
     assert "on a bench" in reasons["accelerometer"]
     assert all("\n" not in reason for reason in reasons.values())
+
+
+def test_bounds_of_noise_that_was_not_seen_are_written_out():
+    zero, seen = np.zeros((3, 3)), np.ones((3, 3), dtype=bool)
+    seen[:2, 2] = False
+    figures = NoiseFigures(zero, zero, np.full((3, 3), 8.0e-5), seen, np.zeros((3, 3, 3)))
+    assert _values("accelerometer", figures, 1.0, "m/s²")[2].note == "not seen on x, y: at most 0.000080, 0.000080"

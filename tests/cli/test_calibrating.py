@@ -8,7 +8,7 @@ import pytest
 
 from calib.outcome import Comparison
 from smoother.calibration import load_calibration
-from smoother.cli.calibrating import _comparison_text
+from smoother.cli.calibrating import _comparison_text, _pair
 from smoother.cli.main import run
 from smoother.sim.bench import BenchPlan, simulate_bench, write_bench
 from smoother.sim.record import write_csv
@@ -43,6 +43,24 @@ def test_it_writes_the_calibration_and_a_page_and_prints_before_and_after(
     found = load_calibration(tmp_path / "calibration.toml")
     np.testing.assert_allclose(found.accel_offset, [0.2, -0.3, 0.1], atol=0.01)
     np.testing.assert_allclose(found.hard_iron, [20.0, -30.0, 10.0], atol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (199.990275, 0.000013, "199.990 ± below 0.001"),
+        (9.9995, 0.0, "9.99950 ± below 0.00001"),
+        (98.85981, 0.0011, "98.8598 ± 0.0011"),
+        (0.001099, 4.3e-6, "0.0010990 ± 0.0000043"),
+        (-0.85258, 0.0001, "-0.85258 ± 0.00010"),
+        (0.0, 0.0015, "0.0000 ± 0.0015"),
+        (0.0, 0.0, "0"),
+    ],
+)
+def test_numbers_have_no_more_digits_than_count_and_a_sigma_is_never_nought(
+    value: float, sigma: float, text: str
+) -> None:
+    assert _pair(value, sigma) == text
 
 
 def test_what_two_recordings_lack_alike_is_said_once_and_of_which(

@@ -50,7 +50,8 @@ def test_a_line_too_weak_to_be_followed_is_said_to_show_in_the_spectrum_and_how_
     at = np.argmin(np.abs(spectrum.frequency - 60.0))
     assert spectrum.density[at, 0] > 5.0 * np.median(spectrum.density[:, 0])
     assert not line.is_there and 0.0 < line.share < 0.05
-    assert f"(seen in {100.0 * line.share:.1f} % of the time); a weak one shows in the spectrum only" in line.why_none
+    assert f"in only {100.0 * line.share:.1f} % of the windows of 0.5 s one stands out" in line.why_none
+    assert "no line stands out" not in line.why_none
 
 
 def test_the_engine_speeds_behind_a_folded_line():

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from smoother.laps.clock import local_day, local_time, local_zone
+from smoother.laps.clock import local_day, local_time, local_zone, luck_said
 
 NOON = 1_778_925_600.0  # 2026-05-16 10:00 UTC, noon in Berlin
 
@@ -31,3 +31,8 @@ def test_the_zone_has_a_name_and_two_where_the_clock_was_changed() -> None:
     assert local_zone([NOON, NOON + 3600.0]) == "CEST"
     assert local_zone([NOON, NOON + 200 * 86400.0]) == "CEST/CET"
     assert local_zone([]) == ""
+
+
+def test_the_luck_of_the_timing_is_what_the_times_that_are_shown_differ_by() -> None:
+    said = luck_said(65.5634, 65.5556, 66.0)
+    assert said == "best sectors add up to 1:05.556, which is 0.007 s too fast by luck of the timing"

@@ -46,6 +46,13 @@ def both(walk_is_seen: bool) -> dict[str, NoiseFigures]:
     return {"accelerometer": noise(walk_is_seen), "gyroscope": noise(walk_is_seen)}
 
 
+def test_the_axes_of_noise_are_labelled_without_powers_of_ten() -> None:
+    for axes in draw(allan, curves={"accelerometer": curve(), "gyroscope": curve()}, figures=both(True)).axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            labels = [label.get_text() for label in axis.get_ticklabels(which="both") if label.get_text()]
+            assert len(labels) >= 3 and not any("10^" in label or "e-" in label for label in labels), labels
+
+
 def test_it_has_the_looks_of_the_other_pages_and_asks_for_nothing(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text

@@ -116,3 +116,8 @@ def test_without_attitude_there_is_no_sideslip_to_draw(compared: list[Compared])
     assert isinstance(traces, dict) and "sideslip" not in traces
     half = numbers(comparison([compared[0], blind(compared[1])]))
     assert np.isfinite(trace(half, "sideslip")).any() and np.isnan(trace(half, "sideslip")).any()
+
+
+def test_the_name_of_a_session_is_not_cut_within_a_word(compared: list[Compared]) -> None:
+    named = replace(compared[0], name="kart_okc_doves")
+    assert "<td><span>kart_<wbr>okc_<wbr>doves</span></td>" in comparison([named, compared[1]])

@@ -242,3 +242,16 @@ def test_the_frame_on_the_map_is_what_the_close_up_shows(
         np.testing.assert_allclose((bottom, bottom + height), close.get_ylim(), rtol=1e-9)
         (west, east), (south, north) = whole.get_xlim(), whole.get_ylim()
         assert west <= left < left + width <= east and south <= bottom < bottom + height <= north
+
+
+def test_a_spike_that_is_not_sure_is_left_out_of_the_scale_of_speed(session: Session, trajectory: Trajectory) -> None:
+    assert trajectory.sigmas is not None
+    velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    velocity[500], sigma[500] = [120.0, 0.0, 0.0], 100.0
+    stepped = replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
+    plain, spiked = (_speed_limits(session, one) for one in (trajectory, stepped))
+    assert spiked == pytest.approx(plain)
+
+
+def _speed_limits(session: Session, trajectory: Trajectory) -> tuple[float, float]:
+    return figures.speed(Shown(session, trajectory, None, "x")).axes[0].get_ylim()

@@ -15,17 +15,25 @@ from smoother.cli.lap_tables import figures
 from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
 from smoother.laps.analysis import analyse
-from smoother.laps.document import analysis_document
+from smoother.laps.document import analysis_document, lap_rows
 from smoother.laps.results import FixPath, LapAnalysis
 from smoother.report import page as page_module
 from smoother.report import page_data
 from smoother.report.files import to_json
 from smoother.report.page import Report, page, write_page
-from smoother.report.page_html import LONG, element, json_in_script, row, table, whole_page
+from smoother.report.page_html import LONG, element, json_in_script, parted, row, table, whole_page
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
-from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
+from smoother.trajectory import (
+    BOX_ON_WHEEL,
+    IMU_SHAKEN,
+    EstimateReport,
+    Identified,
+    ResidualStatistics,
+    Sigmas,
+    Trajectory,
+)
 
 NASTY = "<script>alert(1)</script>"
 GOOD = Quality(True, (), {"far_fix_share": 0.0})
@@ -176,7 +184,7 @@ def test_a_loss_is_called_real_only_where_it_is(report: Report) -> None:
     assert report.laps is not None
     real = sum(int(corner.is_real[i]) for corner in report.laps.corners for i in _timed(report.laps))
     real += sum(corner.usual_is_real for corner in report.laps.corners)
-    assert f"{number(report.laps.corners[0].real_from, 1)} sigma or more" in text
+    assert f"A loss must be {number(report.laps.corners[0].real_from, 1)} times its ±" in text
     corner = report.laps.corners[0]
     usual = f"{number(corner.usual_lost, 2, signed=True)}{'*' if corner.usual_is_real else ''}"
     assert f"{usual}<small> ± {number(corner.usual_lost_sigma, 2)}</small>" in text
@@ -263,6 +271,13 @@ def test_residuals_far_below_one_sigma_are_not_called_dishonest(report: Report) 
     assert "1 is honest" not in text
 
 
+def test_measurements_of_little_weight_are_not_called_rejected_beside_fixes_that_were_dropped(report: Report) -> None:
+    residuals = {"gps_position": ResidualStatistics("m", 500, 0.0, 0.3, 1.0, 3)}
+    counted_so = replace(report.smoothed, report=EstimateReport(residuals=residuals))
+    text = page(replace(report, smoothed=counted_so))
+    assert '<th scope="col">hardly believed</th>' in text and "rejected" not in text
+
+
 def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:
     laps = report.laps
     assert laps is not None and laps.statistics is not None and laps.statistics.best_lap is not None
@@ -339,6 +354,13 @@ def test_elements_keep_text_between_and_after_children() -> None:
     assert '<p class="x" data-y="&quot;">a&lt;<b>c</b>d&amp;</p><tr><td>1</td><td>2</td></tr>' in text
 
 
+def test_a_name_is_parted_at_its_signs_and_stays_itself() -> None:
+    name = element("span", *parted("a-b/kart_okc_doves"))
+    assert "".join(name.itertext()) == "a-b/kart_okc_doves"
+    assert [wbr.tail for wbr in name] == ["b", "/kart_", "okc_", "doves"] and name.text == "a-"
+    assert parted("") == []
+
+
 def test_numbers_are_said_as_people_say_them() -> None:
     assert [lap_clock(s) for s in (58.6481, 62.345, 119.9999, float("nan"))] == ["58.648", "1:02.345", "2:00.000", "–"]
     assert lap_clock(3652.892) == "1:00:52.892"  # across lunch
@@ -400,6 +422,37 @@ def test_without_laps_the_time_shown_is_around_the_top_speed_that_is_told(
     assert page_data.compared_times(page_data.Numbers(session, stepped, None, None)) == told
 
 
+def test_a_spike_that_is_not_sure_is_left_out_of_scales_as_of_the_top_speed(
+    session: Session, trajectory: Trajectory
+) -> None:
+    plain = page_data.page_data(page_data.Numbers(session, trajectory, None, None))
+    assert "is_sure" not in plain["traces"]  # type: ignore[operator]
+    document = page_data.page_data(page_data.Numbers(session, spiked(trajectory), None, None))
+    traces = document["traces"]
+    assert isinstance(traces, dict)
+    speed, sure = floats(traces["speed"]), floats(traces["is_sure"])
+    assert speed.max() > 100.0 and set(sure) == {0.0, 1.0}
+    assert speed[sure == 1.0].max() == pytest.approx(floats(plain["traces"]["speed"]).max())  # type: ignore[index]
+    assert len(floats(document["cloud"]["right"])) == len(floats(plain["cloud"]["right"])) - 20  # type: ignore[index]
+
+
+def test_a_spike_does_not_make_the_places_that_are_drawn_fewer(
+    driven: tuple[Trajectory, LapAnalysis, Session],
+) -> None:
+    trajectory, laps, _ = driven
+    assert laps.traces is not None
+    plain, with_spike = (page_data.grid_columns(one, laps.traces) for one in (trajectory, spiked(trajectory)))
+    np.testing.assert_array_equal(plain, with_spike)
+
+
+def spiked(trajectory: Trajectory) -> Trajectory:
+    """It with a spike of 0.4 s that is known to be unsure."""
+    assert trajectory.sigmas is not None
+    velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    velocity[500:520], sigma[500:520] = [120.0, 0.0, 0.0], 100.0
+    return replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
+
+
 def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, LapAnalysis, Session]) -> None:
     trajectory, laps, session = driven
     second = next(lap for lap in laps.laps if lap.number == 2)
@@ -415,6 +468,73 @@ def test_of_one_lap_that_counts_nothing_is_compared(driven: tuple[Trajectory, La
     assert all("<td>–</td>" * len(one.corners) not in part for part in text.split("<tr"))
     said = dict(figures(json.loads(to_json(analysis_document(one, session.origin)))))
     assert "theoretical" not in said and said["consistency"] == "1 lap counts, none to compare it with"
+
+
+@pytest.mark.parametrize(
+    ("below_best", "words"),
+    [
+        (0.1, "best sectors add up to 50.877, which is 0.023 s too fast by luck of the timing"),
+        (0.0, "best sectors add up to 50.977: faster than the best lap only by luck of the timing"),
+    ],
+)
+def test_the_luck_in_the_best_sectors_is_said_in_seconds(report: Report, below_best: float, words: str) -> None:
+    assert report.laps is not None and report.laps.statistics is not None
+    theoretical = 51.0 - below_best
+    times = {"best": 51.0, "theoretical": theoretical, "theoretical_raw": theoretical - 0.023}
+    laps = replace(report.laps, statistics=replace(report.laps.statistics, **times))
+    assert f"; {words}" in page(replace(report, laps=laps))
+    document = json.loads(to_json(analysis_document(laps, report.session.origin)))
+    assert f"({words})" in dict(figures(document))["theoretical"]
+
+
+def test_a_loss_never_has_a_sigma_of_nought(report: Report) -> None:
+    assert report.laps is not None
+    corners = tuple(
+        replace(c, time_lost=np.full_like(c.time_lost, -0.0712), time_lost_sigma=np.full_like(c.time_lost, 0.0041))
+        for c in report.laps.corners
+    )
+    text = page(replace(report, laps=replace(report.laps, corners=corners)))
+    assert "-0.071" in text and "± 0.004</small>" in text and "± 0.00</small>" not in text
+
+
+@pytest.mark.parametrize(("gaps", "longest"), [(0, 0.0), (1, 3.0)])
+def test_without_gaps_no_longest_one_is_told(
+    gaps: int, longest: float, report: Report, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = page_module.recorded_check(report.session)
+    measures = {**found.measures, "fix_gaps": float(gaps), "fix_gap_longest_s": longest}
+    monkeypatch.setattr(page_module, "recorded_check", lambda _: replace(found, measures=measures))
+    text = page(report)
+    assert f"<td>gaps in the fixes</td><td>{gaps}</td>" in text
+    assert ("<td>longest gap in the fixes</td>" in text) == (gaps > 0)
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"), [(IMU_SHAKEN, "damp the box"), (BOX_ON_WHEEL, "mount the box on the frame")]
+)
+def test_what_would_make_it_better_says_what_to_do_about_the_box(report: Report, code: str, remedy: str) -> None:
+    lived_with = EstimateReport(problems=(Problem(code, "so it is", 1),))
+    better = page(replace(report, smoothed=replace(report.smoothed, report=lived_with))).partition("make it better")[2]
+    assert f"<li>IMU: {remedy}" in better
+    assert remedy not in page(report)
+
+
+def test_consistency_is_the_spread_of_the_laps(report: Report) -> None:
+    assert report.laps is not None and report.laps.statistics is not None
+    said = replace(report.laps.statistics, counted=12, spread=0.123, within_tenth=4)
+    text = page(replace(report, laps=replace(report.laps, statistics=said)))
+    assert "<dd>0.123 s<small>spread of 12 laps that count; 3 of the others within" in text
+    said = replace(said, spread=np.nan)
+    text = page(replace(report, laps=replace(report.laps, statistics=said)))
+    assert "<dd>12 laps<small>that count; 3 of the others within" in text
+
+
+def test_reasons_why_a_lap_does_not_count_stand_apart(report: Report) -> None:
+    assert report.laps is not None
+    odd = (*report.laps.laps[:-1], replace(report.laps.laps[-1], reasons=("pit", "off-track")))
+    laps = replace(report.laps, laps=odd)
+    assert "<td>pit, off-track</td>" in page(replace(report, laps=laps))
+    assert lap_rows(laps)[-1]["reason"] == "pit, off-track"
 
 
 @pytest.mark.parametrize("faster", [0.2, -0.2])

@@ -119,6 +119,18 @@ def shaken_page(tmp_path_factory: pytest.TempPathFactory, session: Session, traj
     return path
 
 
+@pytest.fixture(scope="module")
+def spiked_page(tmp_path_factory: pytest.TempPathFactory, session: Session, trajectory: Trajectory) -> Path:
+    """A speed of 500 km/h that is known to be unsure."""
+    assert trajectory.sigmas is not None
+    velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
+    velocity[1000:1020], sigma[1000:1020] = [500.0 / 3.6, 0.0, 0.0], 100.0
+    spiked = replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
+    path = tmp_path_factory.mktemp("spiked") / "report.html"
+    write_page(path, Report(session, spiked, spiked, None, Quality(True, (), {})))
+    return path
+
+
 @pytest.fixture(params=["simulated_page", "adria_page"])
 def opened(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
     yield from watched(browser, request.getfixturevalue(request.param))
@@ -307,6 +319,38 @@ def test_times_below_a_chart_stand_apart(name: str, width: int, browser: Any, re
             assert len(boxes) > 1 and all(a[1] + 3.0 < b[0] for a, b in itertools.pairwise(boxes)), chart
 
 
+@pytest.mark.parametrize("name", ["simulated_page", "adria_page", "shaken_page", "spiked_page", "compared_page"])
+def test_every_panel_has_a_scale_of_two_values_at_least(
+    name: str, browser: Any, request: pytest.FixtureRequest
+) -> None:
+    browser.get(request.getfixturevalue(name).as_uri())
+    labels = browser.execute_script(
+        "return ['traces', 'compared-speed', 'quality-time'].flatMap(id => {"
+        "  const svg = document.querySelector(`#${id} svg`);"
+        "  if (!svg) return [];"
+        "  const top = (node) => node.getBoundingClientRect().top;"
+        "  const titles = [...svg.querySelectorAll('text.title')].map(top);"
+        "  const values = [...svg.querySelectorAll('text[text-anchor=end]')]"
+        "    .filter(t => t.textContent !== 'm').map(top);"
+        "  return titles.map((y, i) => values.filter(v => v > y - 3 && !(v > titles[i + 1])).length); })"
+    )
+    assert len(labels) >= 3 and min(labels) >= 2
+
+
+def test_spikes_that_are_not_sure_do_not_flatten_the_rest(spiked_page: Path, browser: Any) -> None:
+    browser.get(spiked_page.as_uri())
+    titles = [str(title.text) for title in browser.find_elements("css selector", "svg text.title")]
+    assert "speed (km/h); unsure parts go on beyond the frame" in titles
+    values = browser.execute_script(
+        "return [...document.querySelectorAll('#traces svg text, #compared-speed svg text, #map svg text')]"
+        ".map(t => t.textContent)"
+    )
+    assert "100" in values or "80" in values
+    assert not {"200", "300", "400", "500"} & set(values)
+    assert any(text.startswith("≥ ") for text in values)
+    assert "speed (km/h); the baseline and unsure parts go on beyond the frame" in titles
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 @pytest.mark.parametrize("name", ["simulated_page", "compared_page"])
 def test_what_explains_a_chart_stands_whole_above_it(
@@ -399,6 +443,8 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     unit = Select(opened.find_element("id", "units"))
     unit.select_by_value("mph")
     assert float(cell.text) == pytest.approx(kmh / 1.609344, abs=0.1)
+    words = opened.execute_script("return document.querySelector('main').innerText")
+    assert "km/h" not in words and words.count("mph") >= 7
     unit.select_by_value("km/h")
 
 
@@ -423,6 +469,36 @@ def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
     paper = opened.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})
     document = base64.b64decode(paper["data"])
     assert document.startswith(b"%PDF") and len(document) > 30_000
+
+
+def test_on_paper_map_and_traces_fit_one_sheet_and_tables_stay_with_their_captions(opened: Any) -> None:
+    opened.execute_script("dispatchEvent(new Event('beforeprint'))")
+    heights = opened.execute_script(
+        "return ['map', 'traces'].map(id => document.querySelector(`#${id} svg`).viewBox.baseVal.height)"
+    )
+    opened.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert sum(heights) < 940.0  # px of A4 within its margins are 1024, less heading and laps shown
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    parted = opened.execute_script(
+        "return [...document.querySelectorAll('table')].filter(t => t.offsetParent)"
+        ".filter(t => t.caption || t.rows.length < 15)"
+        ".filter(t => getComputedStyle(t.parentNode).breakInside !== 'avoid'"
+        "  && getComputedStyle(t).breakInside !== 'avoid').map(t => t.textContent)"
+    )
+    torn = opened.execute_script(
+        "return [...document.querySelectorAll('h2, h3, caption, legend')]"
+        ".filter(h => getComputedStyle(h).breakAfter !== 'avoid').map(h => h.textContent)"
+    )
+    opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert parted == [] and torn == []
+
+
+def test_the_fixes_are_seen_beside_the_lines_over_them(opened: Any) -> None:
+    widths = opened.execute_script(
+        "return ['fixes', 'line'].map(kind => parseFloat(getComputedStyle("
+        "document.querySelector(`#compared-map svg path.${kind}`)).strokeWidth))"
+    )
+    assert widths[0] > 2.0 * widths[1]
 
 
 def test_a_table_that_is_cut_at_an_edge_is_shaded_there_and_nowhere_on_paper(opened: Any) -> None:

@@ -47,7 +47,7 @@ from smoother.estimate.mirrored import explained
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
-from smoother.trajectory import EstimateReport, Identified, Trajectory
+from smoother.trajectory import IMU_SHAKEN, EstimateReport, Identified, Trajectory
 from smoother.words import counted
 
 __all__ = ["GraphOptions", "GraphSmoother"]
@@ -236,7 +236,7 @@ def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
         "engine's vibration into it: delays of the GPS and the antenna's place may be off by many times their sigma. "
         "Damp the box, or sample faster with the sensor's low-pass filter on"
     )
-    return (Problem("imu_shaken", text),)
+    return (Problem(IMU_SHAKEN, text),)
 
 
 def _jumped(

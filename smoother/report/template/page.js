@@ -53,10 +53,11 @@
     const power = 10 ** Math.floor(Math.log10(rough));
     return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough);
   }
-  function ticks(low, high, most) {
+  function ticks(low, high, most) { // one alone tells no scale: then finer ones
     const step = niceStep(high - low || 1, most);
     const out = [];
     for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-6; v += step) out.push(v);
+    if (out.length < 2 && most < 5) return ticks(low, high, most + 1);
     return [out, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
   }
   function clockTicks(low, high, most) {
@@ -111,6 +112,12 @@
     const limits = [Math.max(bands[0], lines[0] - most), Math.min(bands[1], lines[1] + most)];
     return [limits, limits[0] > bands[0] || limits[1] < bands[1]];
   }
+  function sureOnly(values, sure, first, last) { // without what is not sure, unless nothing else is there
+    const kept = sure ? values.map((v, i) => (sure[i] ? v : NaN)) : values;
+    return kept.slice(first, last + 1).some(Number.isFinite) ? kept : values;
+  }
+  const spare = ([low, high]) => 0.06 * (high - low || 1); // above and below the limits of a panel
+  const holds = (limits, [low, high]) => limits[0] - spare(limits) <= low && limits[1] + spare(limits) >= high;
   function nearest(list, value) {
     let low = 0, high = list.length - 1;
     while (high - low > 1) {
@@ -167,7 +174,7 @@
     let [low, high] = spec.limits;
     const least = spec.least || 0;
     if (high - low < least) [low, high] = [(low + high - least) / 2, (low + high + least) / 2];
-    const space = 0.06 * (high - low || 1);
+    const space = spare([low, high]);
     [low, high] = [spec.floor ?? low - space, high + space];
     const Y = (y) => bottom - ((y - low) / (high - low)) * (bottom - top);
     for (const bend of spec.bends || []) {
@@ -223,16 +230,16 @@
 
   // ---- traces ----
   const PANELS = [
-    { name: "speed", title: () => `speed (${state.unit})`, height: 170, scale: factor, least: 5 },
+    { name: "speed", title: () => `speed (${state.unit})`, height: 170, scale: factor, sureOnly: true, least: 5 },
     { name: "delta", title: () => `time lost to ${data.against_name} (s), band: two sigma`, height: 140, sigma: "delta_sigma", least: 0.1 },
-    { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
-    { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, least: 0.5 },
+    { name: "longitudinal", title: () => "driving + and braking − (g)", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
+    { name: "sideways", title: () => "sideways (g), left +", height: 120, scale: () => 1 / 9.80665, sureOnly: true, least: 0.5 },
     { name: "sideslip", title: () => "sideslip (deg), + nose right of the path, band: two sigma", height: 130, sigma: "sideslip_sigma", least: 10 },
     { name: "offset", title: () => "line: metres left of the mean line, band: two sigma, grey: within noise", height: 140, sigma: "offset_sigma", sure: "is_off", least: 1 },
   ];
   function drawTraces(wanted) {
     const wide = room("traces", wanted);
-    const [first, last] = state.range;
+    const [first, last] = state.range, laps = [...state.slots.keys()];
     const panels = PANELS.filter((p) => traces[p.name]).map((p) => {
       const k = p.scale ? p.scale() : 1;
       const series = [...state.slots].map(([lap, slot]) => ({
@@ -240,9 +247,11 @@
         sigma: p.sigma && traces[p.sigma] ? traces[p.sigma][lap] : null,
         sure: p.sure && traces[p.sure] ? traces[p.sure][lap] : null,
       }));
-      const [limits, isCut] = around(series, first, last, p.least);
-      const title = p.title() + (isCut ? "; the band goes on beyond the frame" : "");
-      return { ...p, series, limits, title, height: grown(p.height, title, wide) };
+      const scaled = series.map((s, i) => ({ ...s, y: sureOnly(s.y, p.sureOnly && traces.is_sure && traces.is_sure[laps[i]], first, last) }));
+      const [limits, isCut] = around(scaled, first, last, p.least);
+      const beyond = isCut ? "; the band goes on beyond the frame" : holds(limits, extent(series.map((s) => s.y), first, last)) ? "" : "; unsure parts go on beyond the frame";
+      const title = p.title() + beyond;
+      return { ...p, series, limits, title, height: grown(wanted ? 0.75 * p.height : p.height, title, wide) }; // map and traces fit one sheet of paper
     });
     const total = panels.reduce((sum, p) => sum + p.height, 0) + AXIS;
     const [svg, width] = sheet("traces", total, wanted);
@@ -324,7 +333,7 @@
     const lap = state.coloured, [first, last] = state.range;
     const box = place("map").clientWidth;
     const width0 = wanted || Math.max(280, box);
-    const height = Math.round(Math.min(width0 * 0.95, wanted ? 400 : 520));
+    const height = Math.round(Math.min(width0 * 0.95, wanted ? 230 : 520));
     const [svg, width] = sheet("map", height + 34, wanted);
     const laps = [...state.slots.keys()];
     const cut = (list) => list.subarray(first, last + 1);
@@ -336,9 +345,9 @@
       make("path", { d: trail(traces.x[i], traces.y[i], X, Y, first, last), class: `line s${slot % 6}`, "stroke-dasharray": DASHES[slot % 6] }, inside);
     }
     make("path", { d: trail(traces.x[lap], traces.y[lap], X, Y, first, last), class: "casing" }, inside);
-    const [slow, fast] = extent([traces.speed[lap]], first, last);
+    const [slow, fast] = extent([sureOnly(traces.speed[lap], traces.is_sure && traces.is_sure[lap], first, last)], first, last);
     const shades = data.palette.map(() => "");
-    const bin = (v) => Math.min(shades.length - 1, Math.floor(((v - slow) / (fast - slow || 1)) * shades.length));
+    const bin = (v) => Math.max(0, Math.min(shades.length - 1, Math.floor(((v - slow) / (fast - slow || 1)) * shades.length)));
     for (let i = first; i < last; i++) {
       const [a, b] = [traces.x[lap][i], traces.x[lap][i + 1]];
       if (!Number.isFinite(a + b) || !Number.isFinite(traces.speed[lap][i])) continue;
@@ -353,7 +362,8 @@
     const range = data.corners.filter((c) => c.apex >= grid[first] && c.apex <= grid[last]);
     for (const c of range) write(inside, X(c.x) + c.out_x * 17, Y(c.y) - c.out_y * 17 + 4, c.number, "corner", "middle");
     scaleBar(svg, scale, width, height);
-    colourBar(svg, slow, fast, width, height);
+    const isCut = !holds([slow, fast], extent([traces.speed[lap]], first, last));
+    colourBar(svg, slow, fast, width, height, isCut ? "≥ " : "");
     const dots = laps.map((i) => [make("circle", { r: 6, class: `dot f${state.slots.get(i) % 6}` }, inside), i]);
     cursors.push((at) => {
       for (const [dot, i] of dots) {
@@ -375,11 +385,11 @@
     svg.addEventListener("pointermove", seek);
     svg.addEventListener("pointerdown", seek);
   }
-  function colourBar(svg, slow, fast, width, height) {
+  function colourBar(svg, slow, fast, width, height, from) {
     const n = data.palette.length, w = Math.min(220, width - 150) / n, left = (width - n * w) / 2;
     data.palette.forEach((c, i) => make("rect", { x: left + i * w, y: height + 8, width: w + 0.6, height: 10, fill: c }, svg));
     write(svg, left - 6, height + 17, (slow * factor()).toFixed(0), "", "end");
-    write(svg, left + n * w + 6, height + 17, `${(fast * factor()).toFixed(0)} ${state.unit}`);
+    write(svg, left + n * w + 6, height + 17, `${from}${(fast * factor()).toFixed(0)} ${state.unit}`);
   }
 
   // ---- g-g diagram ----
@@ -440,18 +450,22 @@
     const [svg, width] = sheet("compared-map", height, wanted ? width0 : undefined);
     const { scale, X, Y } = fit([compared.x.subarray(a, b + 1)], [compared.y.subarray(a, b + 1)], width, height, 30);
     const inside = clipped(svg, 0, 0, width, height);
-    const tracks = [["baseline_", "line s4", "7 3"], ["", "line s0", ""]];
-    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, inside);
     const [c, d] = part(compared.fix_t);
     let dots = "";
     for (let i = c; i <= d; i++) dots += `M${X(compared.fix_x[i]).toFixed(1)} ${Y(compared.fix_y[i]).toFixed(1)}h0`;
-    make("path", { d: dots, class: "points s1" }, inside);
+    make("path", { d: dots, class: "fixes" }, inside); // beads wider than the lines, so that neither hides the other
+    const tracks = [["baseline_", "line s4", "7 3"], ["", "line s0", ""]];
+    for (const [name, look, dash] of tracks) if (compared[`${name}x`]) make("path", { d: trail(compared[`${name}x`], compared[`${name}y`], X, Y, a, b), class: look, "stroke-dasharray": dash }, inside);
     scaleBar(svg, scale, width, height);
     const speeds = [{ x: compared.t, y: compared.speed.map((v) => v * factor()), slot: 0, dash: "" }];
     if (compared.baseline_speed) speeds.unshift({ x: compared.t, y: compared.baseline_speed.map((v) => v * factor()), slot: 4, dash: "7 3" });
-    const [plot, w] = sheet("compared-speed", 260 + AXIS, wanted ? width0 : undefined);
-    panel(plot, { top: 0, height: 260 }, { x0: compared.t[a], x1: compared.t[b], width: w, title: `speed (${state.unit})`, series: speeds.map((s) => ({ ...s, span: [a, b] })), limits: extent(speeds.slice(-1).map((s) => s.y), a, b), least: 5 });
-    bottomAxis(plot, compared.t[a], compared.t[b], w, 260, true);
+    const ours = speeds[speeds.length - 1].y, limits = extent([sureOnly(ours, compared.is_sure, a, b)], a, b);
+    const cut = [...(speeds.length > 1 && !holds(limits, extent([speeds[0].y], a, b)) ? ["the baseline"] : []), ...(holds(limits, extent([ours], a, b)) ? [] : ["unsure parts"])];
+    const title = `speed (${state.unit})${cut.length ? `; ${cut.join(" and ")} ${cut[0] === "the baseline" && cut.length === 1 ? "goes" : "go"} on beyond the frame` : ""}`;
+    const wide = wanted ? width0 : room("compared-speed"), tall = grown(260, title, wide);
+    const [plot, w] = sheet("compared-speed", tall + AXIS, wanted ? width0 : undefined);
+    panel(plot, { top: 0, height: tall }, { x0: compared.t[a], x1: compared.t[b], width: w, title, series: speeds.map((s) => ({ ...s, span: [a, b] })), limits, least: 5 });
+    bottomAxis(plot, compared.t[a], compared.t[b], w, tall, true);
   }
   function drawQuality(wanted) {
     if (!quality) return;
@@ -546,7 +560,7 @@
     drawCircle(width);
     drawCompared(width);
     drawQuality(width);
-    for (const cell of document.querySelectorAll("[data-mps]")) cell.textContent = fixed(Number(cell.dataset.mps) * factor(), 1);
+    for (const cell of document.querySelectorAll("[data-mps]")) cell.textContent = fixed(Number(cell.dataset.mps) * factor(), Number(cell.dataset.digits ?? 1));
     for (const cell of document.querySelectorAll(".speed-unit")) cell.textContent = state.unit;
     moveTo(state.at);
   }
