@@ -189,8 +189,8 @@ def document(compared: list[Compared]) -> dict[str, Any]:
 def show(compared: list[Compared], units: str) -> None:
     """Print best laps, and sectors and corners of each session's best lap beside the best of all."""
     for one in compared:
-        if not any(lap.is_timed for lap in one.analysis.laps):
-            warn(f"{one.name}: no whole lap on the reference line")
+        if one.why_not:
+            warn(f"{one.name}: {one.why_not}")
     starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
     say_columns(f"best laps{zone}", *_best_table(compared, units))
@@ -260,6 +260,9 @@ def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[
     rows = []
     for one in compared:
         best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
-        speeds = [c.min_speed[best] if best is not None else float("nan") for c in one.analysis.corners]
-        rows.append([*(number(float(v) / SPEED_UNITS[units], 1) for v in speeds), one.name])
+        if best is None or len(one.analysis.corners) != len(corners):
+            rows.append(["-"] * len(corners) + [one.name])
+            continue
+        speeds = [number(float(c.min_speed[best]) / SPEED_UNITS[units], 1) for c in one.analysis.corners]
+        rows.append([*speeds, one.name])
     return [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), ""], rows
