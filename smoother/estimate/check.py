@@ -13,7 +13,16 @@ from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
 from smoother.estimate.sensor_units import aligned, beginning
-from smoother.samples import DEAD_AXES, GnssFixes, RawImu, RawMag, RawSession
+from smoother.samples import (
+    DEAD_AXES,
+    IMU_AXES_UNKNOWN,
+    IMU_INCOMPLETE,
+    GnssFixes,
+    Problem,
+    RawImu,
+    RawMag,
+    RawSession,
+)
 from smoother.session.clock import regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -23,7 +32,11 @@ SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slo
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
-_WITH_SENSOR = (".klg", "out.txt", "imu.csv", "imu.csv.gz", "simulation")  # ends of inputs that promise a motion sensor
+_OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this project's loggers, all with a motion sensor
+_WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
+_USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
+_UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
+NO_SENSOR = "no motion sensor"
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
 
 
@@ -61,7 +74,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Check:
-    """All findings about a recording and the numbers behind them. is_gps_only: its logger has no motion sensor."""
+    """All findings about a recording and the numbers behind them.
+
+    is_gps_only: its logger has no motion sensor, or another logger than this project's one that is of no use.
+    """
 
     name: str
     findings: tuple[Finding, ...]
@@ -91,10 +107,11 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     """Judge a recording as it was read."""
     limits = CheckLimits() if limits is None else limits
     gps_only = _is_gps_only(raw)
-    parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits, gps_only), _check_mag(raw.mag)]
+    imu = _only_gnss(raw.problems) if gps_only else _check_imu(raw.imu, limits)
+    parts = [_check_gnss(raw.gnss, limits), imu, _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
-    judged = (*_JUDGED_HERE, "imu_missing") if gps_only else _JUDGED_HERE
+    judged = (*_JUDGED_HERE, *_USELESS) if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
     measures = {name: value for part in parts for name, value in part.measures.items()}
@@ -102,9 +119,33 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
 
 
 def _is_gps_only(raw: RawSession) -> bool:
-    """Whether nothing of the recording promises a motion sensor: a VBO, NMEA or GPX file, fixes in columns."""
-    promised = raw.mag is not None or any(name.lower().endswith(_WITH_SENSOR) for name in raw.inputs)
-    return raw.imu is None and not promised
+    """Whether nothing better than fixes is to be had: a VBO, NMEA or GPX file, a sensor that is not made for this.
+
+    Of this project's own loggers a motion sensor of no use is a fault, as is one that is missing without a reason.
+    """
+    if raw.imu is not None or _is_of(raw, _OWN_LOGGER):
+        return False
+    promised = raw.mag is not None or _is_of(raw, _WITH_SENSOR)
+    return not promised or _why_useless(raw.problems) != NO_SENSOR
+
+
+def _is_of(raw: RawSession, ends: tuple[str, ...]) -> bool:
+    return any(name.lower().endswith(ends) for name in raw.inputs)
+
+
+def _why_useless(problems: tuple[Problem, ...]) -> str:
+    """What is said of a motion sensor without usable samples; the reasons are those of the reader."""
+    for problem in problems:
+        reason = problem.text.removesuffix(": smoothed from GPS alone").partition(": ")[2]
+        if problem.code in _USELESS and reason:
+            return reason if problem.code == "imu_too_slow" else f"the motion sensor cannot be used ({reason})"
+    is_there = any(problem.code in _UNUSED for problem in problems)
+    return "the motion sensor cannot be used" if is_there else NO_SENSOR
+
+
+def _only_gnss(problems: tuple[Problem, ...]) -> _Part:
+    text = f"{_why_useless(problems)}; the GPS alone tells no roll, pitch or sideslip"
+    return _Part([Finding("warning", "IMU", text)], {})
 
 
 def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
@@ -152,10 +193,7 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
         yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
 
 
-def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part:
-    if gps_only:
-        text = "no motion sensor; the GPS alone tells no roll, pitch or sideslip"
-        return _Part([Finding("warning", "IMU", text)], {})
+def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
     lasts = float(imu.t[-1] - imu.t[0])

@@ -273,7 +273,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         return
     if period * SLOWEST_IMU > 1.0 + SAME_RATE:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
-        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
+        rates = f"{1 / period:.3g} samples a second, {SLOWEST_IMU:.0f} are needed"
+        yield "imu_too_slow", f"the motion sensor is too slow ({rates}{asked})"
     for reason in implausible_units(imu):
         yield "imu_implausible", reason
 

@@ -10,7 +10,7 @@ from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
 from smoother.prepare import prepare
 from smoother.report.page import recorded_check
-from smoother.samples import GnssFixes, Problem, RawImu, RawSession
+from smoother.samples import IMU_AXES_UNKNOWN, GnssFixes, Problem, RawImu, RawSession
 from smoother.session.clock import describe_time_base, regularize
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -159,6 +159,36 @@ def test_a_logger_without_a_motion_sensor_is_good_and_said_to_be_gps_only(
     result = check(changed(kart, imu=None, mag=None, inputs=inputs))
     assert result.is_good and result.is_gps_only
     assert "no motion sensor" in texts(result, "warning")
+
+
+SLOW = "the motion sensor is too slow (10 samples a second, 20 are needed)"
+
+
+@pytest.mark.parametrize(
+    ("code", "reason", "said"),
+    [
+        ("imu_too_slow", SLOW, SLOW),
+        ("imu_missing", "only 5 usable samples", "the motion sensor cannot be used (only 5 usable samples)"),
+    ],
+)
+def test_a_motion_sensor_of_no_use_is_a_fault_of_the_own_logger_only(
+    kart: RawSession, code: str, reason: str, said: str
+) -> None:
+    for files, is_own in ((("imu.csv", "gps.csv", "mag.csv"), False), (("a.vbo",), False), (("A.KLG",), True)):
+        problem = Problem(code, f"{files[0]}: {reason}: smoothed from GPS alone")
+        result = check(changed(kart, imu=None, inputs=files, problems=(problem,)))
+        assert result.is_good == result.is_gps_only == (not is_own)
+        if not is_own:
+            alone = f"{said}; the GPS alone tells no roll, pitch or sideslip"
+            assert [f.text for f in result.findings if f.topic in ("IMU", "file")] == [alone]
+
+
+def test_a_motion_sensor_that_is_not_read_is_not_called_missing(kart: RawSession) -> None:
+    axes = Problem(IMU_AXES_UNKNOWN, "a.vbo: the inertial channels (x, y, z) are not used: their axes are not known")
+    missing = Problem("imu_missing", "no IMU that can be used: smoothed from GPS alone")
+    result = check(changed(kart, imu=None, mag=None, inputs=("a.vbo",), problems=(axes, missing)))
+    assert result.is_gps_only and axes.text in texts(result, "warning")
+    assert "no motion sensor" not in texts(result, "warning")
 
 
 def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
