@@ -107,7 +107,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     """Judge a recording as it was read."""
     limits = CheckLimits() if limits is None else limits
     gps_only = _is_gps_only(raw)
-    imu = _only_gnss(raw.problems) if gps_only else _check_imu(raw.imu, limits)
+    imu = _only_gnss(raw.problems) if gps_only else _check_imu(raw.imu, limits, _is_of(raw, _OWN_LOGGER))
     parts = [_check_gnss(raw.gnss, limits), imu, _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
@@ -193,7 +193,7 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
         yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
 
 
-def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
+def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> _Part:
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
     lasts = float(imu.t[-1] - imu.t[0])
@@ -212,11 +212,12 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits) -> _Part:
         "slow_force_mps2": float(np.percentile(np.linalg.norm(force.slow, axis=1), 20)),
         "slow_turn_rate_dps": _rms(turn.slow - np.median(turn.slow, axis=0)) / DEG,
     }
-    findings = [*_judge_imu_timing(measures, limits), *_judge_imu_values(measures, limits)]
+    findings = [*_judge_imu_timing(measures, limits, is_own), *_judge_imu_values(measures, limits)]
     return _Part([*findings, *_dead_axes(imu)], measures)
 
 
-def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits, is_own: bool) -> Iterator[Finding]:
+    """is_own: recorded by a logger of this project, whose card is what loses samples."""
     rate = measures["imu_rate_hz"]
     level = "ok" if rate >= limits.imu_rate else "warning" if rate >= limits.imu_rate_stop else "stop"
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
@@ -225,7 +226,8 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
         long = measures["imu_gap_longest_s"] > limits.imu_gap
         text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {span(measures['imu_gap_longest_s'])}"
         level = "stop" if lost else "warning" if long else "ok"
-        yield Finding(level, "IMU", text + ("; try another card" if lost or long else ", of samples that were lost"))
+        remedy = "; try another card" if is_own and (lost or long) else ", of samples that were lost"
+        yield Finding(level, "IMU", text + remedy)
 
 
 def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:

@@ -140,6 +140,19 @@ def test_gaps_are_one_count_for_the_reader_the_check_and_the_page(kart: RawSessi
     assert recorded_check(prepare(read)).measures["imu_gaps"] == told.count
 
 
+@pytest.mark.parametrize(
+    ("file", "remedy"), [("A.KLG", "try another card"), ("imu.csv", ", of samples that were lost")]
+)
+def test_another_card_is_of_use_to_a_logger_that_writes_on_one(kart: RawSession, file: str, remedy: str) -> None:
+    assert kart.imu is not None
+    keep = np.ones(len(kart.imu.t), dtype=bool)
+    keep[9000:9015] = False
+    columns = {name: getattr(kart.imu, name)[keep] for name in ("t", "accel", "gyro")}
+    lost = changed(with_imu(kart, **columns, temperature=None), inputs=(file,))
+    (text,) = (f.text for f in check(lost).findings if f.topic == "IMU" and "gap" in f.text)
+    assert text.endswith(remedy)
+
+
 @pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])
 def test_no_motion_sensor_where_there_is_one_is_not_good(kart: RawSession, inputs: tuple[str, ...]) -> None:
     result = check(changed(kart, imu=None, mag=None, inputs=inputs))
