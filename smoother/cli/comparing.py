@@ -10,7 +10,7 @@ import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
-from smoother.cli.lap_tables import SPEED_UNITS, say_columns
+from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
 from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
 from smoother.cli.results import results_of
@@ -194,10 +194,22 @@ def show(compared: list[Compared], units: str) -> None:
     starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
     say_columns(f"best laps{zone}", *_best_table(compared, units))
+    for source in _sources(compared):
+        say(source)
     say("")
     say_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
     say("")
     say_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
+
+
+def _sources(compared: list[Compared]) -> list[str]:
+    """Where the ± of the laps are from, a line each; with their sessions where they differ."""
+    by_source: dict[str, list[str]] = {}
+    for one in compared:
+        if one.statistics is not None:
+            by_source.setdefault(SIGMA_SOURCES[one.analysis.sigma_source], []).append(plain(one.name))
+    known = [(source, names) for source, names in by_source.items() if source]
+    return [source if len(by_source) == 1 else f"{', '.join(names)}: {source}" for source, names in known]
 
 
 def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:

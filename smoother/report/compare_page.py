@@ -184,6 +184,8 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     sure = f"{number(lost[0].sure, 1)} sigma or more"
     note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
+    if any(one.statistics is not None and one.analysis.sigma_source == "stored" for one in compared):
+        note += " ± are those for a line given afterwards, a little rougher than in each session's own report."
     told = table(heads, rows, class_="tight")
     without = [element("p", f"{one.name}: {one.why_not}", class_="soft") for one in compared if one.why_not]
     return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told, *without]

@@ -1,6 +1,7 @@
 """smooth laps and smooth compare as a person calls them, on two short simulated sessions."""
 
 import datetime as dt
+import html
 import json
 import re
 import shutil
@@ -162,11 +163,13 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps, times of day in " in text and "lost against" in text
+    assert text.count('± for a line given afterwards: a little rougher than those of "smooth"') == 1
     assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
     assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
+    assert "a little rougher than in each session's own report" in html.unescape(page.read_text(encoding="utf-8"))
 
 
 def test_a_session_without_a_whole_lap_has_dashes_in_a_comparison_and_a_reason(
