@@ -12,7 +12,7 @@ from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_opt
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
 from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
-from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
+from smoother.cli.output import number, open_page, plain, progress_on_terminal, say, say_json, warn
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
@@ -32,6 +32,7 @@ FAR = 5000.0  # m between two sessions: not the same track
 @line_option
 @click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")
 @click.option(
+    "-o",
     "--out",
     metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -74,7 +75,7 @@ def compare(
         say("")
         say(str(page))
     if open_it:
-        click.launch(str(page))
+        open_page(page)
     return EXIT_DONE if all(passed for _, passed in found) else EXIT_QUALITY
 
 

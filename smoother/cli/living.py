@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE
+from smoother.cli.arguments import EXIT_DONE, Number, Whole
 from smoother.cli.output import say_json, warn
 from smoother.errors import UsageError
 from smoother.words import counted
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @click.command(short_help="The box in your hand, on the screen, while it records.")
 @click.argument("target", metavar="PORT|FILE|-")
-@click.option("--baud", type=click.IntRange(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
+@click.option("--baud", type=Whole(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
 @click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
 @click.option("--record", metavar="DIR", type=click.Path(path_type=Path), help="Write a session that smooth accepts.")
 @click.option("--headless", is_flag=True, help="Show nothing.")
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
 @click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
 @click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found after two laps].")
-@click.option("--seconds", metavar="S", type=click.FloatRange(0.1), help="Stop after this time.")
+@click.option("--seconds", metavar="S", type=Number(0.1), help="Stop after this time.")
 def live(
     target: str,
     baud: int,
