@@ -9,9 +9,7 @@ from smoother.errors import SmootherError
 from smoother.live.sources import Source
 
 MOST_WAITING = 256 << 10  # bytes not yet taken; a minute of the usual stream
-READ_AHEAD = (
-    8 << 10
-)  # bytes not yet taken of a source that can wait: two seconds, so that it is followed in small steps
+READ_AHEAD = 8 << 10  # likewise of a source that can wait; two seconds, so that it is followed in small steps
 RETRY_EVERY = 0.25  # s
 
 
