@@ -141,7 +141,8 @@ class _Lines:
 
         self._tell_waiting(frame.link)
         share = self._source.share if isinstance(self._source, ReplaySource) else 0.0
-        self._progress(f"{self._source.name} {frame.snapshot.t:.0f} s, {frame.snapshot.stage}", share)
+        # the smoother goes on at the end of a file, and so does the time that is shown
+        self._progress(f"{self._source.name} {frame.snapshot.t:.0f} s, {frame.snapshot.stage}", 0.99 * share)
         before, self._news = self._news, news_of(frame) if self._as_json else ""
         if self._as_json and not (frame.link.is_over and self._news == before):  # at the end the smoother goes on
             say_json(line_of(frame))
