@@ -12,6 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
+from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.sensor_units import aligned, beginning
 from smoother.samples import (
     DEAD_AXES,
@@ -36,6 +37,7 @@ _OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this projec
 _WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
 _USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
 _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
+WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
 
@@ -271,12 +273,17 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
 
 
 def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
-    """Whether the axes are those of a box that is turned, which driving shows; of a long recording its beginning."""
+    """Whether the axes are those of a box that is turned, and turned by the kart alone, which driving shows; of a long
+    recording its beginning."""
     if len(imu.t) > 1 and (mirrored := mirrored_places(beginning(imu), raw.gnss, raw.problems)):
         return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
-    return _Part([Finding("stop", "IMU", problem.text) for problem in problems], {})
+    findings = [Finding("stop", "IMU", problem.text) for problem in problems]
+    if not findings and is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
+        text = "the box turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
+        findings.append(Finding("warning", "IMU", text))
+    return _Part(findings, {})
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:

@@ -259,6 +259,13 @@ def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) ->
     assert "mount the box to the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
 
 
+def test_a_box_on_the_steering_wheel_is_a_warning(kart: RawSession) -> None:
+    wheel = simulate_preset("kart", 4, duration=90.0, motion_steering=10.0 * DEG).raw
+    said = "the box turns with the steering wheel"
+    assert said in texts(check(wheel), "warning") and check(wheel).is_good
+    assert said not in texts(check(kart), "warning")
+
+
 def test_a_motion_sensor_that_ran_for_half_the_drive_is_not_good(kart: RawSession) -> None:
     assert kart.imu is not None
     early = kart.imu.t < 30.0
