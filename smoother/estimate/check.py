@@ -35,7 +35,7 @@ SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the mark
 SMALLEST_GYRO_RANGE = 250.0 * DEG
 _OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this project's loggers, all with a motion sensor
 _WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
-_USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
+USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
 _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
@@ -113,7 +113,7 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     parts = [_check_gnss(raw.gnss, limits), imu, _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
-    judged = (*_JUDGED_HERE, *_USELESS) if gps_only else _JUDGED_HERE
+    judged = (*_JUDGED_HERE, *USELESS) if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
     measures = {name: value for part in parts for name, value in part.measures.items()}
@@ -139,7 +139,7 @@ def _why_useless(problems: tuple[Problem, ...]) -> str:
     """What is said of a motion sensor without usable samples; the reasons are those of the reader."""
     for problem in problems:
         reason = problem.text.removesuffix(": smoothed from GPS alone").partition(": ")[2]
-        if problem.code in _USELESS and reason:
+        if problem.code in USELESS and reason:
             return reason if problem.code == "imu_too_slow" else f"the motion sensor cannot be used ({reason})"
     is_there = any(problem.code in _UNUSED for problem in problems)
     return "the motion sensor cannot be used" if is_there else NO_SENSOR

@@ -196,6 +196,13 @@ def test_a_motion_sensor_of_no_use_is_a_fault_of_the_own_logger_only(
             assert [f.text for f in result.findings if f.topic in ("IMU", "file")] == [alone]
 
 
+def test_the_page_says_of_a_motion_sensor_what_the_check_said(kart: RawSession) -> None:
+    problem = Problem("imu_too_slow", f"imu.csv: {SLOW}: smoothed from GPS alone")
+    slow = changed(kart, imu=None, mag=None, inputs=("imu.csv", "gps.csv"), problems=(problem,))
+    said = [f.text for f in recorded_check(prepare(slow)).findings if f.topic in ("IMU", "file")]
+    assert said == [f"{SLOW}; the GPS alone tells no roll, pitch or sideslip"]
+
+
 def test_a_motion_sensor_that_is_not_read_is_not_called_missing(kart: RawSession) -> None:
     axes = Problem(IMU_AXES_UNKNOWN, "a.vbo: the inertial channels (x, y, z) are not used: their axes are not known")
     missing = Problem("imu_missing", "no IMU that can be used: smoothed from GPS alone")
