@@ -1,7 +1,9 @@
 """What several commands share: exit codes, arguments and options, and the check that a session exists."""
 
 import difflib
+import math
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,10 +17,44 @@ ABOUT_EXIT = (
     "stopped."
 )
 
+
+class Number(click.FloatRange):
+    """A number within bounds; what is none is refused in words that people know."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number. Fails with what is wanted."""
+        try:
+            number = float(super().convert(value, param, ctx))
+        except click.BadParameter:
+            number = math.nan
+        if math.isnan(number):
+            self.fail(f"{value} is not a number {_bounds(self.min, self.max)}", param, ctx)
+        return number
+
+
+class Whole(click.IntRange):
+    """A whole number within bounds, refused likewise."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the number. Fails with what is wanted."""
+        try:
+            return int(super().convert(value, param, ctx))
+        except click.BadParameter:
+            self.fail(f"{value} is not a whole number {_bounds(self.min, self.max)}", param, ctx)
+
+
+def _bounds(least: float | None, most: float | None) -> str:
+    return f"of {least:.10g} or more" if most is None else f"from {least:.10g} to {most:.10g}"
+
+
 sessions_argument = click.argument("sessions", nargs=-1, metavar="SESSION...", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 recording_option = click.option(
-    "--recording", metavar="N", type=click.IntRange(1), help="Of a card with several recordings: the Nth."
+    "--recording", metavar="N", type=Whole(1), help="Of a card with several recordings: the Nth."
 )
 solver_option = click.option(
     "--solver", type=click.Choice(["batch", "isam2"]), default="batch", help="Whole session at once, or as a stream."

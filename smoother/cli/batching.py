@@ -17,11 +17,23 @@ from smoother.cli.arguments import (
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
+    Number,
+    Whole,
     json_option,
     require_sessions,
     solver_option,
 )
-from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, say_pairs, say_table, warn
+from smoother.cli.output import (
+    number,
+    open_page,
+    plain,
+    progress_on_terminal,
+    say,
+    say_json,
+    say_pairs,
+    say_table,
+    warn,
+)
 from smoother.errors import UsageError
 from smoother.laps.clock import lap_clock
 from smoother.words import counted
@@ -52,15 +64,15 @@ class Plan:
     "its limit (or the usage wrong), else 3 if one is not to be trusted, else 0; 130 stopped.",
 )
 @click.argument("folders", nargs=-1, metavar="DIR...", type=click.Path(path_type=Path))
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where all results go [beside sessions].")
 @click.option(
-    "--jobs", metavar="N", type=click.IntRange(1, 1024), help="Sessions at a time [one per core of this machine]."
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path), help="Where all results go [beside sessions]."
 )
+@click.option("--jobs", metavar="N", type=Whole(1, 1024), help="Sessions at a time [one per core of this machine].")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on this Dask cluster, as tcp://host:8786, instead.")
 @click.option("--again", is_flag=True, help="Smooth what is finished and unchanged too.")
-@click.option("--time-limit", metavar="S", type=click.FloatRange(1.0), default=3600.0, help="For one session [3600].")
-@click.option("--memory-limit", metavar="MB", type=click.IntRange(64), default=4096, help="For one session [4096].")
-@click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
+@click.option("--time-limit", metavar="S", type=Number(1.0), default=3600.0, help="For one session [3600].")
+@click.option("--memory-limit", metavar="MB", type=Whole(64), default=4096, help="For one session [4096].")
+@click.option("--rate", metavar="HZ", type=Number(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
 @click.option("--no-figures", is_flag=True, help="Write tables only, no reports.")
@@ -97,7 +109,7 @@ def batch(folders: tuple[Path, ...], out: Path | None, as_json: bool, open_it: b
     else:
         show(document, str(directory / PAGE), str(directory / DOCUMENT))
     if open_it:
-        click.launch(str(directory / PAGE))
+        open_page(directory / PAGE)
     return exit_code(entries)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from smoother.cli.arguments import EXIT_DONE, json_option, require_sessions, sessions_argument
-from smoother.cli.output import plain, progress_on_terminal, say, say_json, say_pairs, warn
+from smoother.cli.output import open_page, plain, progress_on_terminal, say, say_json, say_pairs, warn
 from smoother.cli.pipeline import session_directory, unwritable
 from smoother.errors import SessionError, UsageError
 from smoother.words import MOST_DIGITS, sigma_digits
@@ -31,7 +31,7 @@ MOST_COUNTING = 6  # digits of a number; a rate is known to more, and nobody nee
 
 @click.command(short_help="Calibrate the sensors; writes calibration.toml and a page of figures.")
 @sessions_argument
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [the first DIR].")
+@click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [the first DIR].")
 @click.option("--first-samples", is_flag=True, help="Gyro bias from the first 1000 samples, as in the thesis.")
 @click.option("--place", metavar="LAT,LON", help="For the magnetic model, in degrees [from the fixes].")
 @click.option("--date", metavar="YYYY-MM-DD", help="For the magnetic model [from the fixes or session.toml].")
@@ -72,7 +72,7 @@ def calibrate(
         _show(results)
         say(str(page))
     if open_it:
-        click.launch(str(page))
+        open_page(page)
     return EXIT_DONE
 
 

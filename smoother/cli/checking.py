@@ -36,8 +36,8 @@ def check(sessions: tuple[Path, ...], recording: int | None, as_json: bool) -> i
     """Tell in seconds whether a recording is good to drive with, and why.
 
     Make a test recording of a minute with the engine running, check it, then drive. Looks at rates, gaps, fixes,
-    clipping and vibration. Exit code 3: something has to be mended first. Of a logger that has no motion sensor the
-    fixes alone are judged.
+    clipping and vibration. Exit code 3: something has to be mended first. Of a logger that has no motion sensor, or
+    one that is too slow, the fixes alone are judged.
     """
     require_sessions(sessions, "smooth check")
     paths = each(sessions, recording)

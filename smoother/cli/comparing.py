@@ -10,9 +10,9 @@ import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
 from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
-from smoother.cli.lap_tables import SPEED_UNITS, say_columns
+from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
-from smoother.cli.output import number, plain, progress_on_terminal, say, say_json, warn
+from smoother.cli.output import number, open_page, plain, progress_on_terminal, say, say_json, warn
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
@@ -32,6 +32,7 @@ FAR = 5000.0  # m between two sessions: not the same track
 @line_option
 @click.option("--against", metavar="NUMBER", type=int, help="Compare with lap NUMBER of the first session [the best].")
 @click.option(
+    "-o",
     "--out",
     metavar="FILE",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -74,7 +75,7 @@ def compare(
         say("")
         say(str(page))
     if open_it:
-        click.launch(str(page))
+        open_page(page)
     return EXIT_DONE if all(passed for _, passed in found) else EXIT_QUALITY
 
 
@@ -189,15 +190,27 @@ def document(compared: list[Compared]) -> dict[str, Any]:
 def show(compared: list[Compared], units: str) -> None:
     """Print best laps, and sectors and corners of each session's best lap beside the best of all."""
     for one in compared:
-        if not any(lap.is_timed for lap in one.analysis.laps):
-            warn(f"{one.name}: no whole lap on the reference line")
+        if one.why_not:
+            warn(f"{one.name}: {one.why_not}")
     starts = [start for one in compared if (start := one.start) is not None]
     zone = f", times of day in {local_zone(starts)}" if starts else ""
     say_columns(f"best laps{zone}", *_best_table(compared, units))
+    for source in _sources(compared):
+        say(source)
     say("")
     say_columns(f"lost against {plain(compared[0].analysis.reference_name)}, s", *_corner_table(compared))
     say("")
     say_columns(f"slowest in the corner, {units}", *_speed_table(compared, units))
+
+
+def _sources(compared: list[Compared]) -> list[str]:
+    """Where the ± of the laps are from, a line each; with their sessions where they differ."""
+    by_source: dict[str, list[str]] = {}
+    for one in compared:
+        if one.statistics is not None:
+            by_source.setdefault(SIGMA_SOURCES[one.analysis.sigma_source], []).append(plain(one.name))
+    known = [(source, names) for source, names in by_source.items() if source]
+    return [source if len(by_source) == 1 else f"{', '.join(names)}: {source}" for source, names in known]
 
 
 def _best_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:
@@ -260,6 +273,9 @@ def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[
     rows = []
     for one in compared:
         best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
-        speeds = [c.min_speed[best] if best is not None else float("nan") for c in one.analysis.corners]
-        rows.append([*(number(float(v) / SPEED_UNITS[units], 1) for v in speeds), one.name])
+        if best is None or len(one.analysis.corners) != len(corners):
+            rows.append(["-"] * len(corners) + [one.name])
+            continue
+        speeds = [number(float(c.min_speed[best]) / SPEED_UNITS[units], 1) for c in one.analysis.corners]
+        rows.append([*speeds, one.name])
     return [*(f"{c.number}{'L' if c.turns_left else 'R'}" for c in corners), ""], rows

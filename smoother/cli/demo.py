@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY
-from smoother.cli.output import progress_on_terminal, say, warn
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, Whole
+from smoother.cli.output import open_page, progress_on_terminal, say, warn
 from smoother.cli.pipeline import OUTPUT_DIRECTORY, Options, smooth_session
 from smoother.cli.simulating import TRACKS, write
 from smoother.cli.tables import show_result
@@ -23,12 +23,12 @@ LAPSES = 4.0  # a km: a hobby driver's, so that there is something to be found i
 @click.option(
     "--duration",
     metavar="S",
-    type=click.FloatRange(20.0, 3600.0),
+    type=Number(20.0, 3600.0),
     default=240.0,
     envvar="SMOOTH_DEMO_SECONDS",
     help="Seconds driven [240, or what SMOOTH_DEMO_SECONDS says].",
 )
-@click.option("--seed", type=click.IntRange(0), default=SEED, help=f"Another session [{SEED}].")
+@click.option("--seed", type=Whole(0), default=SEED, help=f"Another session [{SEED}].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Another track [{TRACKS[0]}].")
 @click.option("--open", "open_it", is_flag=True, help="Show the report when done.")
 def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool) -> int:
@@ -49,5 +49,5 @@ def demo(directory: Path, duration: float, seed: int, track: str, open_it: bool)
     say(f"Simulated kart session (preset {PRESET}, seed {seed}) in {directory}, smoothed into {result.directory}")
     show_result(result)
     if open_it:
-        click.launch(str(result.main_file))
+        open_page(result.main_file)
     return EXIT_DONE if result.quality.passed else EXIT_QUALITY

@@ -12,6 +12,7 @@ from smoother.cli.arguments import (
     ABOUT_EXIT,
     EXIT_DONE,
     EXIT_QUALITY,
+    Number,
     json_option,
     recording_option,
     require_sessions,
@@ -52,7 +53,7 @@ _ROWS = (  # what people read, key, digits
 @sessions_argument
 @recording_option
 @solver_option
-@click.option("--skip", metavar="S", type=click.FloatRange(0.0), default=0.0, help="Leave out the first S seconds [0].")
+@click.option("--skip", metavar="S", type=Number(0.0), default=0.0, help="Leave out the first S seconds [0].")
 @json_option
 def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, skip: float, as_json: bool) -> int:
     """Compare GPS alone, the baseline and the smoother with the truth in SESSION/truth.csv.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, recording_option, require_sessions
+from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, recording_option, require_sessions
 from smoother.cli.card import one
 from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
 from smoother.cli.pipeline import unwritable
@@ -20,8 +20,10 @@ FORMAT_NAMES = ("vbo", "racechrono", "motec", "aim", "gpx", "kml", "geojson", "t
 @click.command(short_help="The smoothed session for RaceChrono, MoTeC i2, Google Earth, ...", epilog=ABOUT_EXIT)
 @click.argument("session", metavar="SESSION", required=False, type=click.Path(path_type=Path))
 @click.argument("form", metavar="FORMAT", required=False)
-@click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Where to [SESSION/smoothed/NAME.ENDING].")
-@click.option("--rate", metavar="HZ", type=click.FloatRange(0.1, 1000.0), help="Rows a second [as smoothed].")
+@click.option(
+    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path), help="Where to [SESSION/smoothed/NAME.ENDING]."
+)
+@click.option("--rate", metavar="HZ", type=Number(0.1, 1000.0), help="Rows a second [as smoothed].")
 @recording_option
 @click.option("--list", "list_them", is_flag=True, help="List the formats and who opens them, and stop.")
 def export(

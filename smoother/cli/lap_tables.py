@@ -15,7 +15,7 @@ from smoother.words import SLOWER_WHERE, counted, loss_digits
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
     "joint": "",
-    "stored": "± from how the position error grew with time",
+    "stored": '± for a line given afterwards: a little rougher than those of "smooth"',
     "model": "± assumes a usual wander of the GPS, as this session cannot show its own",
     "none": "",
 }

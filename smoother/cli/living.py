@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE
-from smoother.cli.output import say_json, warn
+from smoother.cli.arguments import EXIT_DONE, Number, Whole
+from smoother.cli.output import Progress, progress_on_terminal, say_json, warn
 from smoother.errors import UsageError
 from smoother.words import counted
 
@@ -22,19 +22,20 @@ if TYPE_CHECKING:
     from smoother.live.receiver import LinkStatus
     from smoother.live.recording import Recorder
     from smoother.live.running import View
+    from smoother.live.sources import Source
 
 
 @click.command(short_help="The box in your hand, on the screen, while it records.")
 @click.argument("target", metavar="PORT|FILE|-")
-@click.option("--baud", type=click.IntRange(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
+@click.option("--baud", type=Whole(1200, 4_000_000), default=115200, help="Of the serial port [115200].")
 @click.option("--speed", metavar="X", default="1", help="Of a file: times real speed, or `max` [1].")
 @click.option("--record", metavar="DIR", type=click.Path(path_type=Path), help="Write a session that smooth accepts.")
-@click.option("--headless", is_flag=True, help="Show nothing.")
+@click.option("--headless", is_flag=True, help="Show nothing but how far it is.")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a second (of wall time); implies --headless.")
 @click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
 @click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
 @click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found after two laps].")
-@click.option("--seconds", metavar="S", type=click.FloatRange(0.1), help="Stop after this time.")
+@click.option("--seconds", metavar="S", type=Number(0.1), help="Stop after this time.")
 def live(
     target: str,
     baud: int,
@@ -71,7 +72,7 @@ def live(
     with (
         Beside(tracks) as navigating,
         Receiver(source, waits=not source.can_return) as receiver,
-        _view(view, headless or as_json, as_json, source.name) as shown,
+        _view(view, headless or as_json, as_json, source) as shown,
         _stopping(seconds) as stop,
         recorder or contextlib.nullcontext(),
     ):
@@ -127,17 +128,23 @@ def _stopping(seconds: float | None) -> Iterator[Callable[[], bool]]:
 
 
 class _Lines:
-    """The view without one: a line of JSON a second, or nothing but what is waited for."""
+    """The view without one: a line of JSON a second, or nothing but how far it is and what is waited for."""
 
-    def __init__(self, as_json: bool, name: str) -> None:
-        self._as_json, self._name, self._has_told = as_json, name, False
+    def __init__(self, as_json: bool, source: Source, progress: Progress) -> None:
+        self._as_json, self._source, self._progress = as_json, source, progress
+        self._has_told, self._news = False, ""
         self.frames_a_second = 1.0
 
     def draw(self, frame: Frame) -> bool:
-        from smoother.live.document import line_of
+        from smoother.live.document import line_of, news_of
+        from smoother.live.sources import ReplaySource
 
         self._tell_waiting(frame.link)
-        if self._as_json:
+        share = self._source.share if isinstance(self._source, ReplaySource) else 0.0
+        # the smoother goes on at the end of a file, and so does the time that is shown
+        self._progress(f"{self._source.name} {frame.snapshot.t:.0f} s, {frame.snapshot.stage}", 0.99 * share)
+        before, self._news = self._news, news_of(frame) if self._as_json else ""
+        if self._as_json and not (frame.link.is_over and self._news == before):  # at the end the smoother goes on
             say_json(line_of(frame))
             sys.stdout.flush()
         return True
@@ -147,14 +154,19 @@ class _Lines:
         if link.is_open:
             self._has_told = False
         elif link.error and not self._has_told:
-            warn(f"waiting for {self._name}: {link.error}")
+            from smoother.live.words import trouble
+
+            warn(f"waiting for {self._source.name}: {trouble(link)}")
             self._has_told = True
 
 
 @contextlib.contextmanager
-def _view(kind: str, headless: bool, as_json: bool, name: str) -> Iterator[View]:
+def _view(kind: str, headless: bool, as_json: bool, source: Source) -> Iterator[View]:
+    name = source.name
     if headless:
-        yield _Lines(as_json, name)
+        # a terminal that shows the lines has no room for how far it is
+        with progress_on_terminal(not (as_json and sys.stdout.isatty())) as progress:
+            yield _Lines(as_json, source, progress)
         return
     if kind == "window" or (kind == "auto" and _has_display()):
         from smoother.live.window import WindowView

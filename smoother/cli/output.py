@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import subprocess
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share (0..1) of it that is done."""
+OPENING = 3.0  # s in which a browser that cannot be opened is known
 NAME_COLUMNS, GUTTER = 12, "  "  # of pairs: the least width of names (and of values), and what stands between
 
 
@@ -46,6 +49,23 @@ def say_json(document: str) -> None:
 def warn(text: str) -> None:
     """Print one line on stderr."""
     click.echo(f"smooth: {plain(text)}", err=True)
+
+
+def open_page(path: Path) -> None:
+    """Show a page in the browser; where there is none, say so in a line."""
+    if sys.platform == "win32":
+        click.launch(str(path))
+        return
+    opener = "open" if sys.platform == "darwin" else "xdg-open"
+    try:
+        none = subprocess.DEVNULL  # what it tells is of its own search
+        is_open = subprocess.Popen([opener, str(path)], stdin=none, stdout=none, stderr=none).wait(OPENING) == 0
+    except subprocess.TimeoutExpired:  # the browser itself
+        is_open = True
+    except OSError:
+        is_open = False
+    if not is_open:
+        warn(f"no browser found; open {path}")
 
 
 def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from smoother.cli.arguments import Number, Whole
 from smoother.cli.output import progress_on_terminal, say, say_pairs
 from smoother.documents import staged
 from smoother.errors import UsageError
@@ -26,15 +27,15 @@ MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simula
 @click.command(short_help="Write a simulated session with its truth.")
 @click.argument("directory", metavar="DIR", required=False, type=click.Path(path_type=Path, file_okay=False))
 @click.option("--preset", type=click.Choice(PRESETS), default="kart", help="How good sensors and GPS are [kart].")
-@click.option("--seed", type=click.IntRange(0), default=1, help="Same seed, same session [1].")
+@click.option("--seed", type=Whole(0), default=1, help="Same seed, same session [1].")
 @click.option("--track", type=click.Choice(TRACKS), default=TRACKS[0], help=f"Where [{TRACKS[0]}].")
-@click.option("--duration", metavar="S", type=click.FloatRange(5.0, 90000.0), default=300.0, help="Seconds [300].")
+@click.option("--duration", metavar="S", type=Number(5.0, 90000.0), default=300.0, help="Seconds [300].")
 @click.option(
     "--format", "form", type=click.Choice(["csv", "klg", "thesis"]), default="csv", help="Files to write [csv]."
 )
-@click.option("--imu-rate", metavar="HZ", type=click.FloatRange(1.0, 2000.0), help="Motion samples a second.")
-@click.option("--gps-rate", metavar="HZ", type=click.FloatRange(0.1, 50.0), help="Fixes a second.")
-@click.option("--standstill", metavar="S", type=click.FloatRange(0.0), help="Seconds at rest before the start.")
+@click.option("--imu-rate", metavar="HZ", type=Number(1.0, 2000.0), help="Motion samples a second.")
+@click.option("--gps-rate", metavar="HZ", type=Number(0.1, 50.0), help="Fixes a second.")
+@click.option("--standstill", metavar="S", type=Number(0.0), help="Seconds at rest before the start.")
 @click.option("--no-imu", is_flag=True, help="GPS only.")
 @click.option("--no-mag", is_flag=True, help="No compass.")
 @click.option("--no-speed", is_flag=True, help="Fixes without speed and course.")

@@ -11,6 +11,7 @@ from smoother.cli.arguments import (
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
+    Number,
     each_once,
     json_option,
     recording_option,
@@ -20,7 +21,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import tasks
 from smoother.cli.commands import COMMAND_NAMES, named_command
-from smoother.cli.output import progress_on_terminal, say_json, warn
+from smoother.cli.output import open_page, progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.tables import show_result
 from smoother.errors import SmootherError
@@ -60,9 +61,11 @@ class SmoothCommand(click.Command):
 
 @click.command(cls=SmoothCommand, help=HELP)
 @sessions_argument
-@click.option("--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed].")
+@click.option(
+    "-o", "--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed]."
+)
 @recording_option
-@click.option("--rate", metavar="HZ", type=click.FloatRange(1.0, 1000.0), default=50.0, help="Rows a second [50].")
+@click.option("--rate", metavar="HZ", type=Number(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 @solver_option
 @click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
 @click.option("--no-figures", is_flag=True, help="Write tables only; an earlier report goes.")
@@ -96,7 +99,7 @@ def smooth(
         say_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]
     if open_it and results:
-        click.launch(str(results[-1].main_file))
+        open_page(results[-1].main_file)
     return exit_code(outcomes)
 
 

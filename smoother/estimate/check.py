@@ -12,8 +12,18 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
+from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.sensor_units import aligned, beginning
-from smoother.samples import DEAD_AXES, GnssFixes, RawImu, RawMag, RawSession
+from smoother.samples import (
+    DEAD_AXES,
+    IMU_AXES_UNKNOWN,
+    IMU_INCOMPLETE,
+    GnssFixes,
+    Problem,
+    RawImu,
+    RawMag,
+    RawSession,
+)
 from smoother.session.clock import regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -23,7 +33,12 @@ SMOOTHING = 0.5  # s; what is quicker than this is called vibration, what is slo
 ENOUGH = 1 << 20  # samples whose slow part is judged, an hour and a half at 200 Hz; of more each n-th
 SMALLEST_ACCEL_RANGE = 2.0 * STANDARD_GRAVITY  # of the MEMS sensors on the market
 SMALLEST_GYRO_RANGE = 250.0 * DEG
-_WITH_SENSOR = (".klg", "out.txt", "imu.csv", "imu.csv.gz", "simulation")  # ends of inputs that promise a motion sensor
+_OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this project's loggers, all with a motion sensor
+_WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
+USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
+_UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
+WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
+NO_SENSOR = "no motion sensor"
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
 
 
@@ -61,7 +76,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Check:
-    """All findings about a recording and the numbers behind them. is_gps_only: its logger has no motion sensor."""
+    """All findings about a recording and the numbers behind them.
+
+    is_gps_only: its logger has no motion sensor, or another logger than this project's one that is of no use.
+    """
 
     name: str
     findings: tuple[Finding, ...]
@@ -91,10 +109,11 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
     """Judge a recording as it was read."""
     limits = CheckLimits() if limits is None else limits
     gps_only = _is_gps_only(raw)
-    parts = [_check_gnss(raw.gnss, limits), _check_imu(raw.imu, limits, gps_only), _check_mag(raw.mag)]
+    imu = _only_gnss(raw.problems) if gps_only else _check_imu(raw.imu, limits, _is_of(raw, _OWN_LOGGER))
+    parts = [_check_gnss(raw.gnss, limits), imu, _check_mag(raw.mag)]
     if raw.imu is not None and len(raw.gnss):
         parts += [_check_clocks(raw.gnss, raw.imu), _check_axes(raw, raw.imu)]
-    judged = (*_JUDGED_HERE, "imu_missing") if gps_only else _JUDGED_HERE
+    judged = (*_JUDGED_HERE, *USELESS) if gps_only else _JUDGED_HERE
     notes = [Finding("warning", "file", p.text) for p in raw.problems if p.code not in judged]
     findings = [finding for part in parts for finding in part.findings]
     measures = {name: value for part in parts for name, value in part.measures.items()}
@@ -102,9 +121,33 @@ def check(raw: RawSession, limits: CheckLimits | None = None) -> Check:
 
 
 def _is_gps_only(raw: RawSession) -> bool:
-    """Whether nothing of the recording promises a motion sensor: a VBO, NMEA or GPX file, fixes in columns."""
-    promised = raw.mag is not None or any(name.lower().endswith(_WITH_SENSOR) for name in raw.inputs)
-    return raw.imu is None and not promised
+    """Whether nothing better than fixes is to be had: a VBO, NMEA or GPX file, a sensor that is not made for this.
+
+    Of this project's own loggers a motion sensor of no use is a fault, as is one that is missing without a reason.
+    """
+    if raw.imu is not None or _is_of(raw, _OWN_LOGGER):
+        return False
+    promised = raw.mag is not None or _is_of(raw, _WITH_SENSOR)
+    return not promised or _why_useless(raw.problems) != NO_SENSOR
+
+
+def _is_of(raw: RawSession, ends: tuple[str, ...]) -> bool:
+    return any(name.lower().endswith(ends) for name in raw.inputs)
+
+
+def _why_useless(problems: tuple[Problem, ...]) -> str:
+    """What is said of a motion sensor without usable samples; the reasons are those of the reader."""
+    for problem in problems:
+        reason = problem.text.removesuffix(": smoothed from GPS alone").partition(": ")[2]
+        if problem.code in USELESS and reason:
+            return reason if problem.code == "imu_too_slow" else f"the motion sensor cannot be used ({reason})"
+    is_there = any(problem.code in _UNUSED for problem in problems)
+    return "the motion sensor cannot be used" if is_there else NO_SENSOR
+
+
+def _only_gnss(problems: tuple[Problem, ...]) -> _Part:
+    text = f"{_why_useless(problems)}; the GPS alone tells no roll, pitch or sideslip"
+    return _Part([Finding("warning", "IMU", text)], {})
 
 
 def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
@@ -152,10 +195,7 @@ def _judge_gnss(measures: dict[str, float], limits: CheckLimits) -> Iterator[Fin
         yield Finding("warning", "GPS", "no speed and course in most fixes; switch on RMC or VTG sentences")
 
 
-def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part:
-    if gps_only:
-        text = "no motion sensor; the GPS alone tells no roll, pitch or sideslip"
-        return _Part([Finding("warning", "IMU", text)], {})
+def _check_imu(imu: RawImu | None, limits: CheckLimits, is_own: bool) -> _Part:
     if imu is None or len(imu.t) < 2:
         return _Part([Finding("stop", "IMU", "no usable motion sensor; only the GPS could be smoothed")], {})
     lasts = float(imu.t[-1] - imu.t[0])
@@ -174,11 +214,12 @@ def _check_imu(imu: RawImu | None, limits: CheckLimits, gps_only: bool) -> _Part
         "slow_force_mps2": float(np.percentile(np.linalg.norm(force.slow, axis=1), 20)),
         "slow_turn_rate_dps": _rms(turn.slow - np.median(turn.slow, axis=0)) / DEG,
     }
-    findings = [*_judge_imu_timing(measures, limits), *_judge_imu_values(measures, limits)]
+    findings = [*_judge_imu_timing(measures, limits, is_own), *_judge_imu_values(measures, limits)]
     return _Part([*findings, *_dead_axes(imu)], measures)
 
 
-def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
+def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits, is_own: bool) -> Iterator[Finding]:
+    """is_own: recorded by a logger of this project, whose card is what loses samples."""
     rate = measures["imu_rate_hz"]
     level = "ok" if rate >= limits.imu_rate else "warning" if rate >= limits.imu_rate_stop else "stop"
     yield Finding(level, "IMU", f"{rate:.0f} samples a second" + ("" if level == "ok" else "; 100 or more are wanted"))
@@ -187,7 +228,8 @@ def _judge_imu_timing(measures: dict[str, float], limits: CheckLimits) -> Iterat
         long = measures["imu_gap_longest_s"] > limits.imu_gap
         text = f"{counted(int(measures['imu_gaps']), 'gap')}, the longest {span(measures['imu_gap_longest_s'])}"
         level = "stop" if lost else "warning" if long else "ok"
-        yield Finding(level, "IMU", text + ("; try another card" if lost or long else ", of samples that were lost"))
+        remedy = "; try another card" if is_own and (lost or long) else ", of samples that were lost"
+        yield Finding(level, "IMU", text + remedy)
 
 
 def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterator[Finding]:
@@ -231,12 +273,17 @@ def _check_clocks(fixes: GnssFixes, imu: RawImu) -> _Part:
 
 
 def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
-    """Whether the axes are those of a box that is turned, which driving shows; of a long recording its beginning."""
+    """Whether the axes are those of a box that is turned, and turned by the kart alone, which driving shows; of a long
+    recording its beginning."""
     if len(imu.t) > 1 and (mirrored := mirrored_places(beginning(imu), raw.gnss, raw.problems)):
         return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
-    return _Part([Finding("stop", "IMU", problem.text) for problem in problems], {})
+    findings = [Finding("stop", "IMU", problem.text) for problem in problems]
+    if not findings and is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
+        text = "the box turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
+        findings.append(Finding("warning", "IMU", text))
+    return _Part(findings, {})
 
 
 def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:

@@ -50,10 +50,9 @@ def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
     return align(beginning(imu), PathMotion(fixes.t[driven], fixes.velocity_n[driven]))
 
 
-def beginning(imu: RawImu) -> ImuSamples:
-    """Return the first ENOUGH samples as if calibrated."""
-    t = imu.t[:ENOUGH]
-    return ImuSamples(t, imu.accel[:ENOUGH] * imu.accel_scale, imu.gyro[:ENOUGH] * imu.gyro_scale)
+def beginning(imu: RawImu, most: int = ENOUGH) -> ImuSamples:
+    """Return the first samples, `most` of them, as if calibrated."""
+    return ImuSamples(imu.t[:most], imu.accel[:most] * imu.accel_scale, imu.gyro[:most] * imu.gyro_scale)
 
 
 def _turning_slower(imu: RawImu, times: float) -> RawImu:

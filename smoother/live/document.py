@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,6 +66,11 @@ def document_of(frame: Frame) -> dict[str, object]:
 def line_of(frame: Frame) -> str:
     """Return :func:`document_of` as one line."""
     return json.dumps(_plain(document_of(frame)), allow_nan=False)
+
+
+def news_of(frame: Frame) -> str:
+    """Return its line as it would be had no time gone by: equal as long as nothing is new."""
+    return line_of(replace(frame, delay=0.0, smoother_delay=0.0))
 
 
 def _angles(R: np.ndarray) -> dict[str, object]:

@@ -17,7 +17,7 @@ from smoother.live.field import FieldSphere
 from smoother.live.identify import MOVED
 from smoother.live.lag import LagState
 from smoother.live.laptimes import LapTimes
-from smoother.live.navigator import Item, Navigation, speed_of
+from smoother.live.navigator import DRIVE, NOTHING_YET, Item, Navigation, speed_of
 from smoother.live.receiver import Chunk
 from smoother.live.sensing import FixAssembler, RateMeter, Reception, field_samples, inertial_samples
 from smoother.samples import GnssFixes, ImuSamples
@@ -185,12 +185,18 @@ class Engine:
             float("nan") if sphere.ellipsoid is None else sphere.ellipsoid.rms,
             is_calibrating,
             self._decoder.losses,
-            navigation.stage,
+            self._stage(),
             float("nan") if fix is None else float(fix.lat_deg[-1]),
             float("nan") if fix is None else float(fix.lon_deg[-1]),
             navigation.arrival,
             navigation.left_out,
         )
+
+    def _stage(self) -> str:
+        """What the navigator does, in words; it lags behind, and may ask for what is being done."""
+        stage, fix = self._navigation.stage, self._drive.fix
+        is_driving = fix is not None and speed_of(fix) > MOVED
+        return "waiting for the smoother" if is_driving and stage in (DRIVE, NOTHING_YET) else stage
 
     def _is_calibrating(self, now: float) -> bool:
         """Whether the logger says so; then, and until the kart drives, the compass's ellipsoid is fitted."""

@@ -31,6 +31,9 @@ PIECE = 0.1  # s of samples that are taken in together
 LONGEST_GAP = 15.0  # s without samples, over which nothing of a state is left worth carrying on
 LINE_EVERY = 10.0  # s of path between searches for the lap
 
+NOTHING_YET = "waiting for the logger"
+DRIVE = "attitude only, drive to start the smoother"
+
 Item = ImuSamples | GnssFixes
 
 
@@ -60,7 +63,7 @@ class Navigation:
     R_bs: Array | None = None
     latencies: tuple[float, float] | None = None
     laps: LapTimes = field(default_factory=LapTimes)
-    stage: str = "waiting for the logger"
+    stage: str = NOTHING_YET
     is_busy: bool = False
     left_out: float = 0.0
 
@@ -258,8 +261,8 @@ class Navigator:
         if self._flaw:
             return f"not yet: {self._flaw}"
         if not self._imu and not self._fixes:
-            return "waiting for the logger"
-        return "attitude only, drive to start the smoother" if self._fixes else "attitude only, no fix yet"
+            return NOTHING_YET
+        return DRIVE if self._fixes else "attitude only, no fix yet"
 
 
 class Aboard:

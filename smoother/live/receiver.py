@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from smoother.errors import SmootherError
 from smoother.live.sources import Source
 
-MOST_WAITING = 256 << 10  # bytes not yet taken; half a minute of the usual stream
+MOST_WAITING = 256 << 10  # bytes not yet taken; a minute of the usual stream
+READ_AHEAD = 8 << 10  # likewise of a source that can wait; two seconds, so that it is followed in small steps
 RETRY_EVERY = 0.25  # s
 
 
@@ -118,7 +119,7 @@ class Receiver:
         return False
 
     def _put(self, chunk: Chunk) -> None:
-        while self.waits and self._waiting > MOST_WAITING and not self._stop.wait(0.005):
+        while self.waits and self._waiting > READ_AHEAD and not self._stop.wait(0.005):
             pass
         with self._lock:
             self._chunks.append(chunk)

@@ -57,7 +57,7 @@ def run(
         now = time.monotonic()
         is_last = link.is_over and not chunks and not receiver.has_chunks and not engine.is_busy
         if now >= due or is_last:
-            if not view.draw(_frame(snapshot, link, recorder, now)):
+            if not view.draw(_frame(snapshot, link, recorder, now, receiver.waits and engine.is_behind)):
                 return snapshot
             done = time.monotonic()
             smoother_delay = done - snapshot.smoother_arrival if snapshot.lag is not None else float("nan")
@@ -68,13 +68,14 @@ def run(
     return snapshot
 
 
-def _frame(snapshot: Snapshot, link: LinkStatus, recorder: Recorder | None, now: float) -> Frame:
+def _frame(snapshot: Snapshot, link: LinkStatus, recorder: Recorder | None, now: float, is_held: bool) -> Frame:
     return Frame(
         snapshot,
         link,
         max(0.0, now - snapshot.arrival) if snapshot.arrival else 0.0,
         max(0.0, now - snapshot.smoother_arrival) if snapshot.lag is not None else float("nan"),
         recorder.status if recorder is not None else None,
+        is_held,
     )
 
 

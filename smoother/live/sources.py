@@ -156,6 +156,11 @@ class ReplaySource:
         piece, self._at = self._data[self._at : end], end
         return piece
 
+    @property
+    def share(self) -> float:
+        """How much of it was played, 0..1."""
+        return self._at / self._ends[-1] if self._ends else 0.0
+
     def _due(self, now: float) -> int:
         if self.speed == float("inf"):
             return self._ends[-1]

@@ -11,6 +11,10 @@ from smoother.live.receiver import LinkStatus
 from smoother.units import DEG, KMH
 
 FEW_SATELLITES = 5
+HINTS = {
+    "no such port": "is it plugged in, and is the name right? `ls /dev/tty*` shows what is there",
+    "permission denied": "who may use it? `ls -l` shows its group, mostly dialout; `id` shows yours",
+}
 VAGUE = 30.0  # deg; what an attitude is unsure by before the drive has shown how the box is mounted
 
 
@@ -59,7 +63,7 @@ def laps(s: Snapshot) -> str:
 
 def is_stale(frame: Frame) -> bool:
     """Whether what is shown is old: nothing comes any more."""
-    return frame.delay > SILENT or (not frame.link.is_open and not frame.link.is_over)
+    return (frame.delay > SILENT and not frame.is_held) or (not frame.link.is_open and not frame.link.is_over)
 
 
 def rates(frame: Frame) -> str:
@@ -92,11 +96,21 @@ def connection(link: LinkStatus, name: str) -> str:
     """Whether the port is open."""
     if link.is_over:
         return f"{name}: end"
-    return f"{name}: connected" if link.is_open else f"{name}: NOT CONNECTED, trying again"
+    if link.is_open:
+        return f"{name}: connected"
+    return f"{name}: NOT CONNECTED{f' ({trouble(link)})' if link.error else ''}, trying again"
+
+
+def trouble(link: LinkStatus) -> str:
+    """Why a port is not open, and what to look at; of one that was open before, what is wrong is known."""
+    hint = "" if link.disconnects else HINTS.get(link.error, "")
+    return f"{link.error}; {hint}" if hint else link.error
 
 
 def delay(frame: Frame) -> str:
     """How old what is shown is, and the smoother's part of it."""
+    if frame.is_held:
+        return "the file waits for the smoother"
     if frame.delay > SILENT and not frame.link.is_over:
         return f"nothing came for {frame.delay:.0f} s"
     own = f", smoother {1e3 * frame.smoother_delay:.0f} ms" if math.isfinite(frame.smoother_delay) else ""

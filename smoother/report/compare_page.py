@@ -60,6 +60,15 @@ class Compared:
         return said if said is not None and said.best_lap is not None else None
 
     @property
+    def why_not(self) -> str:
+        """Why it has no best lap; empty where it has one."""
+        if self.statistics is not None:
+            return ""
+        if any(lap.is_timed for lap in self.analysis.laps):
+            return "none of its laps counts"
+        return "no whole lap on the reference line"
+
+    @property
     def start(self) -> float | None:
         """UTC of the first row, s since 1970; None where unknown."""
         unix = self.stored.unix_at_zero
@@ -175,8 +184,11 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     sure = f"from {number(lost[0].sure, 1)} times its ± on"
     note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
+    if any(one.statistics is not None and one.analysis.sigma_source == "stored" for one in compared):
+        note += " ± are those for a line given afterwards, a little rougher than in each session's own report."
     told = table(heads, rows, class_="tight")
-    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told]
+    without = [element("p", f"{one.name}: {one.why_not}", class_="soft") for one in compared if one.why_not]
+    return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told, *without]
 
 
 @dataclass(frozen=True)

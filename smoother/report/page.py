@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from smoother.estimate.check import Check, check
+from smoother.estimate.check import USELESS, Check, check
 from smoother.estimate.quality import Quality
 from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
@@ -62,7 +62,8 @@ def recorded_check(session: Session) -> Check:
             imu.t, imu.specific_force_s, imu.angular_rate_s, 1.0, 1.0, *reach, longest_step=imu.longest_step
         )
     raw_mag = None if mag is None else RawMag(mag.t, mag.field_s)
-    return check(RawSession(session.name, session.gnss, raw_imu, raw_mag))
+    why = tuple(problem for problem in session.problems if problem.code in USELESS)
+    return check(RawSession(session.name, session.gnss, raw_imu, raw_mag, inputs=session.inputs, problems=why))
 
 
 def _contents(told: words.Told) -> Element:

@@ -1,6 +1,7 @@
 """Which file of a directory plays which part. Looks at names, and at the head of a file that a person named."""
 
 import re
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -248,7 +249,8 @@ def _table_role(path: Path) -> Role | None:
     no reader knows: another recording beside it is not what was asked for.
     """
     if path.name.lower().startswith("truth.csv"):
-        raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {path.parent}")
+        folder = shlex.quote(str(path.parent))
+        raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {folder}")
     header = read_header(path)
     if "lat_deg" in header or path.name.lower().startswith("gps.csv"):
         return "fixes"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -113,13 +114,15 @@ def load_raw(path: Path) -> RawSession:
     if files.imu_table() is not None:
         raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
     if (log := files.unnamed_sentences()) is not None:
-        raise SessionError(f"{path}: {log.name} holds NMEA sentences; name the file, smooth {log}, or call it *.nmea")
+        raise SessionError(
+            f"{path}: {log.name} holds NMEA sentences; name the file, smooth {shlex.quote(str(log))}, or call it *.nmea"
+        )
     if packed := [name for name in files.names if is_packed(Path(name))]:
         raise SessionError(f"{path}: no recording found, but {packed[0]}, which is packed; unpack it first")
     if (below := _session_below(path)) is not None:
         raise SessionError(
             f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
-            f"for all of them: smooth batch {path}"
+            f"for all of them: smooth batch {shlex.quote(str(path))}"
         )
     if (table := files.unknown_table()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
@@ -273,7 +276,8 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         return
     if period * SLOWEST_IMU > 1.0 + SAME_RATE:
         asked = "; is t_s in seconds?" if period > LONGEST_PERIOD else ""
-        yield "imu_too_slow", f"{1 / period:.1f} samples a second are too few (at least {SLOWEST_IMU:.0f}){asked}"
+        rates = f"{1 / period:.3g} samples a second, {SLOWEST_IMU:.0f} are needed"
+        yield "imu_too_slow", f"the motion sensor is too slow ({rates}{asked})"
     for reason in implausible_units(imu):
         yield "imu_implausible", reason
 
@@ -450,14 +454,14 @@ def place_of_its_own(path: Path) -> str:
 
 
 def _read_log(files: SessionFiles) -> Recording:
-    from smoother.session.log import list_recordings, read_log, read_mag_calibration
+    from smoother.session.log import list_recordings, read_log, read_mag_calibration, without_copies
 
     present = list_recordings(files.logs())
-    chosen = _choose(files, present)
+    chosen, copies = without_copies(_choose(files, present))
     log = read_log(chosen)
     field, calibration = read_mag_calibration(chosen, present)
     inputs = tuple(path.name for path in (*chosen.paths, *(() if calibration is None else (calibration,))))
-    file, problems = chosen.paths[0].name, list(log.problems)
+    file, problems = chosen.paths[0].name, [*log.problems, *copies]
     known = {path for recording in present for path in recording.paths}
     for path in (path for path in files.logs() if path not in known):
         problems.append(Problem("log_unusable", f"{path.name}: no whole block of a recording; left out"))

@@ -3,6 +3,7 @@
 A recording is every block with one session id, in whichever files of a directory they lie.
 """
 
+import filecmp
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from mmap import mmap
@@ -86,6 +87,26 @@ def _files(session: int, parts: list[tuple[int, Path, Setup | None]]) -> LogFile
     parts = sorted(parts, key=lambda part: part[0])
     setups = [setup for _, _, setup in parts if setup is not None]
     return LogFiles(session, tuple(path for _, path, _ in parts), setups[0] if setups else None)
+
+
+def without_copies(files: LogFiles) -> tuple[LogFiles, list[Problem]]:
+    """Return a recording without files that are another of its files once more, and say which those were."""
+    kept_paths: list[Path] = []
+    problems = []
+    for path in files.paths:
+        twin = next((other for other in kept_paths if _is_alike(other, path)), None)
+        if twin is None:
+            kept_paths.append(path)
+        else:
+            problems.append(Problem("log_copy", f"{path.name}: byte by byte the same as {twin.name}; left out"))
+    return replace(files, paths=tuple(kept_paths)), problems
+
+
+def _is_alike(one: Path, other: Path) -> bool:
+    try:
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:  # what is wrong is said when it is read
+        return False
 
 
 def _head(path: Path) -> Blocks:

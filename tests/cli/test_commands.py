@@ -51,6 +51,19 @@ def test_check_says_of_a_gps_alone_that_it_is_good_for_what_that_tells(monday: P
     assert json.loads(capsys.readouterr().out)["gps_only"] is True
 
 
+def test_check_and_smooth_agree_on_a_motion_sensor_that_is_too_slow(monday: Path, capsys: Captured) -> None:
+    header, *rows = (monday / "imu.csv").read_text().splitlines(keepends=True)
+    (monday / "imu.csv").write_text("".join([header, *rows[::20]]))
+    assert run(["check", str(monday)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    slow = "the motion sensor is too slow (10 samples a second, 20 are needed)"
+    assert said.count("samples a second") == 2 and slow in said  # the other is the compass
+    assert said.endswith("GOOD TO DRIVE, GPS only: no roll, pitch, sideslip")
+    assert run([str(monday), "--no-baseline", "--no-figures", "--json"]) == 0
+    texts = [problem["text"] for problem in json.loads(capsys.readouterr().out)["problems"]]
+    assert f"imu.csv: {slow}: smoothed from GPS alone" in texts
+
+
 def test_check_of_several_tells_sessions_of_one_name_apart(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:

@@ -1,6 +1,7 @@
 """smooth laps and smooth compare as a person calls them, on two short simulated sessions."""
 
 import datetime as dt
+import html
 import json
 import re
 import shutil
@@ -162,11 +163,29 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps, times of day in " in text and "lost against" in text
+    assert text.count('± for a line given afterwards: a little rougher than those of "smooth"') == 1
     assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
     assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
+    assert "a little rougher than in each session's own report" in html.unescape(page.read_text(encoding="utf-8"))
+
+
+def test_a_session_without_a_whole_lap_has_dashes_in_a_comparison_and_a_reason(
+    lapped: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    made = ["simulate", str(tmp_path / "short"), "--track", "tinbarn", "--duration", "20", "--seed", "7"]
+    assert run([*made, "--preset", "white"]) == 0
+    assert run([str(tmp_path / "short"), *TABLES_ONLY]) == 0
+    capsys.readouterr()
+    assert run(["compare", str(lapped / "saturday"), str(tmp_path / "short")]) == 0
+    said = capsys.readouterr()
+    assert said.err == "smooth: short: no whole lap on the reference line\n"
+    rows = [line.split() for line in said.out.splitlines() if line.endswith("  short")]
+    assert len(rows) == 3 and all(set(row[:-1]) == {"-"} for row in rows[1:])
+    page = Path(said.out.splitlines()[-1]).read_text(encoding="utf-8")
+    assert "short: no whole lap on the reference line" in page
 
 
 def called(capsys: Captured, *sessions: Path) -> tuple[list[str], str]:

@@ -4,10 +4,11 @@ import os
 import pty
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from smoother.cli.output import say_pairs
+from smoother.cli.output import open_page, say_pairs
 
 TITLE = "monday \x1b[31m"
 PAIRS = [("driven", "10 min, " + "far " * 30), ("", "x" * 100), ("a name of more than twelve", "")]
@@ -38,7 +39,7 @@ def test_a_terminal_too_narrow_for_a_value_still_gets_all_of_it(
 
 @pytest.mark.parametrize(("term", "is_styled"), [("xterm", True), ("dumb", False)])
 def test_only_a_terminal_that_knows_styles_is_sent_some(term: str, is_styled: bool) -> None:
-    code = f"from smoother.cli.output import say_pairs; say_pairs({TITLE!r}, [('name', 'value')])"
+    code = f"from smoother.cli.output import open_page, say_pairs; say_pairs({TITLE!r}, [('name', 'value')])"
     terminal, other_end = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=other_end, env=os.environ | {"TERM": term}, check=True)
     os.close(other_end)
@@ -54,3 +55,18 @@ def test_the_command_line_starts_without_what_only_some_commands_need() -> None:
     for slow in ("rich", "numpy", "smoother.cli.batching", "smoother.cli.living"):
         shown = subprocess.run([sys.executable, "-c", code % slow], capture_output=True, text=True, check=True).stdout
         assert shown == "[]\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no program that opens others")
+@pytest.mark.parametrize("tells", [None, "exit 0", "for i in 1 2 3 4 5 6 7; do echo nothing here >&2; done; exit 3"])
+def test_a_page_that_no_browser_shows_is_named_in_one_line(
+    tells: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    if tells is not None:
+        for name in ("xdg-open", "open"):
+            (tmp_path / name).write_text(f"#!/bin/sh\n{tells}\n")
+            (tmp_path / name).chmod(0o755)
+    open_page(tmp_path / "report.html")
+    line = f"smooth: no browser found; open {tmp_path / 'report.html'}\n"
+    assert capfd.readouterr().err == ("" if tells == "exit 0" else line)

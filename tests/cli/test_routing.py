@@ -97,7 +97,7 @@ def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--rate", "fast", "x"], "'fast' is not a valid float"),
+        (["--rate", "fast", "x"], "fast is not a number"),
         (["--wat"], "--wat"),
         (["nowhere"], "nowhere: no such file or folder"),
         (["chek"], "did you mean check?"),
@@ -115,6 +115,31 @@ def test_wrong_usage_is_one_line_and_exit_code_2(
     assert output.out == ""
     assert words in output.err
     assert output.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (["--rate", "abc"], "abc is not a number from 1 to 1000"),
+        (["--rate", "nan"], "nan is not a number from 1 to 1000"),
+        (["--rate", "0"], "0 is not a number from 1 to 1000"),
+        (["check", "--recording", "x"], "x is not a whole number of 1 or more"),
+        (["live", "--baud", "2.5"], "2.5 is not a whole number from 1200 to 4000000"),
+        (["live", "--seconds", "0"], "0 is not a number of 0.1 or more"),
+    ],
+)
+def test_numbers_that_are_wanted_are_said_in_plain_words(
+    here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], wanted: str
+) -> None:
+    assert run([*arguments, "monday"]) == 2
+    said = capsys.readouterr().err
+    assert wanted in said and "range" not in said
+
+
+@pytest.mark.parametrize("command", [[], ["compare"], ["batch"], ["export"], ["calibrate"]])
+def test_out_has_a_short_name_everywhere(capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
+    assert run([*command, "--help"]) == 0
+    assert "-o, --out" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from smoother.estimate import check as module
 from smoother.estimate.check import Check, check
 from smoother.prepare import prepare
 from smoother.report.page import recorded_check
-from smoother.samples import GnssFixes, Problem, RawImu, RawSession
+from smoother.samples import IMU_AXES_UNKNOWN, GnssFixes, Problem, RawImu, RawSession
 from smoother.session.clock import describe_time_base, regularize
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -140,6 +140,19 @@ def test_gaps_are_one_count_for_the_reader_the_check_and_the_page(kart: RawSessi
     assert recorded_check(prepare(read)).measures["imu_gaps"] == told.count
 
 
+@pytest.mark.parametrize(
+    ("file", "remedy"), [("A.KLG", "try another card"), ("imu.csv", ", of samples that were lost")]
+)
+def test_another_card_is_of_use_to_a_logger_that_writes_on_one(kart: RawSession, file: str, remedy: str) -> None:
+    assert kart.imu is not None
+    keep = np.ones(len(kart.imu.t), dtype=bool)
+    keep[9000:9015] = False
+    columns = {name: getattr(kart.imu, name)[keep] for name in ("t", "accel", "gyro")}
+    lost = changed(with_imu(kart, **columns, temperature=None), inputs=(file,))
+    (text,) = (f.text for f in check(lost).findings if f.topic == "IMU" and "gap" in f.text)
+    assert text.endswith(remedy)
+
+
 @pytest.mark.parametrize("inputs", [("RUN00001.KLG",), ("out.txt",), ("imu.csv", "gps.csv", "session.toml")])
 def test_no_motion_sensor_where_there_is_one_is_not_good(kart: RawSession, inputs: tuple[str, ...]) -> None:
     result = check(changed(kart, imu=None, mag=None, inputs=inputs))
@@ -159,6 +172,43 @@ def test_a_logger_without_a_motion_sensor_is_good_and_said_to_be_gps_only(
     result = check(changed(kart, imu=None, mag=None, inputs=inputs))
     assert result.is_good and result.is_gps_only
     assert "no motion sensor" in texts(result, "warning")
+
+
+SLOW = "the motion sensor is too slow (10 samples a second, 20 are needed)"
+
+
+@pytest.mark.parametrize(
+    ("code", "reason", "said"),
+    [
+        ("imu_too_slow", SLOW, SLOW),
+        ("imu_missing", "only 5 usable samples", "the motion sensor cannot be used (only 5 usable samples)"),
+    ],
+)
+def test_a_motion_sensor_of_no_use_is_a_fault_of_the_own_logger_only(
+    kart: RawSession, code: str, reason: str, said: str
+) -> None:
+    for files, is_own in ((("imu.csv", "gps.csv", "mag.csv"), False), (("a.vbo",), False), (("A.KLG",), True)):
+        problem = Problem(code, f"{files[0]}: {reason}: smoothed from GPS alone")
+        result = check(changed(kart, imu=None, inputs=files, problems=(problem,)))
+        assert result.is_good == result.is_gps_only == (not is_own)
+        if not is_own:
+            alone = f"{said}; the GPS alone tells no roll, pitch or sideslip"
+            assert [f.text for f in result.findings if f.topic in ("IMU", "file")] == [alone]
+
+
+def test_the_page_says_of_a_motion_sensor_what_the_check_said(kart: RawSession) -> None:
+    problem = Problem("imu_too_slow", f"imu.csv: {SLOW}: smoothed from GPS alone")
+    slow = changed(kart, imu=None, mag=None, inputs=("imu.csv", "gps.csv"), problems=(problem,))
+    said = [f.text for f in recorded_check(prepare(slow)).findings if f.topic in ("IMU", "file")]
+    assert said == [f"{SLOW}; the GPS alone tells no roll, pitch or sideslip"]
+
+
+def test_a_motion_sensor_that_is_not_read_is_not_called_missing(kart: RawSession) -> None:
+    axes = Problem(IMU_AXES_UNKNOWN, "a.vbo: the inertial channels (x, y, z) are not used: their axes are not known")
+    missing = Problem("imu_missing", "no IMU that can be used: smoothed from GPS alone")
+    result = check(changed(kart, imu=None, mag=None, inputs=("a.vbo",), problems=(axes, missing)))
+    assert result.is_gps_only and axes.text in texts(result, "warning")
+    assert "no motion sensor" not in texts(result, "warning")
 
 
 def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
@@ -214,6 +264,13 @@ def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) ->
     assert kart.imu is not None
     shaken = kart.imu.accel + np.random.default_rng(1).normal(0.0, 8.0 / kart.imu.accel_scale, kart.imu.accel.shape)
     assert "mount the box to the frame" in texts(check(with_imu(kart, accel=shaken)), "warning")
+
+
+def test_a_box_on_the_steering_wheel_is_a_warning(kart: RawSession) -> None:
+    wheel = simulate_preset("kart", 4, duration=90.0, motion_steering=10.0 * DEG).raw
+    said = "the box turns with the steering wheel"
+    assert said in texts(check(wheel), "warning") and check(wheel).is_good
+    assert said not in texts(check(kart), "warning")
 
 
 def test_a_motion_sensor_that_ran_for_half_the_drive_is_not_good(kart: RawSession) -> None:

@@ -124,6 +124,12 @@ def test_madgwick_is_there_at_once_and_the_smoother_when_it_drove(snapshots: lis
     assert 12.0 < with_smoother.t < 35.0
 
 
+def test_who_drives_is_not_asked_to_drive(snapshots: list[Snapshot]) -> None:
+    stages = {s.stage for s in snapshots if s.lag is None and s.speed > 5.0}
+    assert "waiting for the smoother" in stages
+    assert not any("drive to start" in stage or "logger" in stage for stage in stages)
+
+
 def test_rates_fix_and_satellites_are_what_was_sent(snapshots: list[Snapshot]) -> None:
     s = next(s for s in snapshots if s.t > 30.0)
     assert s.rates["imu"] == pytest.approx(200.0, rel=0.02)

@@ -16,9 +16,9 @@ from smoother.live.engine import Engine
 from smoother.live.frame import Frame
 from smoother.live.identify import Foreground
 from smoother.live.navigator import Aboard
-from smoother.live.receiver import MOST_WAITING, Chunk, Receiver
+from smoother.live.receiver import MOST_WAITING, READ_AHEAD, Chunk, Receiver
 from smoother.live.running import run
-from smoother.live.sources import PipeSource, ReplaySource, SerialSource, source_for
+from smoother.live.sources import READ_BYTES, PipeSource, ReplaySource, SerialSource, source_for
 
 
 class Port:
@@ -130,6 +130,19 @@ def test_bytes_nobody_takes_are_thrown_away_and_counted(port: Port) -> None:
         kept = sum(len(chunk.data) for chunk in receiver.take())
         assert kept <= MOST_WAITING
         assert receiver.status.dropped_bytes == total - kept
+
+
+def test_a_file_is_read_no_farther_ahead_than_two_seconds(tmp_path: Path, drive) -> None:
+    path = tmp_path / "capture.bin"
+    path.write_bytes(drive.stream[:200_000])
+    with Receiver(ReplaySource(path, speed=float("inf")), waits=True) as receiver:
+        count = 0
+        while not receiver.status.is_over or receiver.has_chunks:
+            taken = sum(len(chunk.data) for chunk in receiver.take(0.02))
+            assert taken <= READ_AHEAD + READ_BYTES
+            count += taken
+            time.sleep(0.01)
+    assert count == 200_000
 
 
 def test_a_port_that_is_not_there_is_waited_for(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """What is recorded from the line is a session like one from the card."""
 
+import contextlib
+import itertools
 import json
 import os
 import subprocess
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from smoother.cli import living
 from smoother.cli.living import live
 from smoother.cli.main import run as run_command
 from smoother.live import recording
@@ -147,7 +150,37 @@ def test_without_a_view_a_port_that_is_not_there_is_said_once(capsys: pytest.Cap
     assert run_command(["live", "/dev/ttyNoSuchPort", "--headless", "--seconds", "2.5"]) == 0
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.splitlines() == ["smooth: waiting for /dev/ttyNoSuchPort: no such port"]
+    (line,) = said.err.splitlines()
+    assert line.startswith("smooth: waiting for /dev/ttyNoSuchPort: no such port; ") and "`ls /dev/tty*`" in line
+
+
+def test_after_the_end_of_a_file_no_line_is_said_twice(
+    drive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = tmp_path / "capture.bin"
+    capture.write_bytes(drive.stream[:250_000])
+    assert run_command(["live", str(capture), "--speed", "max", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    over = [{**line, "delay_s": 0, "smoother": {**(line["smoother"] or {}), "delay_s": 0}} for line in lines]
+    over = [line for line in over if not line["connected"] and line["t_s"] > 0.0]
+    assert all(one != other for one, other in itertools.pairwise(over))
+    assert lines[-1]["stage"] == "smoothing" and lines[-1]["losses"]["left_out_s"] == 0.0
+
+
+def test_without_a_view_a_terminal_is_told_how_far_a_file_is(
+    drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = []
+    monkeypatch.setattr(
+        living,
+        "progress_on_terminal",
+        lambda wanted: contextlib.nullcontext(lambda *said: told.append((wanted, *said))),
+    )
+    capture = tmp_path / "capture.bin"
+    capture.write_bytes(drive.stream[:60_000])
+    assert run_command(["live", str(capture), "--speed", "max", "--headless"]) == 0
+    wanted, text, share = told[-1]
+    assert wanted and text.startswith("capture.bin ") and share == 0.99
 
 
 def test_speeds_that_are_none_are_refused() -> None:

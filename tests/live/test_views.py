@@ -45,6 +45,23 @@ def test_everything_lost_is_said_and_what_was_not_is_not() -> None:
     assert words.losses(Frame()) == "nothing lost"
 
 
+def test_a_file_that_waits_for_the_smoother_is_not_called_silent() -> None:
+    frame = Frame(FULL, LinkStatus(is_open=True), 7.0, is_held=True)
+    assert words.delay(frame) == "the file waits for the smoother"
+    assert not words.is_stale(frame) and words.rates(frame).startswith("IMU 200 Hz")
+    assert words.delay(Frame(FULL, LinkStatus(is_open=True), 7.0)) == "nothing came for 7 s"
+
+
+@pytest.mark.parametrize(
+    ("error", "hint"), [("no such port", "ls /dev/tty*"), ("permission denied", "dialout"), ("", ""), ("broken", "")]
+)
+def test_a_port_that_cannot_be_opened_is_said_with_what_to_look_at(error: str, hint: str) -> None:
+    said = words.connection(LinkStatus(error=error), "/dev/ttyUSB0")
+    assert said.startswith("/dev/ttyUSB0: NOT CONNECTED") and error in said and hint in said
+    pulled = words.connection(LinkStatus(error=error, disconnects=1), "/dev/ttyUSB0")
+    assert not hint or hint not in pulled
+
+
 def test_a_fix_that_grows_old_is_no_fix() -> None:
     assert words.is_gps_good(FULL)
     old = Snapshot(reception=Reception(1, 9), fix_age=4.0)

@@ -103,6 +103,11 @@ def test_a_session_without_a_whole_lap_stands_in_the_table_and_is_not_drawn(comp
     assert isinstance(laps, list)
     assert all(lap["name"].startswith("first") for lap in laps)
     assert "alert(1)" in text
+    assert "no whole lap on the reference line" in text and text.count("no whole lap") == 1
+    lame = replace(
+        other.analysis, statistics=None, laps=tuple(replace(x, reasons=("pit",)) for x in other.analysis.laps)
+    )
+    assert "none of its laps counts" in comparison([first, replace(other, analysis=lame)])
 
 
 def test_without_attitude_there_is_no_sideslip_to_draw(compared: list[Compared]) -> None:

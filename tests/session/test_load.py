@@ -166,6 +166,17 @@ def test_what_is_packed_is_to_be_unpacked_first(folder: Folder, name: str) -> No
             folder.load(file)
 
 
+def test_commands_that_are_suggested_can_be_pasted(tmp_path: Path) -> None:
+    place = tmp_path / "Büro Ordner"
+    (place / "run 1").mkdir(parents=True)
+    for table in ("gps.csv", "truth.csv"):
+        (place / "run 1" / table).write_text(gps_csv())
+    with pytest.raises(SessionError, match=rf": smooth batch '{re.escape(str(place))}'$"):
+        load_raw(place)
+    with pytest.raises(SessionError, match=rf": smooth evaluate '{re.escape(str(place / 'run 1'))}'$"):
+        load_raw(place / "run 1" / "truth.csv")
+
+
 def test_a_folder_of_session_folders_is_for_batch(folder: Folder) -> None:
     for place in (".hidden", "kart7/run3/smoothed", "kart7/run3", "smoothed"):
         (folder.path / place).mkdir(parents=True, exist_ok=True)

@@ -92,6 +92,16 @@ def test_files_of_one_recording_are_joined_whatever_their_order(tmp_path, make_r
     assert len(load_raw(tmp_path / "a.klg").imu.t) == 4000
 
 
+def test_a_copy_of_a_file_is_left_out_and_said(tmp_path, make_records):
+    image = encode(make_records(duration=20.0), 9)
+    for name in ("LOG00002.KLG", "copy of it.klg"):
+        (tmp_path / name).write_bytes(image)
+    raw = load_raw(tmp_path)
+    assert raw.inputs == ("copy of it.klg",) and len(raw.imu.t) == 4000
+    (said,) = (problem.text for problem in raw.problems if problem.code == "log_copy")
+    assert said == "LOG00002.KLG: byte by byte the same as copy of it.klg; left out"
+
+
 def test_several_recordings_are_listed_and_one_has_to_be_named(tmp_path, make_records):
     for number in (1, 2, 3):
         save(tmp_path, f"LOG0000{number}.KLG", make_records(duration=10.0 + number), number)

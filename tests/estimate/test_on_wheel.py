@@ -1,0 +1,46 @@
+"""A box on the steering wheel is told from one on the frame before anything is smoothed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.estimate.on_wheel import is_on_wheel
+from smoother.estimate.sensor_units import beginning
+from smoother.samples import GnssFixes, ImuSamples
+from smoother.sim.simulation import simulate_preset
+from smoother.units import DEG
+
+PRESETS = ["white", "kart", "kart_harsh"]
+
+
+def driven(preset: str, seed: int, wheel: float = 0.0, seconds: float = 90.0) -> tuple[ImuSamples, GnssFixes]:
+    raw = simulate_preset(preset, seed, duration=seconds, motion_steering=wheel).raw
+    assert raw.imu is not None
+    return beginning(raw.imu), raw.gnss
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_box_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
+    imu, fixes = driven(preset, 2, 10.0 * DEG)
+    assert is_on_wheel(imu, fixes)
+    for seed in range(3):
+        R = so3.exp(np.random.default_rng(seed).normal(size=(1, 3)) * 2.0)[0]
+        turned = replace(imu, specific_force_s=imu.specific_force_s @ R.T, angular_rate_s=imu.angular_rate_s @ R.T)
+        assert is_on_wheel(turned, fixes)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("seconds", [45.0, 90.0])
+def test_a_box_on_the_frame_is_not_taken_for_one(preset: str, seconds: float) -> None:
+    assert not any(is_on_wheel(*driven(preset, seed, seconds=seconds)) for seed in range(4))
+
+
+def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:
+    imu, fixes = driven("kart", 2, 10.0 * DEG)
+    still = replace(fixes, velocity_n=np.zeros_like(fixes.velocity_n))
+    unknown = replace(fixes, velocity_n=np.full_like(fixes.velocity_n, np.nan))
+    assert not is_on_wheel(imu, still) and not is_on_wheel(imu, unknown)
+    dead = replace(imu, angular_rate_s=np.zeros_like(imu.angular_rate_s))
+    assert not is_on_wheel(dead, fixes)
