@@ -186,17 +186,14 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
-    if imu is not None and imu.t.size < FEWEST_IMU_SAMPLES:
-        text = f"{recording.imu_file}: only {counted(imu.t.size, 'usable sample')} in the recording that is used"
-        problems.append(Problem("imu_missing", f"{text}: smoothed from GPS alone"))
-        imu = None
-    if mag is not None and mag.t.size == 0:
-        mag = None
+    imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
+        imu = _if_enough(imu, recording.imu_file, " in which neither sensor stands still", problems)
+    if imu is not None:
         imu = without_other_units(imu, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
@@ -205,7 +202,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         name=files.session_name(),
         gnss=gnss,
         imu=imu,
-        mag=mag,
+        mag=None if mag is None or mag.t.size == 0 else mag,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
@@ -264,6 +261,15 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
     imu = replace(imu, t=kept(base.t), longest_step=base.longest_step)
     release(imu)
     return imu
+
+
+def _if_enough(imu: RawImu | None, file: str, which: str, problems: list[Problem]) -> RawImu | None:
+    """The samples; None, said in `problems`, if hardly any are left; `which` completes what they are."""
+    if imu is None or imu.t.size >= FEWEST_IMU_SAMPLES:
+        return imu
+    text = f"{file}: only {counted(imu.t.size, 'usable sample')}{which}: smoothed from GPS alone"
+    problems.append(Problem("imu_missing", text))
+    return None
 
 
 def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:

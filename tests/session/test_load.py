@@ -480,6 +480,15 @@ def test_samples_that_stand_still_while_the_fixes_move_on_are_left_out_and_count
     assert [(p.code, p.count) for p in raw.problems] == [("imu_frozen", 299)]
 
 
+def test_a_gyroscope_that_stops_at_once_leaves_a_session_of_fixes_alone(folder: Folder) -> None:
+    rows = imu_csv().splitlines()
+    of_gyro = rows[61].split(",")[4:]
+    rows[61:] = [",".join([*row.split(",")[:4], *of_gyro]) for row in rows[61:]]
+    raw = folder.write(imu__csv="\n".join(rows), gps__csv=gps_csv()).load()
+    assert raw.imu is None and codes(raw) == {"imu_sensor_frozen": 939, "imu_missing": 1}
+    assert "imu.csv: only 61 usable samples in which neither sensor stands still" in raw.problems[-1].text
+
+
 @pytest.mark.parametrize(
     ("imu", "why"),
     [
