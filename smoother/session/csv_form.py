@@ -11,7 +11,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.restarts import Restarts, number_of_parts, over_restarts, pair_parts
+from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_by_the_hour
 from smoother.session.tables import Table, head_lines, names_of, read_table
@@ -69,22 +69,23 @@ def read_mag(
     *,
     has_imu: bool = False,
     imu_unit: str | None = None,
-    shifts: Array | None = None,
+    restarts: Restarts | None = None,
 ) -> tuple[RawMag, list[Problem]]:
     """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
 
     fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
     has_imu beside it, times are in the unit of that, imu_unit, or in seconds; a compass alone may be of any rate.
-    shifts (K,) s : of the samples beside it, see `read_imu_and_unit`. Raises SessionError if its clock did not start
-    again as often.
+    restarts : of the clock of samples and fixes beside it. Raises SessionError if its own has parts that are none of
+    theirs.
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
     unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
-    if shifts is not None:
-        if number_of_parts(t) != len(shifts):
-            raise SessionError(f"{path.name}: its clock did not start again as often as that of the samples")
+    if restarts is not None and np.isfinite(t).any():
+        shifts = restarts.of_compass(t)
+        if shifts is None:
+            raise SessionError(f"{path.name}: its clock did not start again when that of the samples did")
         t, used = over_restarts(t, shifts)
         t, field = t[used], field[used]
     rows = RowFilter(path.name, "mag", np.ones(t.size, dtype=np.bool_))

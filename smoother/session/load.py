@@ -532,8 +532,7 @@ def _read_columns(files: SessionFiles) -> Recording:
     problems += gnss_problems
     if mag_table is not None:
         try:
-            shifts = None if restarts is None else restarts.samples
-            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, shifts=shifts)
+            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, restarts=restarts)
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
