@@ -1,7 +1,8 @@
 """What the velocity a receiver sends is worth, held against the positions it sends with it.
 
-A speed in another unit, a column that stands still while the kart drives, a course that points elsewhere: the positions
-are right without them, and the column is not used. A velocity that agrees is left as it is.
+A speed in another unit, a column that stands still while the kart drives, zeros that only say slow, a course that
+points elsewhere: the positions are right without them, and the column is not used. A velocity that agrees is left as it
+is.
 """
 
 import math
@@ -42,6 +43,9 @@ CALM = 25.0  # per cent of the rows in which noise shows alone
 # four positions has sqrt(20) / 3, and the difference of two sqrt(2)
 NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
 NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
+LEAST_THRESHOLD = 0.5  # m/s; a receiver that writes lower speeds than this, 0 apart, has measured its zeros
+SLOW_TIME = 5.0  # s over which the positions tell whether a kart stands; half of it at the ends of a stretch of zeros
+LEAST_SLOW, LEAST_SLOW_WAY = 0.5, 5.0  # m/s and m; at rest positions wander as fast for a moment, or as far in minutes
 CLIMB_TIME = 5.0  # s over which velocities upwards are compared with heights, whose noise then counts less
 CLEARLY_ALIKE, CLEARLY = 0.5, 3.0  # correlation of the two; sigmas
 LEAST_RISE = 0.6  # m of height for one by the velocities; real receivers have 0.7 to 1.3, and km/h make 0.28
@@ -55,7 +59,8 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     """
     _say_missing_course(rows, c)
     c = _without_wrong_unit(rows, t, c)
-    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, _without_stuck(rows, t, c)))
+    c = _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c))
+    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, c))
 
 
 def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
@@ -229,6 +234,37 @@ def _runs(values: Array) -> Iterator[tuple[int, int]]:
     for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
         if last + 1 - first >= STUCK_ROWS:
             yield first, last + 1
+
+
+def _without_zeros_of_slow(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
+    """The columns without the zeros of a receiver that writes 0 for any low speed, where the positions move on.
+
+    Taken for measured, the positions of a kart that is pushed would pass for those of a receiver that has not settled.
+    """
+    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    lowest = float(np.min(speed[speed > 0.0], initial=np.inf))
+    if not LEAST_THRESHOLD <= lowest < np.inf:
+        return c
+    north, east = metres(c)
+    least = NOISE_TIMES * _steps_of(t, c).noise(slice(None)) * BASELINE  # m
+    wrong = np.zeros(t.size, dtype=np.bool_)
+    for first, end in _runs(np.where(speed == 0.0, 0.0, np.nan)[:, None]):
+        at = t[first:end]
+        before, after = first + np.searchsorted(at, [at - 0.5 * SLOW_TIME, at + 0.5 * SLOW_TIME])
+        after = np.minimum(after, end - 1)
+        way, lasts = _distance(north, east, before, after), t[after] - t[before]
+        moves = way > np.maximum(LEAST_SLOW * lasts, least)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(np.int8)))
+        for begin, behind in zip((first + edges[0::2]).tolist(), (first + edges[1::2]).tolist(), strict=True):
+            wrong[begin:behind] = _distance(north, east, begin, behind - 1) > LEAST_SLOW_WAY
+    if count := int(np.count_nonzero(wrong)):
+        text = (
+            f"speed is 0 in {counted(count, 'row')} while the positions move on, and never between 0 and {lowest:.2g}"
+        )
+        rows.say("speed_threshold", f"{text} m/s; not used there", count)
+        names = ("speed", "velocity_north", "velocity_east", "velocity_up")
+        c = replace(c, **{name: np.where(wrong, np.nan, getattr(c, name)) for name in names})
+    return c
 
 
 def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
