@@ -37,7 +37,7 @@ from smoother.samples import (
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
-from smoother.session.frozen import without_frozen_sensor, without_rows
+from smoother.session.frozen import stands_at_level, without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
@@ -301,6 +301,8 @@ def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
             first, last = longest_constant(imu.t, values, axis)
             begin, end = float(imu.t[first]), float(imu.t[last])
             if (sensor, letter) in dead or end - begin < STUCK_TIME or not _moves(gnss, begin, end):
+                continue
+            if stands_at_level(imu.t, values[:, axis : axis + 1], first, last):
                 continue
             text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
             yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")

@@ -401,6 +401,16 @@ def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> N
     assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
 
 
+def test_an_axis_that_says_0_on_every_straight_is_not_stuck(folder: Folder) -> None:
+    """Some modules write 0 for whatever turns slower than their noise."""
+    rows = imu_csv(8000).splitlines()
+    turn = [max(0.0, np.sin(np.pi * k / 1200)) + 0.003 * (k % 7) for k in range(8000)]
+    turn = [rate if rate > 0.05 else 0.0 for rate in turn]
+    rows[1:] = [f"{row.rpartition(',')[0]},{rate:.3f}" for row, rate in zip(rows[1:], turn, strict=True)]
+    raw = folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=gps_csv(400)).load()
+    assert raw.problems == () and raw.imu is not None and raw.imu.t.size == 8000
+
+
 def test_a_pause_between_two_rests_is_not_a_stuck_axis(folder: Folder) -> None:
     """At rest a coarse gyroscope says 0, before lunch and after it, at another place."""
     rows = imu_csv(4000).splitlines()
