@@ -1,8 +1,8 @@
 """A sensor, or one axis of it, that stands still while the others go on and the kart drives: it was not measured.
 
-What repeats itself may also be a coarse sensor, one whose samples are held until the next one, one that writes 0 for any
-slow turn, or one at the end of its range. A stretch counts where the sensor otherwise hardly ever repeats itself, or
-always as often, and stands elsewhere: at whatever it last measured.
+What repeats itself may also be a coarse sensor, one whose samples are held until the next one, one that writes 0 for
+any slow turn, or one at the end of its range. A stretch counts where the sensor otherwise hardly ever repeats itself,
+or always as often, and stands elsewhere: at whatever it last measured.
 """
 
 from collections.abc import Iterator

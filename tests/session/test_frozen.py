@@ -137,8 +137,11 @@ def dead_band(values: Array, band: float) -> Array:
     [
         (dead_band(steps_of_turn(0.004), 0.05), "all axes say 0 on straights"),
         (dead_band(steps_of_turn(0.04), 0.03), "one does"),
-        (dead_band(steps_of_turn(0.004), 0.05) + [0.01, -0.02, 0.03], "and another value once its bias is taken off"),
-        (coarse(steps_of_turn(0.004) + [0.0, 0.0, 0.03], 0.03), "steps that are coarse"),
+        (
+            np.add(dead_band(steps_of_turn(0.004), 0.05), [0.01, -0.02, 0.03]),
+            "another value, its bias taken off",
+        ),
+        (coarse(np.add(steps_of_turn(0.004), 0.01), 0.03), "steps that are coarse"),
     ],
 )
 def test_a_gyroscope_that_says_the_same_on_every_straight_does_not_stand_still(rate: Array, why: str) -> None:
