@@ -534,7 +534,14 @@ def _read_columns(files: SessionFiles) -> Recording:
     problems += gnss_problems
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, restarts=restarts)
+            mag, mag_problems = read_mag(
+                mag_table,
+                gnss.t,
+                has_imu=imu is not None,
+                imu_unit=unit,
+                restarts=restarts,
+                is_set_back=_is_set_back(problems),
+            )
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
@@ -545,7 +552,7 @@ def _read_columns(files: SessionFiles) -> Recording:
 
 
 def _is_set_back(problems: Sequence[Problem]) -> bool:
-    """Whether a clock was set back by an hour; that of the samples is that of the fixes, which may know better."""
+    """Whether a clock was set back; that of the samples is that of the fixes, which may know better."""
     return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 
