@@ -55,7 +55,9 @@ def test_of_two_days_in_one_file_the_longer_is_used_and_the_other_named(tmp_path
 
 
 @pytest.mark.parametrize(("hole", "goes_on"), [(7200.0, False), (27_000.0, False), (80_000.0, True)])
-def test_a_pause_between_heats_is_a_gap_and_so_is_a_night_that_was_recorded(tmp_path: Path, hole: float, goes_on: bool) -> None:
+def test_a_pause_between_heats_is_a_gap_and_so_is_a_night_that_was_recorded(
+    tmp_path: Path, hole: float, goes_on: bool
+) -> None:
     raw = session(tmp_path, hole, imu_goes_on=goes_on)
     assert len(raw.gnss) == 300 and "recordings_apart" not in [problem.code for problem in raw.problems]
 
