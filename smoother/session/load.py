@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle
 from smoother.errors import SessionError
@@ -68,6 +68,9 @@ NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that 
 OF_NO_COLUMN = ("gps_row_cut", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved", "gps_repeated_time")
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+GAP_TIMES = 1.5  # usual steps
+STEPS_BESIDE = 15  # on either side of one, which tell the rate there
+SLOWEST_RATE = 1.0  # s from one fix to the next
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
@@ -390,11 +393,24 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
         if (usual := float(np.median(steps))) > SLOWEST_FIXES:
             text = f"{recording.gnss_file}: a fix only every {usual:.0f} s; is t_s in seconds?"
             problems.append(Problem("gps_too_slow", text))
-        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * usual)]
+        gaps = steps[_are_gaps(steps, usual)]
         if gaps.size:
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
+
+
+def _are_gaps(steps: Array, usual: float) -> BoolArray:
+    """Mask (N,) of the steps, s, from fix to fix that are gaps beside those around them: a receiver may change its rate.
+
+    usual s : of all of them. Fixes that come slower, and slower than SLOWEST_RATE, for a while are no other rate.
+    """
+    gaps = steps > SHORTEST_GPS_GAP
+    long = np.flatnonzero(gaps)
+    around = np.clip(long[:, None] + np.arange(-STEPS_BESIDE, STEPS_BESIDE + 1), 0, steps.size - 1)
+    local = np.minimum(np.median(steps[around], axis=1), max(usual, SLOWEST_RATE))
+    gaps[long] = steps[long] > GAP_TIMES * local
+    return gaps
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:

@@ -517,6 +517,29 @@ def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     assert codes(session) == {"gps_outside_imu": 25}
 
 
+def fixes_at(*steps: tuple[int, float]) -> str:
+    """A gps.csv of so many fixes, each so many seconds from the one before, one after the other; with UTC."""
+    t = np.cumsum(np.concatenate([np.full(count, step) for count, step in steps]))
+    rows = [f"{time + 0.003 * (k % 3):.3f},{45 + 1e-4 * time:.8f},12.0,{1.7e9 + time:.3f}" for k, time in enumerate(t)]
+    return "\n".join(["t_s,lat_deg,lon_deg,unix_s", *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("steps", "gaps"),
+    [
+        (((110, 1.001), (1500, 0.1)), 0),
+        (((500, 0.2), (60, 1.001), (500, 0.2)), 0),
+        (((110, 1.0), (1, 3.0), (1500, 0.1), (1, 1.3), (100, 0.1)), 2),
+        (((500, 0.2), (60, 4.0), (500, 0.2)), 60),  # it hardly sees its satellites
+        (((100, 5.0), (1, 11.0), (100, 5.0)), 1),
+    ],
+)
+def test_a_receiver_that_changes_its_rate_has_no_gaps(
+    folder: Folder, steps: tuple[tuple[int, float], ...], gaps: int
+) -> None:
+    assert codes(folder.write(gps__csv=fixes_at(*steps)).load()).get("gps_gap", 0) == gaps
+
+
 @pytest.mark.parametrize(
     ("start", "end", "expected"),
     [
