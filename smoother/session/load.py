@@ -401,7 +401,7 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
 
 
 def _are_gaps(steps: Array, usual: float) -> BoolArray:
-    """Mask (N,) of the steps, s, from fix to fix that are gaps beside those around them: a receiver may change its rate.
+    """Mask (N,) of the steps from fix to fix, s, that are gaps beside those around them: receivers change their rate.
 
     usual s : of all of them. Fixes that come slower, and slower than SLOWEST_RATE, for a while are no other rate.
     """
