@@ -115,3 +115,13 @@ def test_rows_without_a_time_are_counted_though_the_clock_started_again(tmp_path
 def test_a_clock_that_falls_all_the_time_is_no_clock_that_starts_again(parts: int, is_restarted: bool) -> None:
     t, unix_s = np.tile(np.arange(0.0, 50.0, 0.5), parts), 1.7e9 + 0.5 * np.arange(100 * parts)
     assert (pair_parts(t, t, unix_s, "imu.csv and gps.csv") is not None) == is_restarted
+
+
+def test_a_stray_stamp_before_the_clock_starts_again_does_not_keep_runs_apart(tmp_path: Path) -> None:
+    session(tmp_path, RUNS[:2], utc=True)
+    rows = (tmp_path / "imu.csv").read_text().splitlines()
+    rows[3000] = "100000000," + rows[3000].partition(",")[2]  # the last one of the first run
+    (tmp_path / "imu.csv").write_text("\n".join(rows))
+    raw = load_raw(tmp_path)
+    assert raw.imu is not None and len(raw.imu.t) == 7499
+    assert "clock_joined" in [problem.code for problem in raw.problems]
