@@ -11,9 +11,9 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.restarts import Restarts, number_of_parts, over_restarts, pair_parts
+from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
-from smoother.session.set_back import joined_by_the_hour
+from smoother.session.set_back import joined_where_set_back
 from smoother.session.tables import Table, head_lines, names_of, read_table
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
@@ -43,7 +43,7 @@ def read_imu_and_unit(
 ) -> tuple[RawImu, list[Problem], str | None]:
     """The same, and the unit that its times are in where it is not seconds.
 
-    may_be_set_back : a clock that falls by an hour was set, and what follows is joined; not started again.
+    may_be_set_back : a clock that falls by an hour or a day was set, and what follows is joined; not started again.
     is_slow : times are in seconds, however far apart they are.
     shifts (K,) s : to be added to the times of each part between restarts of the clock, NaN for parts left out.
     """
@@ -58,7 +58,7 @@ def read_imu_and_unit(
     if shifts is not None:
         t, used = over_restarts(t, shifts)
         t, accel, gyro = t[used], accel[used], gyro[used]
-    t, joined = joined_by_the_hour(t, "imu", path.name) if may_be_set_back else (t, [])
+    t, joined = joined_where_set_back(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, problems = screen_imu(path.name, t, accel, gyro)
     return imu, [*cut, *said, *joined, *problems], unit
 
@@ -69,31 +69,34 @@ def read_mag(
     *,
     has_imu: bool = False,
     imu_unit: str | None = None,
-    shifts: Array | None = None,
+    restarts: Restarts | None = None,
+    is_set_back: bool = False,
 ) -> tuple[RawMag, list[Problem]]:
     """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
 
     fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
     has_imu beside it, times are in the unit of that, imu_unit, or in seconds; a compass alone may be of any rate.
-    shifts (K,) s : of the samples beside it, see `read_imu_and_unit`. Raises SessionError if its clock did not start
-    again as often.
+    restarts : of the clock of samples and fixes beside it, which may have been set_back, too. Raises SessionError if
+    its own has parts that are none of theirs.
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
     unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
-    if shifts is not None:
-        if number_of_parts(t) != len(shifts):
-            raise SessionError(f"{path.name}: its clock did not start again as often as that of the samples")
+    if restarts is not None and np.isfinite(t).any():
+        shifts = restarts.of_compass(t)
+        if shifts is None:
+            raise SessionError(f"{path.name}: its clock did not start again when that of the samples did")
         t, used = over_restarts(t, shifts)
         t, field = t[used], field[used]
+    t, joined = joined_where_set_back(t, "mag", path.name) if is_set_back else (t, [])
     rows = RowFilter(path.name, "mag", np.ones(t.size, dtype=np.bool_))
     rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
     rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
     with np.errstate(invalid="ignore"):
         rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
     time, index = put_in_time_order(rows, t, field)
-    return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *rows.problems]
+    return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *joined, *rows.problems]
 
 
 def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:
@@ -126,7 +129,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     _require_numbers(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
-    t, joined = joined_by_the_hour(t, "gps", path.name, unix_s)
+    t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
     columns = FixColumns(
         t=t,
         lat_deg=table.column("lat_deg"),

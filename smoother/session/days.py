@@ -13,7 +13,7 @@ from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.frozen import without_rows
 from smoother.words import counted, span
 
-LONGEST_PAUSE = 4.0 * 3600.0  # s without a sample and a fix within one recording; longer than any lunch
+LONGEST_PAUSE = 8.0 * 3600.0  # s without a sample and a fix within one recording; heats of one day are nearer
 
 
 def longest_recording(

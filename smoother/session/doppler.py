@@ -1,7 +1,8 @@
 """What the velocity a receiver sends is worth, held against the positions it sends with it.
 
-A speed in another unit, a column that stands still while the kart drives, a course that points elsewhere: the positions
-are right without them, and the column is not used. A velocity that agrees is left as it is.
+A speed in another unit, a column that stands still while the kart drives, zeros that only say slow, a course that
+points elsewhere: the positions are right without them, and the column is not used. A velocity that agrees is left as it
+is.
 """
 
 import math
@@ -42,6 +43,11 @@ CALM = 25.0  # per cent of the rows in which noise shows alone
 # four positions has sqrt(20) / 3, and the difference of two sqrt(2)
 NOISE_OF_CALM = math.sqrt(2.0) / (0.759 * math.sqrt(20.0) / 3.0) / BASELINE
 NOISE_TIMES = 2.5  # noise of a step: slower or closer to the column than that, it tells nothing
+LEAST_THRESHOLD = 0.5  # m/s; a receiver that writes lower speeds than this, 0 apart, has measured its zeros
+SLOW_TIME = 5.0  # s over which the positions tell whether a kart stands; half of it at the ends of a stretch of zeros
+LEAST_SLOW, LEAST_SLOW_WAY = 0.5, 5.0  # m/s and m; at rest positions wander as fast for a moment, or as far in minutes
+SETTLED = 120.0  # s after the first fix, or a hole of SLOW_TIME, from which on positions do not come in from elsewhere
+SAME_WAY = 0.5  # cosine of the angle between how a kart was pushed and how it drives on
 CLIMB_TIME = 5.0  # s over which velocities upwards are compared with heights, whose noise then counts less
 CLEARLY_ALIKE, CLEARLY = 0.5, 3.0  # correlation of the two; sigmas
 LEAST_RISE = 0.6  # m of height for one by the velocities; real receivers have 0.7 to 1.3, and km/h make 0.28
@@ -55,7 +61,8 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     """
     _say_missing_course(rows, c)
     c = _without_wrong_unit(rows, t, c)
-    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, _without_stuck(rows, t, c)))
+    c = _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c))
+    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, c))
 
 
 def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
@@ -229,6 +236,64 @@ def _runs(values: Array) -> Iterator[tuple[int, int]]:
     for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
         if last + 1 - first >= STUCK_ROWS:
             yield first, last + 1
+
+
+def _without_zeros_of_slow(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
+    """The columns without the zeros of a receiver that writes 0 for any low speed, where the positions move on.
+
+    Taken for measured, the positions of a kart that is pushed would pass for those of a receiver that has not settled.
+    Those of one that has not are left to the zeros: they come to rest, where a kart is pushed to drive.
+    """
+    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    lowest = float(np.min(speed[speed > 0.0], initial=np.inf))
+    if not LEAST_THRESHOLD <= lowest < np.inf:
+        return c
+    least = NOISE_TIMES * _steps_of(t, c).noise(slice(None)) * BASELINE  # m
+    wrong = np.zeros(t.size, dtype=np.bool_)
+    for first, end in _runs(np.where(speed == 0.0, 0.0, np.nan)[:, None]):
+        for begin, behind in _moved(t, c, first, end, least):
+            wrong[begin:behind] = _is_settled(t, begin) or _drives_on(t, c, behind, end)
+    if count := int(np.count_nonzero(wrong)):
+        text = (
+            f"speed is 0 in {counted(count, 'row')} while the positions move on, and never between 0 and {lowest:.2g}"
+        )
+        rows.say("speed_threshold", f"{text} m/s; not used there", count)
+        names = ("speed", "velocity_north", "velocity_east", "velocity_up")
+        c = replace(c, **{name: np.where(wrong, np.nan, getattr(c, name)) for name in names})
+    return c
+
+
+def _moved(t: Array, c: FixColumns, first: int, end: int, least: float) -> Iterator[tuple[int, int]]:
+    """First row and the one behind the last of each stretch within rows first to end in which positions move on.
+
+    least : m that they have to, in SLOW_TIME, to be told from noise.
+    """
+    north, east = metres(c)
+    at = t[first:end]
+    before, after = first + np.searchsorted(at, [at - 0.5 * SLOW_TIME, at + 0.5 * SLOW_TIME])
+    after = np.minimum(after, end - 1)
+    moves = _distance(north, east, before, after) > np.maximum(LEAST_SLOW * (t[after] - t[before]), least)
+    edges = first + np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(np.int8)))
+    for begin, behind in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+        if np.hypot(north[behind - 1] - north[begin], east[behind - 1] - east[begin]) > LEAST_SLOW_WAY:
+            yield begin, behind
+
+
+def _is_settled(t: Array, row: int) -> bool:
+    """Whether a receiver has had its satellites for long: positions of one that stands drift in before."""
+    holes = np.flatnonzero(np.diff(t[: row + 1]) > SLOW_TIME)
+    return bool(t[row] - t[holes[-1] + 1 if holes.size else 0] > SETTLED)
+
+
+def _drives_on(t: Array, c: FixColumns, behind: int, end: int) -> bool:
+    """Whether positions that moved up to row `behind` go on the same way from row `end` on, where speeds are sent."""
+    if end == t.size or t[end] - t[behind - 1] > 0.5 * SLOW_TIME:
+        return False
+    north, east = metres(c)
+    before = int(np.searchsorted(t, t[end] - SLOW_TIME))
+    after = min(int(np.searchsorted(t, t[end] + 0.5 * SLOW_TIME)), t.size - 1)
+    came, goes = (np.array([north[k] - north[i], east[k] - east[i]]) for i, k in ((before, end), (end, after)))
+    return bool(came @ goes > SAME_WAY * np.linalg.norm(came) * np.linalg.norm(goes))
 
 
 def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

@@ -1,7 +1,8 @@
 """A sensor, or one axis of it, that stands still while the others go on and the kart drives: it was not measured.
 
-What repeats itself may also be a coarse sensor, one whose samples are held until the next one, or one at the end of its
-range. A stretch counts where the sensor otherwise hardly ever repeats itself, or always as often, and stands elsewhere.
+What repeats itself may also be a coarse sensor, one whose samples are held until the next one, one that writes 0 for
+any slow turn, or one at the end of its range. A stretch counts where the sensor otherwise hardly ever repeats itself,
+or always as often, and stands elsewhere: at whatever it last measured.
 """
 
 from collections.abc import Iterator
@@ -9,11 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import pieces, release
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.inertial import HOLE, dead_axes
+from smoother.units import STANDARD_GRAVITY
 from smoother.words import span
 
 SENSOR_FROZEN = 0.3  # s for which not one of three noisy values changes
@@ -25,6 +27,13 @@ HELD = 99.0  # per cent of the repeated ones that are repeated alike
 HELD_TIMES = 10  # as often as that
 GOING_ON = 0.1  # of the other sensor's samples are unlike the one before
 CLIPPED = 0.5  # of the largest value of an axis; an end of its range is farther out
+LEVEL_TIMES = (2, 3)  # stretches at 0, and at another value, from which on it is a level of the sensor
+AS_LONG = 0.25  # of one of them, at least, lasts another that counts
+NEAR, FEW_NEAR = (
+    0.5,
+    0.01,
+)  # of the step to what comes next to a level, and share of samples so near: it has none between
+RESTING = 0.5 * STANDARD_GRAVITY  # m/s^2; less force than that is no level of an accelerometer
 DRIVEN = 5.0  # m/s
 AROUND = 1.0  # s before and after a stretch, within which there are fixes
 
@@ -38,6 +47,7 @@ class _Part:
     others: Array
     shortest: float
     longest: float = np.inf
+    least_level: float = 0.0  # size of its values below which none is a level
 
 
 def without_frozen_sensor(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
@@ -72,7 +82,8 @@ def _parts(imu: RawImu) -> Iterator[_Part]:
     sensors = {"accelerometer": (imu.accel, imu.gyro), "gyroscope": (imu.gyro, imu.accel)}
     for sensor, (values, others) in sensors.items():
         if not all((sensor, letter) in dead for letter in "xyz"):
-            yield _Part(f"the {sensor}", values, others, SENSOR_FROZEN)
+            least_level = RESTING / imu.accel_scale if sensor == "accelerometer" else 0.0
+            yield _Part(f"the {sensor}", values, others, SENSOR_FROZEN, least_level=least_level)
     for sensor, (values, others) in sensors.items():
         for axis, letter in enumerate("xyz"):
             if (sensor, letter) not in dead:
@@ -97,11 +108,59 @@ def _stretches(t: Array, part: _Part) -> list[tuple[int, int]]:
     long = np.flatnonzero((length >= fewest) & (lasts > part.shortest) & (lasts < part.longest))
     found = zip(first[long].tolist(), last[long].tolist(), strict=True)
     smallest, largest = _extremes(part.values)
+    levels = _Levels(part.values, first, last, part.least_level)
     return [
         (i, k)
         for i, k in found
-        if _go_on(part.others[i : k + 1]) and not _is_clipped(part.values[i], smallest, largest)
+        if _go_on(part.others[i : k + 1])
+        and not _is_clipped(part.values[i], smallest, largest)
+        and not levels.has(i, k)
     ]
+
+
+def stands_at_level(t: Array, values: Array, first: int, last: int) -> bool:
+    """Whether values (N, 1) of an axis that do not change from row `first` to `last` stand at a level of the sensor."""
+    edges = np.flatnonzero(np.diff(_repeats(t, values)))
+    return _Levels(values, edges[0::2], edges[1::2], 0.0).has(first, last)
+
+
+class _Levels:
+    """Values at which a part stands again and again, coming from the next one to them: of coarse steps, or a dead band.
+
+    A sensor that freezes keeps any value; one that fails, and writes 0, jumps to it past others that are nearer.
+    """
+
+    def __init__(self, values: Array, first: IntArray, last: IntArray, least: float) -> None:
+        """values (N, M), which repeat one another in each stretch from a row of first (K,) to that of last (K,)."""
+        long = last - first >= FEWEST_FROZEN
+        self._values, self._first, self._last, self._least = values, first[long], last[long], least
+        self._is_next: dict[bytes, bool] = {}
+
+    def has(self, first: int, last: int) -> bool:
+        """Whether the stretch from row `first` to `last` is one of several, about as long, at one level."""
+        level = self._values[first]
+        if np.linalg.norm(level) < self._least:
+            return False
+        here = np.all(self._values[self._first] == level, axis=1)
+        alike = here & (self._last - self._first >= AS_LONG * (last - first))
+        if np.count_nonzero(alike) < LEVEL_TIMES[int(np.any(level != 0.0))]:
+            return False
+        key = level.tobytes()
+        if key not in self._is_next:
+            self._is_next[key] = self._comes_from_next(level, self._first[here], self._last[here])
+        return self._is_next[key]
+
+    def _comes_from_next(self, level: Array, first: IntArray, last: IntArray) -> bool:
+        """Whether hardly any sample is nearer to a level (M,) than those before and after its stretches."""
+        rows = np.concatenate([first[first > 0] - 1, last[last < len(self._values) - 1] + 1])
+        beside = np.linalg.norm(self._values[rows] - level, axis=1)
+        near, nearer, others = NEAR * median(beside) if beside.size else 0.0, 0, 0
+        for part in pieces(len(self._values)):
+            off = np.linalg.norm(self._values[part] - level, axis=1)
+            nearer += int(np.count_nonzero((off > 0.0) & (off < near)))
+            others += int(np.count_nonzero(off > 0.0))
+            release(self._values)
+        return nearer <= FEW_NEAR * others
 
 
 def _go_on(values: Array) -> bool:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.config import SessionConfig
 from smoother.disc import kept, pieces, release, settle
 from smoother.errors import SessionError
@@ -38,7 +38,7 @@ from smoother.samples import (
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
-from smoother.session.frozen import without_frozen_sensor, without_rows
+from smoother.session.frozen import stands_at_level, without_frozen_sensor, without_rows
 from smoother.session.inertial import dead_axes, longest_constant
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
@@ -69,6 +69,9 @@ NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that 
 OF_NO_COLUMN = ("gps_row_cut", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved", "gps_repeated_time")
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+GAP_TIMES = 1.5  # usual steps
+STEPS_BESIDE = 15  # on either side of one, which tell the rate there
+SLOWEST_RATE = 1.0  # s from one fix to the next
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
@@ -189,17 +192,14 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
-    if imu is not None and imu.t.size < FEWEST_IMU_SAMPLES:
-        text = f"{recording.imu_file}: only {counted(imu.t.size, 'usable sample')} in the recording that is used"
-        problems.append(Problem("imu_missing", f"{text}: smoothed from GPS alone"))
-        imu = None
-    if mag is not None and mag.t.size == 0:
-        mag = None
+    imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
         problems += _dead(imu, recording.imu_file)
         imu = _without_frozen(imu, gnss, recording.imu_file, problems)
         imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
+        imu = _if_enough(imu, recording.imu_file, " in which neither sensor stands still", problems)
+    if imu is not None:
         imu = without_other_units(imu, recording.imu_file, problems)
         problems += _stuck(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
@@ -208,7 +208,7 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
         name=files.session_name(),
         gnss=gnss,
         imu=imu,
-        mag=mag,
+        mag=None if mag is None or mag.t.size == 0 else mag,
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),
@@ -269,6 +269,15 @@ def _usable_imu(recording: Recording, problems: list[Problem]) -> RawImu | None:
     return imu
 
 
+def _if_enough(imu: RawImu | None, file: str, which: str, problems: list[Problem]) -> RawImu | None:
+    """The samples; None, said in `problems`, if hardly any are left; `which` completes what they are."""
+    if imu is None or imu.t.size >= FEWEST_IMU_SAMPLES:
+        return imu
+    text = f"{file}: only {counted(imu.t.size, 'usable sample')}{which}: smoothed from GPS alone"
+    problems.append(Problem("imu_missing", text))
+    return None
+
+
 def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
     """Problem codes and reasons why the inertial samples cannot be used at all."""
     if imu.t.size < FEWEST_IMU_SAMPLES:
@@ -299,6 +308,8 @@ def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
             first, last = longest_constant(imu.t, values, axis)
             begin, end = float(imu.t[first]), float(imu.t[last])
             if (sensor, letter) in dead or end - begin < STUCK_TIME or not _moves(gnss, begin, end):
+                continue
+            if stands_at_level(imu.t, values[:, axis : axis + 1], first, last):
                 continue
             text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
             yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
@@ -386,11 +397,24 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
         if (usual := float(np.median(steps))) > SLOWEST_FIXES:
             text = f"{recording.gnss_file}: a fix only every {usual:.0f} s; is t_s in seconds?"
             problems.append(Problem("gps_too_slow", text))
-        gaps = steps[steps > max(SHORTEST_GPS_GAP, 1.5 * usual)]
+        gaps = steps[_are_gaps(steps, usual)]
         if gaps.size:
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
+
+
+def _are_gaps(steps: Array, usual: float) -> BoolArray:
+    """Mask (N,) of the steps from fix to fix, s, that are gaps beside those around them: receivers change their rate.
+
+    usual s : of all of them. Fixes that come slower, and slower than SLOWEST_RATE, for a while are no other rate.
+    """
+    gaps = steps > SHORTEST_GPS_GAP
+    long = np.flatnonzero(gaps)
+    around = np.clip(long[:, None] + np.arange(-STEPS_BESIDE, STEPS_BESIDE + 1), 0, steps.size - 1)
+    local = np.minimum(np.median(steps[around], axis=1), max(usual, SLOWEST_RATE))
+    gaps[long] = steps[long] > GAP_TIMES * local
+    return gaps
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:
@@ -530,8 +554,14 @@ def _read_columns(files: SessionFiles) -> Recording:
     problems += gnss_problems
     if mag_table is not None:
         try:
-            shifts = None if restarts is None else restarts.samples
-            mag, mag_problems = read_mag(mag_table, gnss.t, has_imu=imu is not None, imu_unit=unit, shifts=shifts)
+            mag, mag_problems = read_mag(
+                mag_table,
+                gnss.t,
+                has_imu=imu is not None,
+                imu_unit=unit,
+                restarts=restarts,
+                is_set_back=_is_set_back(problems),
+            )
             problems += mag_problems
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
@@ -542,7 +572,7 @@ def _read_columns(files: SessionFiles) -> Recording:
 
 
 def _is_set_back(problems: Sequence[Problem]) -> bool:
-    """Whether a clock was set back by an hour; that of the samples is that of the fixes, which may know better."""
+    """Whether a clock was set back; that of the samples is that of the fixes, which may know better."""
     return any(problem.code.endswith("_clock_set_back") for problem in problems)
 
 

@@ -9,6 +9,7 @@ from smoother.arrays import Array, BoolArray, median
 from smoother.disc import PIECE, pieces, release, thinned
 from smoother.samples import Problem, RawImu
 from smoother.session.frozen import without_rows
+from smoother.units import DEG
 from smoother.words import counted
 
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
@@ -20,6 +21,9 @@ PLAUSIBLE_RATE = (0.0, 8.0)  # rad/s, median of 460 deg/s: degrees were written 
 WINDOW = 5.0  # s judged together; in no shorter time is a box thrown, or turned in the hand
 FEW_BETWEEN = 3  # windows between two that are off are of them: who writes deg/s stands now and then
 FEWEST_LEFT = 100  # samples
+SHORTEST_UNIT = 20.0  # s; a box is spun in the hand, or a kart round itself, for less
+LEAST_TURN = 0.1  # of the fastest usual rates, that rates in deg/s are once they are converted
+FASTEST = 90.0  # per cent of the windows
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class _Sensor:
     scale: float
     usual: tuple[float, float]
     said: str
+    unit: float | None = None  # SI, of the samples where they are off for any length of time; None: no motion is so
 
     def sizes(self, values: Array) -> Array:
         """Length (N,) of samples (N, 3), SI."""
@@ -38,6 +43,16 @@ class _Sensor:
     def is_off(self, size: Array | float) -> BoolArray:
         low, high = self.usual
         return np.asarray((size < low) | (size > high))
+
+    def is_unit(self, sizes: Array, first: int, last: int) -> bool:
+        """Whether windows of sizes (K,), off from first to last, are in another unit; else something moves so."""
+        if self.unit is None:
+            return True
+        off = self.is_off(sizes)
+        here = slice(first, last + 1)
+        converted = median(sizes[here][off[here]]) * self.unit
+        usual = float(np.percentile(sizes[~off], FASTEST)) if not np.all(off) else 0.0
+        return (last + 1 - first) * WINDOW >= SHORTEST_UNIT and converted > LEAST_TURN * usual
 
     def reason(self, size: float) -> str:
         return self.said.format(size)
@@ -48,7 +63,7 @@ def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
     rate = "typically {:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
     return (
         _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force),
-        _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate),
+        _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate, DEG),
     )
 
 
@@ -84,6 +99,8 @@ def without_other_units(imu: RawImu, file: str, problems: list[Problem]) -> RawI
     for sensor in _sensors(imu):
         sizes = _window_sizes(sensor, count)
         for first, last in _runs(sensor.is_off(sizes)):
+            if not sensor.is_unit(sizes, first, last):
+                continue
             rows = slice(max(0, (first - 1) * count), (last + 2) * count)
             bad[rows] = True
             lost, begin, end = imu.t[rows].size, imu.t[rows][0], imu.t[rows][-1]

@@ -10,9 +10,9 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.samples import Problem
-from smoother.session.rows import parts_between_restarts
+from smoother.session.rows import RESTART_STEP, parts_between_restarts
 from smoother.units import DAY
-from smoother.words import counted, listed, span
+from smoother.words import counted, listed
 
 MOST_PARTS = 20  # of a clock that starts again; more is a mixture of other kinds
 
@@ -24,6 +24,21 @@ class Restarts:
     samples: Array
     fixes: Array
     problem: Problem
+    runs: "list[_Part]"  # the K parts of the samples
+
+    def of_compass(self, t: Array) -> Array | None:
+        """Seconds to be added to each part (M,) of a compass beside the samples, at t (N,) s; None where it has others.
+
+        It may be missing in a run, or in a part of one; a clock that went on when that of the samples did not is none
+        of theirs.
+        """
+        parts = _parts_of(t, np.full(t.size, np.nan))
+        if len(parts) > len(self.runs):
+            return None
+        pairs = _in_order(np.array([[part.likeness_within(run) for run in self.runs] for part in parts]))
+        shifts = np.full(len(parts), np.nan)
+        shifts[[i for i, _ in pairs]] = self.samples[[j for _, j in pairs]]
+        return shifts if len(pairs) == len(parts) else None
 
 
 @dataclass(frozen=True)
@@ -42,6 +57,10 @@ class _Part:
     def likeness(self, other: "_Part") -> float:
         """How much of the time in which either runs both do, 0 to 1: parts of one run begin and end together."""
         return self.shared(other) / max(max(self.end, other.end) - min(self.begin, other.begin), 1e-9)
+
+    def likeness_within(self, run: "_Part") -> float:
+        """The same, 0 for a part that goes on after the run has ended."""
+        return self.likeness(run) if self.end < run.end + RESTART_STEP else 0.0
 
 
 def pair_parts(samples_t: Array, fixes_t: Array, unix_s: Array, files: str) -> Restarts | None:
@@ -63,14 +82,15 @@ def pair_parts(samples_t: Array, fixes_t: Array, unix_s: Array, files: str) -> R
     of_samples[[i for i, _ in pairs]] = of_fixes[[j for _, j in pairs]] = shifts
     lost = sum(part.rows for part, shift in zip(samples, of_samples, strict=True) if np.isnan(shift))
     lost += sum(part.rows for part, shift in zip(fixes, of_fixes, strict=True) if np.isnan(shift))
-    return Restarts(of_samples, of_fixes, _said(samples, [i for i, _ in pairs], lost, files))
+    problem = _said(samples, [i for i, _ in pairs], shifts, lost, files)
+    return Restarts(of_samples, of_fixes, problem, samples)
 
 
-def _said(samples: list[_Part], used: list[int], lost: int, files: str) -> Problem:
+def _said(samples: list[_Part], used: list[int], shifts: list[float], lost: int, files: str) -> Problem:
     if len(used) > 1:
-        at = listed([span(samples[i].end) for i in used[:-1]])
+        at = listed([f"{samples[i].end + shift:.0f} s" for i, shift in zip(used[:-1], shifts[:-1], strict=True)])
         rest = f"; {counted(lost, 'row')} left out, of parts that only one file has" if lost else ""
-        return Problem("clock_joined", f"{files}: the clock started again after {at}; joined by UTC{rest}", lost)
+        return Problem("clock_joined", f"{files}: the clock started again at {at}; joined by UTC{rest}", lost)
     part = samples[used[0]]
     text = (
         f"{files}: the clock started again; of {len(samples)} parts number {used[0] + 1} is used ({part.begin:.0f} to "

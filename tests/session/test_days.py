@@ -9,10 +9,21 @@ from smoother.samples import RawSession
 from smoother.session.load import load_raw
 
 
-def session(folder: Path, hole: float, *, imu: bool = True, imu_goes_on: bool = False) -> RawSession:
-    """20 s of a drive, a hole, and 40 s more of it; the samples may go on through the hole once in a while."""
-    samples = np.arange(0.0, 60.0, 0.02)
-    fixes, mag = np.arange(0.1, 60.0, 0.2), np.arange(0.0, 60.0, 0.1)
+def session(
+    folder: Path,
+    hole: float,
+    *,
+    imu: bool = True,
+    imu_goes_on: bool = False,
+    imu_until: float = 60.0,
+    mag_until: float = 60.0,
+) -> RawSession:
+    """20 s of a drive, a hole, and 40 s more of it; the samples may go on through the hole once in a while.
+
+    Samples and compass may end before the fixes do, s, the hole not counted.
+    """
+    samples = np.arange(0.0, imu_until, 0.02)
+    fixes, mag = np.arange(0.1, 60.0, 0.2), np.arange(0.0, mag_until, 0.1)
     apart = [t + hole * (t > 20.0) for t in (samples, fixes, mag)]
     if imu_goes_on:
         apart[0] = np.sort(np.append(apart[0], 20.0 + hole * np.linspace(0.1, 0.9, 9)))
@@ -43,7 +54,22 @@ def test_of_two_days_in_one_file_the_longer_is_used_and_the_other_named(tmp_path
     assert "Split the files at 20 s" in said.text
 
 
-@pytest.mark.parametrize(("hole", "goes_on"), [(7200.0, False), (80_000.0, True)])
-def test_a_long_lunch_is_a_gap_and_so_is_a_night_that_was_recorded(tmp_path: Path, hole: float, goes_on: bool) -> None:
+@pytest.mark.parametrize(("hole", "goes_on"), [(7200.0, False), (27_000.0, False), (80_000.0, True)])
+def test_a_pause_between_heats_is_a_gap_and_so_is_a_night_that_was_recorded(
+    tmp_path: Path, hole: float, goes_on: bool
+) -> None:
     raw = session(tmp_path, hole, imu_goes_on=goes_on)
     assert len(raw.gnss) == 300 and "recordings_apart" not in [problem.code for problem in raw.problems]
+
+
+@pytest.mark.parametrize("until", [20.0, 21.0])
+def test_a_day_without_samples_enough_is_smoothed_from_gps_alone(tmp_path: Path, until: float) -> None:
+    raw = session(tmp_path, 40_000.0, imu_until=until)
+    assert raw.imu is None and len(raw.gnss) == 200
+    (said,) = [problem.text for problem in raw.problems if problem.code == "imu_missing"]
+    assert said.startswith("imu.csv: only ") and said.endswith("in the recording that is used: smoothed from GPS alone")
+
+
+def test_a_day_without_compass_has_none(tmp_path: Path) -> None:
+    raw = session(tmp_path, 40_000.0, mag_until=20.0)
+    assert raw.mag is None and raw.imu is not None and len(raw.imu.t) in (1999, 2000)

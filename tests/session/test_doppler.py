@@ -112,6 +112,75 @@ def test_a_kart_that_stands_and_one_that_runs_straight_are_believed(tmp_path: Pa
     assert said == {} and np.isfinite(fixes.velocity_n[:, 0]).all()
 
 
+def pushed(
+    lowest: float, pace: float = 1.2, noise: float = 0.3, until: float = 53.0, drift: float = 0.0, settles: float = 0.0
+) -> dict[str, np.ndarray | None]:
+    """Columns of a kart that stands 24 s, is pushed `until` s and driven for the rest; speeds below `lowest` are 0.
+
+    drift : m/s by which positions come in from elsewhere while it stands. settles : s in which they do from 60 m west.
+    """
+    t = np.arange(0.0, 120.0, 0.2)
+    speed = np.interp(t, [24.0, 25.0, until, until + 4.0], [0.0, pace, pace, 12.0])
+    north, east = noise * np.random.default_rng(4).standard_normal((2, t.size))
+    east -= 60.0 * np.exp(-t / settles) if settles else 0.0
+    lat = 45 + (np.cumsum(speed) * 0.2 + drift * np.minimum(t, 24.0) + north) / 111_195
+    sent = np.where(speed < lowest, 0.0, speed)
+    return {
+        "lat_deg": lat,
+        "lon_deg": 12 + east / 111_195 / np.cos(np.pi / 4),
+        "speed_mps": sent,
+        "course_deg": 0.0 * t,
+    }
+
+
+@pytest.mark.parametrize("in_parts", [False, True])
+def test_zeros_of_a_receiver_that_writes_them_for_low_speeds_are_unknown_where_it_moves(
+    tmp_path: Path, in_parts: bool
+) -> None:
+    columns = pushed(2.0)
+    if in_parts:
+        north = columns["speed_mps"]
+        columns |= {"vel_n_mps": north, "vel_e_mps": 0.0 * north, "speed_mps": None, "course_deg": None}
+    fixes, said = lap(tmp_path, **columns)
+    known = np.isfinite(fixes.velocity_n[:, 0])
+    assert known[:110].all() and known[270:].all(), "at rest it has measured them"
+    assert not known[130:260].any()
+    count = np.count_nonzero(~known)
+    text = f"gps.csv: speed is 0 in {count} rows while the positions move on, and never between 0 and 2.3 m/s; not"
+    assert list(said) == ["gps_speed_threshold"] and said["gps_speed_threshold"].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("columns", "why"),
+    [
+        (pushed(0.3, drift=1.0), "slow speeds are sent: it is the positions that are wrong"),
+        (pushed(2.0, pace=0.0), "it stands"),
+        (pushed(2.0, pace=0.0, noise=3.0), "it stands, and the positions are noisy"),
+        (pushed(2.0, pace=0.3, noise=0.1), "positions of a kart that stands wander as fast"),
+        (pushed(2.0, until=26.0), "it drives off, in a second or two"),
+        (pushed(2.0, pace=0.0, settles=15.0), "it stands while its receiver settles"),
+        (pushed(2.0, pace=0.0, until=26.0, settles=40.0), "and drives off, another way, before it has"),
+    ],
+)
+def test_zeros_of_a_kart_that_stands_are_measured(tmp_path: Path, columns: dict[str, np.ndarray], why: str) -> None:
+    fixes, said = lap(tmp_path, **columns)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, 0]).all(), why
+
+
+@pytest.mark.parametrize(("hole", "is_told"), [((0.0, 0.0), True), ((0.0, 190.0), False), ((150.0, 190.0), False)])
+def test_a_kart_that_is_pushed_and_stands_again_is_told_from_a_receiver_that_settles_by_when(
+    tmp_path: Path, hole: tuple[float, float], is_told: bool
+) -> None:
+    """Without the motion sensor, both look alike in the first two minutes."""
+    t = np.arange(0.0, 400.0, 0.2)
+    t = t[(t < hole[0]) | (t >= hole[1])]
+    speed = np.interp(t, [200.0, 201.0, 230.0, 231.0, 300.0, 304.0], [0.0, 1.2, 1.2, 0.0, 0.0, 12.0])
+    lat = 45 + np.cumsum(speed) * 0.2 / 111_195
+    sent = np.where(speed < 2.0, 0.0, speed)
+    _, said = lap(tmp_path, t_s=t, lat_deg=lat, lon_deg=0.0 * t + 12.0, speed_mps=sent, course_deg=0.0 * t)
+    assert list(said) == (["gps_speed_threshold"] if is_told else [])
+
+
 def circles(
     directory: Path, radius: float, speed: float, rate: float, delay: float
 ) -> tuple[GnssFixes, dict[str, str]]:

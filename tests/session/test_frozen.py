@@ -5,7 +5,8 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.samples import GnssFixes, Problem, RawImu
-from smoother.session.frozen import without_frozen_sensor
+from smoother.session.frozen import stands_at_level, without_frozen_sensor
+from smoother.session.inertial import longest_constant
 
 RATE, LASTS = 100.0, 60.0  # Hz, s
 T = np.arange(round(RATE * LASTS)) / RATE
@@ -86,6 +87,8 @@ def held(values: Array, times: int) -> Array:
 
 
 F, W = samples()
+QUIET = coarse(F * np.where((T > 20.0) & (T < 24.0), [[1e-3], [1.0], [1.0]], 1.0).T, 0.5)
+PUSHED_OUT = np.clip(F + 100.0 * ((T > 20.0) & (T < 23.0))[:, None] * [0.0, 1.0, 0.0], -30.0, 30.0)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +102,9 @@ F, W = samples()
         (F, coarse(0.05 * W, 0.02), 12.0, "a gyroscope that says 0 on straights"),
         (held(F, 4), W, 12.0, "an accelerometer at a quarter of the rate"),
         (held(F, 50), held(W, 10), 12.0, "both slow"),
+        (held(F, 50), W, 12.0, "an accelerometer twice a second"),
+        (QUIET, W, 12.0, "coarse steps, and nothing happens for a while"),
+        (PUSHED_OUT, W, 12.0, "the end of its range for seconds"),
         (np.clip(F, -3.0, 3.0), np.clip(W, -0.3, 0.3), 12.0, "the ends of their ranges"),
         (frozen(F, 20.0, 26.0), frozen(W, 20.0, 26.0), 12.0, "both together are another matter"),
     ],
@@ -112,3 +118,78 @@ def test_an_accelerometer_that_is_held_may_stand_still_too() -> None:
     imu, problems = judged(frozen(held(F, 4), 20.0, 23.0), W)
     assert len(problems) == 1 and imu.t.size == T.size - problems[0].count
     assert 290 <= problems[0].count <= 310
+
+
+def steps_of_turn(noise: float, quiet: float = 0.0) -> Array:
+    """Rates (N, 3) rad/s of a kart that goes straight for half of the time, with noise in bends and `quiet` between."""
+    bend = np.maximum(0.0, np.sin(T * 1.2)) * np.sign(np.sin(T * 0.6))
+    rng = np.random.default_rng(5)
+    turn = np.stack([0.0 * bend, 0.0 * bend, bend], axis=1)
+    return turn + np.where(bend[:, None] == 0.0, quiet, noise) * rng.standard_normal((T.size, 3))
+
+
+def dead_band(values: Array, band: float) -> Array:
+    return np.where(np.abs(values) < band, 0.0, values)
+
+
+@pytest.mark.parametrize(
+    ("rate", "why"),
+    [
+        (dead_band(steps_of_turn(0.004), 0.05), "all axes say 0 on straights"),
+        (dead_band(steps_of_turn(0.04), 0.03), "one does"),
+        (
+            np.add(dead_band(steps_of_turn(0.004), 0.05), [0.01, -0.02, 0.03]),
+            "another value, its bias taken off",
+        ),
+        (coarse(np.add(steps_of_turn(0.004), 0.01), 0.03), "steps that are coarse"),
+    ],
+)
+def test_a_gyroscope_that_says_the_same_on_every_straight_does_not_stand_still(rate: Array, why: str) -> None:
+    imu, problems = judged(F, rate)
+    assert problems == [] and imu.t.size == T.size, why
+    first, last = longest_constant(T, rate, 2)
+    assert last - first > 100 and stands_at_level(T, rate[:, 2:], first, last)
+
+
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
+@pytest.mark.parametrize("value", [0.0, -0.001])
+def test_a_sensor_that_fails_again_and_again_stands_still(sensor: str, value: float) -> None:
+    force, rate = samples()
+    values = force if sensor == "accelerometer" else rate
+    for begin in (1000, 2000, 3000, 4000):
+        values[begin : begin + 100] = value
+    imu, problems = judged(force, rate)
+    assert [problem.code for problem in problems] == ["imu_sensor_frozen"] and imu.t.size == T.size - 4 * 99
+
+
+def test_a_gyroscope_with_a_dead_band_may_stand_still_too() -> None:
+    rate = dead_band(steps_of_turn(0.004), 0.05)
+    stop = int(np.argmax(rate[:, 2] > 0.9))
+    rate[stop : stop + 900] = rate[stop]
+    imu, problems = judged(F, rate)
+    assert [problem.code for problem in problems] == ["imu_sensor_frozen"] and imu.t.size == T.size - 899
+    assert not stands_at_level(T, rate[:, 2:], *longest_constant(T, rate, 2))
+
+
+def test_one_long_stretch_at_a_value_that_is_met_for_moments_elsewhere_counts() -> None:
+    rate = dead_band(steps_of_turn(0.004), 0.05)
+    stop = int(np.argmax(rate[1000:, 2] == 0.0)) + 1000
+    rate[stop : stop + 2000] = 0.0
+    imu, problems = judged(F, rate)
+    assert [problem.code for problem in problems] == ["imu_sensor_frozen"] and imu.t.size < T.size - 1990
+
+
+def test_a_stretch_ends_at_a_hole_in_the_samples() -> None:
+    rate = W.copy()
+    rate[1990:2010] = rate[1990]
+    t = np.where(T < 20.0, T, T + 5.0)
+    problems: list[Problem] = []
+    assert without_frozen_sensor(RawImu(t, F, rate), fixes(), "imu.csv", problems).t.size == T.size
+    assert problems == []
+
+
+def test_temperatures_of_samples_that_stay_are_kept() -> None:
+    imu = RawImu(T, frozen(F, 20.0, 23.0), W, temperature=T)
+    left = without_frozen_sensor(imu, fixes(), "imu.csv", [])
+    assert left.t.size == T.size - 299 and left.temperature is not None
+    np.testing.assert_array_equal(left.temperature, left.t)

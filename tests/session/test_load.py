@@ -412,6 +412,16 @@ def test_an_axis_that_stops_half_way_is_named_with_its_time(folder: Folder) -> N
     assert text.startswith("imu.csv: z of the gyroscope does not change from 20 to 40 s; attitude")
 
 
+def test_an_axis_that_says_0_on_every_straight_is_not_stuck(folder: Folder) -> None:
+    """Some modules write 0 for whatever turns slower than their noise."""
+    rows = imu_csv(8000).splitlines()
+    turn = [max(0.0, np.sin(np.pi * k / 1200)) + 0.003 * (k % 7) for k in range(8000)]
+    turn = [rate if rate > 0.05 else 0.0 for rate in turn]
+    rows[1:] = [f"{row.rpartition(',')[0]},{rate:.3f}" for row, rate in zip(rows[1:], turn, strict=True)]
+    raw = folder.write(imu__csv="\n".join(rows) + "\n", gps__csv=gps_csv(400)).load()
+    assert raw.problems == () and raw.imu is not None and raw.imu.t.size == 8000
+
+
 def test_a_pause_between_two_rests_is_not_a_stuck_axis(folder: Folder) -> None:
     """At rest a coarse gyroscope says 0, before lunch and after it, at another place."""
     rows = imu_csv(4000).splitlines()
@@ -491,6 +501,15 @@ def test_samples_that_stand_still_while_the_fixes_move_on_are_left_out_and_count
     assert [(p.code, p.count) for p in raw.problems] == [("imu_frozen", 299)]
 
 
+def test_a_gyroscope_that_stops_at_once_leaves_a_session_of_fixes_alone(folder: Folder) -> None:
+    rows = imu_csv().splitlines()
+    of_gyro = rows[61].split(",")[4:]
+    rows[61:] = [",".join([*row.split(",")[:4], *of_gyro]) for row in rows[61:]]
+    raw = folder.write(imu__csv="\n".join(rows), gps__csv=gps_csv()).load()
+    assert raw.imu is None and codes(raw) == {"imu_sensor_frozen": 939, "imu_missing": 1}
+    assert "imu.csv: only 61 usable samples in which neither sensor stands still" in raw.problems[-1].text
+
+
 @pytest.mark.parametrize(
     ("imu", "why"),
     [
@@ -507,6 +526,29 @@ def test_samples_may_repeat_one_another(folder: Folder, imu: str, why: str) -> N
 def test_fixes_without_imu_around_them_are_counted(folder: Folder) -> None:
     session = folder.write(imu__csv=imu_csv(500), gps__csv=gps_csv()).load()
     assert codes(session) == {"gps_outside_imu": 25}
+
+
+def fixes_at(*steps: tuple[int, float]) -> str:
+    """A gps.csv of so many fixes, each so many seconds from the one before, one after the other; with UTC."""
+    t = np.cumsum(np.concatenate([np.full(count, step) for count, step in steps]))
+    rows = [f"{time + 0.003 * (k % 3):.3f},{45 + 1e-4 * time:.8f},12.0,{1.7e9 + time:.3f}" for k, time in enumerate(t)]
+    return "\n".join(["t_s,lat_deg,lon_deg,unix_s", *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("steps", "gaps"),
+    [
+        (((110, 1.001), (1500, 0.1)), 0),
+        (((500, 0.2), (60, 1.001), (500, 0.2)), 0),
+        (((110, 1.0), (1, 3.0), (1500, 0.1), (1, 1.3), (100, 0.1)), 2),
+        (((500, 0.2), (60, 4.0), (500, 0.2)), 60),  # it hardly sees its satellites
+        (((100, 5.0), (1, 11.0), (100, 5.0)), 1),
+    ],
+)
+def test_a_receiver_that_changes_its_rate_has_no_gaps(
+    folder: Folder, steps: tuple[tuple[int, float], ...], gaps: int
+) -> None:
+    assert codes(folder.write(gps__csv=fixes_at(*steps)).load()).get("gps_gap", 0) == gaps
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,17 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.samples import Problem, RawImu
-from smoother.session.plausible import implausible_units, without_other_units
+from smoother.session.plausible import SHORTEST_UNIT, implausible_units, without_other_units
 from smoother.units import DEG, STANDARD_GRAVITY
 
 RATE, LASTS = 100, 120  # Hz, s
 
 
-def samples() -> tuple[Array, Array]:
-    """Specific force (N, 3) m/s^2 and rate (N, 3) rad/s of a kart that stands for the first third of the time."""
+def samples(rest: float = LASTS / 3) -> tuple[Array, Array]:
+    """Specific force (N, 3) m/s^2 and rate (N, 3) rad/s of a kart that stands for the first `rest` s."""
     rng = np.random.default_rng(2)
     n = RATE * LASTS
-    driven = (np.arange(n) > n / 3)[:, None]
+    driven = (np.arange(n) > RATE * rest)[:, None]
     force = [0.0, 0.0, STANDARD_GRAVITY] + np.where(driven, 4.0, 0.02) * rng.standard_normal((n, 3))
     rate = np.where(driven, 0.5, 0.003) * rng.standard_normal((n, 3))
     return np.asarray(force), rate
@@ -35,6 +35,7 @@ def test_samples_of_a_kart_that_stands_and_drives_all_stay(scale: float) -> None
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
+@pytest.mark.parametrize(("begin", "end"), [(62, 93), (63, 92), (0, 31)])
 @pytest.mark.parametrize(
     ("of_force", "of_rate", "said"),
     [
@@ -43,14 +44,14 @@ def test_samples_of_a_kart_that_stands_and_drives_all_stay(scale: float) -> None
     ],
 )
 def test_a_stretch_in_another_unit_is_left_out_and_said(
-    of_force: float, of_rate: float, said: str, scale: float
+    of_force: float, of_rate: float, said: str, scale: float, begin: int, end: int
 ) -> None:
-    force, rate = samples()
-    other = slice(RATE * 62, RATE * 93)
+    force, rate = samples(rest=31.0 if begin else 0.0)
+    other = slice(RATE * begin, RATE * end)
     force[other] *= of_force
     rate[other] *= of_rate
     imu, problems = judged(force, rate, scale)
-    assert not np.any((imu.t > 61.99) & (imu.t < 93.0)), "all of it, though it begins within a window"
+    assert not np.any((imu.t > begin - 0.01) & (imu.t < end)), "all of it, though it begins within a window"
     assert len(imu.t) >= RATE * (LASTS - 31 - 20), "no more than two windows beside it"
     assert [(p.code, p.count) for p in problems] == [("imu_unit_changes", RATE * LASTS - len(imu.t))]
     assert problems[0].text.startswith("imu.csv: from ") and said in problems[0].text
@@ -63,6 +64,38 @@ def test_a_stop_between_is_of_the_stretch() -> None:
     rate[RATE * 60 :] /= DEG
     imu, problems = judged(force, rate)
     assert imu.t[-1] <= 60.0 and len(problems) == 1
+
+
+@pytest.mark.parametrize(
+    ("spin", "begin", "end", "why"),
+    [
+        (12.0, 10, 18, "a box that is spun in the hand"),
+        (15.0, 62, 64, "a kart that spins round itself"),
+        (9.0, 50, 110, "a box on a steering wheel that is never still"),
+    ],
+)
+def test_turning_fast_is_no_unit(spin: float, begin: int, end: int, why: str) -> None:
+    force, rate = samples()
+    if end - begin > SHORTEST_UNIT:
+        rate *= 8.0
+    rate[RATE * begin : RATE * end, 2] = spin
+    imu, problems = judged(force, rate)
+    assert problems == [] and len(imu.t) == RATE * LASTS, why
+
+
+def test_a_box_that_is_thrown_is_no_unit() -> None:
+    force, rate = samples()
+    force[RATE * 62 : RATE * 64] *= 0.1
+    imu, problems = judged(force, rate)
+    assert problems == [] and len(imu.t) == RATE * LASTS
+
+
+def test_samples_of_which_hardly_any_would_be_left_all_stay() -> None:
+    force, rate = samples(rest=0.0)
+    for begin in range(5, LASTS, 15):
+        force[RATE * begin : RATE * (begin + 5)] /= STANDARD_GRAVITY
+    imu, problems = judged(force, rate)
+    assert problems == [] and len(imu.t) == RATE * LASTS
 
 
 def test_a_whole_recording_in_another_unit_is_named() -> None:

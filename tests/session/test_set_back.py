@@ -1,4 +1,4 @@
-"""A clock that is set back by an hour in the midst of a recording."""
+"""A clock that is set back by an hour, or a day, in the midst of a recording."""
 
 from pathlib import Path
 
@@ -21,16 +21,27 @@ def session(folder: Path, fall: float, utc: Array | None) -> RawSession:
     if utc is not None:
         fixes = [f"{fix},{unix:.2f}" for fix, unix in zip(fixes, utc, strict=True)]
     (folder / "imu.csv").write_text("\n".join(["t_s,ax,ay,az,gx,gy,gz", *imu]))
+    mag = [f"{t:.4f},{k},1,2" for k, t in enumerate(imu_t)]
+    (folder / "mag.csv").write_text("\n".join(["t_s,mx,my,mz", *mag]))
     (folder / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg" + ("" if utc is None else ",unix_s"), *fixes]))
     return load_raw(folder)
 
 
+@pytest.mark.parametrize(
+    ("fall", "said"),
+    [(3600.0, "set back by an hour at 3640 s"), (86400.0, "times of day start again at midnight, after 3640 s")],
+)
 @pytest.mark.parametrize("utc", [None, 1.7e9 + T_FIX])
-def test_what_follows_a_clock_that_was_set_back_is_joined_and_said(tmp_path: Path, utc: Array | None) -> None:
-    raw = session(tmp_path, 3600.0, utc)
-    assert [p.code for p in raw.problems if "clock" in p.code] == ["imu_clock_set_back", "gps_clock_set_back"]
-    assert "set back by an hour at 3640 s" in raw.problems[0].text
-    assert raw.imu is not None
+def test_what_follows_a_clock_that_was_set_back_is_joined_and_said(
+    tmp_path: Path, utc: Array | None, fall: float, said: str
+) -> None:
+    raw = session(tmp_path, fall, utc)
+    assert [p.code for p in raw.problems if "clock" in p.code] == [
+        f"{file}_clock_set_back" for file in ("imu", "gps", "mag")
+    ]
+    assert said in raw.problems[0].text
+    assert raw.imu is not None and raw.mag is not None
+    np.testing.assert_allclose(raw.mag.t, T_IMU, atol=1e-3)
     np.testing.assert_allclose(raw.imu.t, T_IMU, atol=1e-3)
     np.testing.assert_allclose(raw.gnss.t, T_FIX, atol=2e-2)
 
@@ -39,6 +50,7 @@ def test_what_follows_a_clock_that_was_set_back_is_joined_and_said(tmp_path: Pat
     ("fall", "utc"),
     [
         (3500.0, None),  # as when it is started again
+        (86300.0, None),
         (3600.0, 1.7e9 + np.where(T_FIX - 3600.0 < FALL, T_FIX, T_FIX - 3600.0)),  # UTC does not know better
     ],
 )
