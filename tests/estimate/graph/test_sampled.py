@@ -213,11 +213,14 @@ def test_the_leap_across_a_hole_in_an_outage_does_not_tell_delays() -> None:
         motion_standstill=None,
         motion_stops=(Stop(12.0, 110.5),),
     )
-    session = with_samples(prepare(simulation.raw), (-1.0, 98.5), (101.5, 1e3))
-    found = GraphSmoother().estimate(session).report.identified["gps_velocity_latency"]
-    error = float(np.asarray(found.value)) - simulation.scenario.gnss.velocity_latency
-    assert abs(error) < 3.0 * float(np.asarray(found.sigma))
-    assert abs(error) < 0.02  # s; with samples everywhere 0.014
+    whole = prepare(simulation.raw)
+    holed = with_samples(whole, (-1.0, 98.5), (101.5, 1e3))
+    found, without = (
+        GraphSmoother().estimate(session).report.identified["gps_velocity_latency"] for session in (holed, whole)
+    )
+    moved = float(np.asarray(found.value)) - float(np.asarray(without.value))
+    assert abs(moved) < 0.5 * float(np.asarray(without.sigma))
+    assert abs(moved) < 0.005  # s; where the leap told of it 0.020
 
 
 def test_a_session_of_windows_has_the_constants_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
