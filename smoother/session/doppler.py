@@ -33,6 +33,7 @@ BASELINE = 1.0  # s; over less, noise of the positions counts
 FASTER = 5.0  # m/s; and in slower motion
 FEWEST_STEPS, ENOUGH_STEPS = 20, 2000
 MOVING = 1.0  # m/s; slower, receivers leave the course empty
+FEWEST_RENEWED, RENEWED_ALIKE = 30, 0.8  # velocities, and share of them that are repeated as often as most
 STUCK_ROWS, STUCK_TIME = 20, 10.0  # s; a value that stands longer, against the positions, is not measured
 STUCK_SHARE = 0.25  # of the positions against it: a stuck course is right once a lap, a jump of positions is short
 SPEED_OFF = (2.0, 0.15)  # m/s and share of what the positions say, which over BASELINE are noisy by less
@@ -61,7 +62,7 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     """
     _say_missing_course(rows, c)
     c = _without_wrong_unit(rows, t, c)
-    c = _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c))
+    c = _without_repeats(rows, _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c)))
     return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, c))
 
 
@@ -294,6 +295,31 @@ def _drives_on(t: Array, c: FixColumns, behind: int, end: int) -> bool:
     after = min(int(np.searchsorted(t, t[end] + 0.5 * SLOW_TIME)), t.size - 1)
     came, goes = (np.array([north[k] - north[i], east[k] - east[i]]) for i, k in ((before, end), (end, after)))
     return bool(came @ goes > SAME_WAY * np.linalg.norm(came) * np.linalg.norm(goes))
+
+
+def _without_repeats(rows: RowFilter, c: FixColumns) -> FixColumns:
+    """The columns without the velocities of a receiver that renews them less often than its positions.
+
+    Each is then repeated as often, until the next one comes; what is merely coarse, or steady, is repeated now more
+    often and now less. The positions have to change from row to row.
+    """
+    velocity = np.column_stack([c.speed, c.course_deg, c.velocity_north, c.velocity_east])
+    same = (velocity[1:] == velocity[:-1]) | (np.isnan(velocity[1:]) & np.isnan(velocity[:-1]))
+    same = np.append(False, np.all(same, axis=1))
+    moves = np.append(True, (np.diff(c.lat_deg) != 0.0) | (np.diff(c.lon_deg) != 0.0))
+    begins = np.flatnonzero(~same)
+    if begins.size < FEWEST_RENEWED:
+        return c
+    lengths, is_moving = np.diff(begins), np.logical_and.reduceat(moves, begins)[:-1]
+    usual = float(np.median(lengths[is_moving])) if np.count_nonzero(is_moving) >= FEWEST_RENEWED else 1.0
+    if usual < 2.0 or np.mean(lengths[is_moving] == usual) < RENEWED_ALIKE:
+        return c
+    repeats = same & moves & np.any(np.isfinite(velocity), axis=1)
+    count = int(np.count_nonzero(repeats))
+    text = f"speed and course are new in every {usual:.0f}th row only, and repeated in {counted(count, 'row')}"
+    rows.say("velocity_repeated", f"{text}; not used there", count)
+    names = ("speed", "course_deg", "velocity_north", "velocity_east", "velocity_up")
+    return replace(c, **{name: np.where(repeats, np.nan, getattr(c, name)) for name in names})
 
 
 def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

@@ -150,7 +150,12 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     else:
         room = np.append(steps, typical)
         rows.say("coarse_time", f"{said}spread evenly", count)
-    room = np.clip(room, 0.0, typical)  # a gap beside a group is no room for it
+    if together:  # a group has the room of its own size; a gap beside it is no room for it
+        each = float(np.median((room / size)[1:]))
+        room[0] = np.inf
+        room = np.where(room > (1.0 + UNEVEN) * each * size, each * size, np.maximum(room, 0.0))
+    else:
+        room = np.clip(room, 0.0, typical)
     spread = t.copy()
     spread[index] = time + place * (room / size)[group]
     return spread
@@ -170,7 +175,7 @@ def _step_within_reading(t: Array) -> float:
     if not np.count_nonzero((steps > 0.0) & (steps < shortest)) > 0.5 * len(t):
         return 0.0
     begins = np.flatnonzero(np.append(True, (steps < 0.0) | (steps >= shortest)))
-    size, wait = np.diff(begins), np.diff(t[begins])
+    size, wait = np.diff(np.append(begins, len(t)))[1:], np.diff(t[begins])  # those that had come in the wait before
     waited = (wait > 0.0) & (wait < LONGEST_WAIT)
     if size.size < MANY or np.max(size) > MOST_TOGETHER or not waited.any():
         return 0.0

@@ -247,3 +247,24 @@ def test_velocities_upwards_on_the_flat_are_left_alone(tmp_path: Path) -> None:
     rng = np.random.default_rng(9)
     _, told = lap(tmp_path, alt_m=rng.standard_normal(600), vel_u_mps=0.1 * rng.standard_normal(600))
     assert told == {}
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_velocity_that_is_renewed_less_often_than_the_positions_counts_once(tmp_path: Path, every: int) -> None:
+    whole = sound(tmp_path)
+    held = np.arange(600) // every * every
+    sent = {"speed_mps": np.asarray(whole.speed)[held], "course_deg": np.asarray(whole.course_deg)[held]}
+    fixes, said = lap(tmp_path, **sent)
+    np.testing.assert_array_equal(np.isfinite(fixes.velocity_n[:, 0]), held == np.arange(600))
+    new = f"speed and course are new in every {every}th row only, and repeated in {600 - 600 // every} rows"
+    assert new in said["gps_velocity_repeated"]
+
+
+def test_a_coarse_or_steady_velocity_is_repeated_now_and_then_and_stays(tmp_path: Path) -> None:
+    whole = sound(tmp_path)
+    speed, course = np.asarray(whole.speed), np.asarray(whole.course_deg)
+    for step in (0.1, 0.5, 2.0):
+        coarse = {"speed_mps": np.round(speed / step) * step, "course_deg": np.round(course / 10.0) * 10.0}
+        fixes, said = lap(tmp_path, **coarse)
+        assert "gps_velocity_repeated" not in said
+        assert np.isfinite(fixes.velocity_n[:, 0]).all()

@@ -283,6 +283,22 @@ def test_a_logger_that_catches_up_now_and_then_is_left_alone() -> None:
     np.testing.assert_array_equal(spread_coarse_times(rows, stamps, np.arange(4000.0)[:, None]), stamps)
 
 
+@pytest.mark.parametrize(("fewest", "most"), [(8, 30), (4, 12), (6, 8)])
+def test_samples_may_be_read_out_now_sooner_now_later(fewest: int, most: int) -> None:
+    """As when the card stalls: what comes with a reading had gathered in the time before it."""
+    rng = np.random.default_rng(4)
+    true = 1.0 + np.arange(6000) / 200.0
+    ends = np.cumsum(rng.integers(fewest, most + 1, 2000))
+    ends = np.append(ends[ends < 6000], 6000)
+    group = np.searchsorted(ends, np.arange(6000), side="right")
+    place = np.arange(6000) - np.append(0, ends)[group]
+    stamps = true[ends[group] - 1] + 2e-4 * place + rng.exponential(1e-3, ends.size)[group]
+    rows = rows_of(6000)
+    spread = spread_coarse_times(rows, stamps, np.arange(6000.0)[:, None])
+    assert "read out together" in rows.problems[0].text
+    assert np.max(np.abs(spread - true)) < 0.012
+
+
 @pytest.mark.parametrize("pause", [0.3, 40.0, 3000.0])
 def test_pauses_are_no_part_of_how_samples_are_read_out(pause: float) -> None:
     """A table of two drives, stamped evenly or read out: a long pause makes the mean time between rows long."""
