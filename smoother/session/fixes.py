@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
@@ -48,11 +48,23 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
         mask[index[bad]] = True
         rows.drop(mask, code, reason)
         time, index, ordered = time[~bad], index[~bad], ordered.take(np.flatnonzero(~bad))
-    measured = measured_rows(time, [ordered.lat_deg, ordered.lon_deg, ordered.alt_m, ordered.speed])
+    measured = _measured(time, ordered)
     if measured is not None:
         rows.problems += interpolated_note(file, time.size - measured.size)
         time, ordered = time[measured], ordered.take(measured)
     return _to_fixes(rows, time, ordered), rows.problems
+
+
+def _measured(t: Array, c: FixColumns) -> IntArray | None:
+    """Rows (K,) of the fixes that are not on the line between others, by their stamps t (N,) s or by UTC; None if all.
+
+    Stamps are those of the arrival, now sooner, now later: what is a straight line by UTC is none by them.
+    """
+    channels = [c.lat_deg, c.lon_deg, c.alt_m, c.speed]
+    by_stamps = measured_rows(t, channels)
+    if by_stamps is None and is_increasing(c.unix_s):
+        return measured_rows(c.unix_s - c.unix_s[:1], channels)
+    return by_stamps
 
 
 def interpolated_note(file: str, count: int) -> list[Problem]:

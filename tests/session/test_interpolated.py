@@ -102,3 +102,15 @@ def test_samples_at_the_stamps_of_other_sensors_are_told_from_those_that_were_me
     np.testing.assert_array_equal(t[~between], measured)
     assert not np.any(between_samples(measured, list(samples)))
     assert not np.any(between_samples(t, [np.full(t.size, 0.5)] * 6))  # a sensor that stands still
+
+
+def test_rows_between_fixes_are_found_by_utc_where_stamps_are_those_of_the_arrival(tmp_path: Path) -> None:
+    t, channels = exported(1, 10)
+    stamps = t + 0.08 + np.random.default_rng(1).exponential(0.01, t.size)
+    table = np.column_stack([stamps, 1_779_000_000.0 + t, *channels])
+    header = "t_s,unix_s,lat_deg,lon_deg,alt_m,speed_mps"
+    np.savetxt(tmp_path / "gps.csv", table, fmt="%.8f", delimiter=",", header=header, comments="")
+    fixes, problems = read_fixes(tmp_path / "gps.csv")
+    assert "gps_interpolated" in {problem.code for problem in problems}
+    assert len(fixes) == pytest.approx(t.size / 10, abs=2)
+    np.testing.assert_allclose(fixes.unix_s % 1.0, 0.0, atol=1e-3)
