@@ -14,6 +14,7 @@ from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
 from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.sensor_units import aligned, beginning
+from smoother.fit.running import running_mean
 from smoother.samples import (
     DEAD_AXES,
     IMU_AXES_UNKNOWN,
@@ -327,7 +328,7 @@ def _motion(values: Array, scale: float, interval: float, full_scale: float | No
         begin = max(0, part.start - window)
         around = values[begin : part.stop + window] * scale
         core = slice(part.start - begin, part.stop - begin)
-        mean = _slow(around, window)[core]
+        mean = running_mean(around, window)[core]
         squares += float(np.sum((around[core] - mean) ** 2))
         slow.append(mean[-part.start % step :: step].copy())
         if full_scale is not None:
@@ -348,13 +349,6 @@ def _extremes(values: Array) -> tuple[Array, Array]:
         highest = np.maximum(highest, values[part].max(axis=0))
         release(values)
     return lowest, highest
-
-
-def _slow(values: Array, window: int) -> Array:
-    """Running mean over `window` of the (N, 3) samples."""
-    padded = np.pad(values, ((window // 2 + 1, (window - 1) // 2), (0, 0)), mode="edge")
-    total = np.cumsum(padded, axis=0)
-    return np.asarray((total[window:] - total[:-window]) / window)
 
 
 def _repeated_ends(values: Array, lowest: Array, highest: Array, least: float) -> int:

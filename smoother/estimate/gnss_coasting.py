@@ -3,7 +3,8 @@
 Under a bridge, beside a stand or upside down a receiver may send on the velocity it had last, and places along it, as
 if they were measured. Place and Doppler agree with one another and with their neighbours, and both are wrong. The
 samples tell: they feel the kart turn or brake while the receiver says straight on. Where the velocity that was sent
-changes far less than the samples say, by more than they ever are off else, what was sent at that velocity is left out.
+changes far less than the samples say, by more than they ever are off else, and catches up with them afterwards, what
+was sent at that velocity is left out. A hill is felt as braking too, but nothing is to be caught up with there.
 """
 
 import numpy as np
@@ -51,23 +52,31 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
         return out
     summed = _summed_up(imu, path, alignment, felt_at)
     told, felt = velocity[last] - velocity[first], summed[last] - summed[first]
-    off = told - felt
-    off = off - np.median(off, axis=0)
-    usual, shaken = max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3), _shaken(imu, felt_at[first], felt_at[last])
-    beyond = np.hypot(*off.T) / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0))
-    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
-    size = np.hypot(*felt.T)
-    goes_straight = (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT)
     sigmas = SIGMAS if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE
+    goes_straight = _goes_straight(told, felt, _shaken(imu, felt_at[first], felt_at[last]), sigmas)
+    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     apart = velocity - summed
     ended: dict[int, bool] = {}
-    for k in np.flatnonzero((beyond > sigmas) & goes_straight & is_fast).tolist():
+    for k in np.flatnonzero(goes_straight & is_fast).tolist():
         alike = _alike(t, velocity, int(first[k]), int(last[k]))
         if alike.stop not in ended:  # the first window of several that see the same
             ended[alike.stop] = _catches_up(t, apart, int(first[k]), alike.stop - 1)
         if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
             out[rows[alike]] = True
     return out
+
+
+def _goes_straight(told: Array, felt: Array, shaken: Array, sigmas: float) -> BoolArray:
+    """Mask (W,) of the windows in which velocity is told to change (W, 2) m/s far less than is felt (W, 2) m/s.
+
+    shaken (W,) m^2/s^2, of :func:`_shaken`: what is beyond the usual of it adds to the usual scatter.
+    """
+    off = told - felt
+    off = off - np.median(off, axis=0)
+    usual = max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3)
+    beyond = np.hypot(*off.T) / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0))
+    size = np.hypot(*felt.T)
+    return np.asarray((beyond > sigmas) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
 
 
 def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:

@@ -63,14 +63,13 @@ def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
 
     change (K,) m in the LATER s from each of the first K on, of which `usual` m is the session's median.
     """
-    early = np.flatnonzero((change > max(SETTLING, SETTLINGS * usual)) & (t[: len(change)] - t[0] < EARLY))
-    is_calm = change <= SETTLED * usual
+    is_far, is_calm = change > max(SETTLING, SETTLINGS * usual), change <= SETTLED * usual
+    early = np.flatnonzero(is_far & (t[: len(change)] - t[0] < EARLY))
     calm = np.flatnonzero(is_calm)
     calm = calm[calm > early[-1]] if early.size else calm[:0]
     if not calm.size or t[calm[0]] - t[0] < LEAST:
         return 0
-    again = np.mean(change[calm[0] :] > max(SETTLING, SETTLINGS * usual))
-    if max(again, np.mean(is_calm[early[0] : early[-1] + 1])) > COMES_AND_GOES:
+    if max(np.mean(is_far[calm[0] :]), np.mean(is_calm[early[0] : early[-1] + 1])) > COMES_AND_GOES:
         return 0
     # an error that wanders goes as far as this, the root of the time, in as long
     steps = max(1.0, float(t[calm[0]] - t[0]) / LATER)

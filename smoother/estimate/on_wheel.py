@@ -8,6 +8,7 @@ alone and leans to the other side, by a tenth of that, and late.
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples
 
 QUICK, SLOW = 0.3, 2.0  # s over which turns are averaged, and beyond which they are the kart's
@@ -25,8 +26,8 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
         return False
     step = float(np.median(np.diff(imu.t)))
     rate = imu.angular_rate_s - np.median(imu.angular_rate_s, axis=0)
-    slow = _mean(rate, SLOW / step)
-    quick = (_mean(rate, QUICK / step) - slow)[driving]
+    slow, quicker = (running_mean(rate, 2 * max(1, round(0.5 * seconds / step))) for seconds in (SLOW, QUICK))
+    quick = (quicker - slow)[driving]
     ahead, up = _ahead_and_up(imu.specific_force_s[driving], slow[driving])
     yaw, roll = quick @ up, quick @ ahead
     power = float(yaw @ yaw)
@@ -49,12 +50,3 @@ def _ahead_and_up(force: Array, rate: Array) -> tuple[Array, Array]:
     push = (rate @ up) @ force
     left = push - (push @ up) * up
     return np.cross(left / (np.linalg.norm(left) or 1.0), up), up
-
-
-def _mean(values: Array, window: float) -> Array:
-    """Running mean over `window` of the (N, 3) samples, fewer at both ends."""
-    half = max(1, round(window / 2.0))
-    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    at = np.arange(len(values))
-    first, last = np.maximum(at - half, 0), np.minimum(at + half, len(values))
-    return np.asarray((total[last] - total[first]) / (last - first)[:, None])

@@ -63,3 +63,10 @@ def running_maximum(values: Array, window: int, *, is_closed: bool = False) -> A
 
 def _extended(columns: Array, reach: int, is_closed: bool) -> Array:
     return np.pad(columns, ((reach, reach), (0, 0)), mode="wrap" if is_closed else "edge")
+
+
+def running_mean(values: Array, window: int) -> Array:
+    """Mean of the `window` rows around each of values (N, D); the first and the last one go on at both ends."""
+    padded = np.pad(values, ((window // 2 + 1, (window - 1) // 2), (0, 0)), mode="edge")
+    total = np.cumsum(padded, axis=0)
+    return np.asarray((total[window:] - total[:-window]) / window)

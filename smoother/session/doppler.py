@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.session.fix_columns import FixColumns, metres
+from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.session.rows import RowFilter
 from smoother.units import KMH, KNOT, MPH
 from smoother.words import counted
@@ -98,7 +98,7 @@ def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:
 
     Which steps tell is chosen by what was sent: chosen by the positions, noise would make a slow kart seem a fast one.
     """
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    speed = sent_speed(c)
     north, east = metres(c)
     later = np.searchsorted(t, t + BASELINE)
     first = np.flatnonzero((later < t.size) & np.isfinite(speed))
@@ -214,7 +214,7 @@ def _off(steps: _Steps, c: FixColumns, name: str) -> Callable[[float], BoolArray
 
 def _says_slow(c: FixColumns) -> BoolArray:
     """Mask (N,) of the rows by whose speed the kart hardly moves: their course means nothing and may be an old one."""
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    speed = sent_speed(c)
     return np.asarray(speed < 0.5 * FASTER)
 
 
@@ -245,7 +245,7 @@ def _without_zeros_of_slow(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     Taken for measured, the positions of a kart that is pushed would pass for those of a receiver that has not settled.
     Those of one that has not are left to the zeros: they come to rest, where a kart is pushed to drive.
     """
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    speed = sent_speed(c)
     lowest = float(np.min(speed[speed > 0.0], initial=np.inf))
     if not LEAST_THRESHOLD <= lowest < np.inf:
         return c

@@ -43,6 +43,11 @@ class FixColumns:
         return FixColumns(**{column.name: getattr(self, column.name)[index] for column in fields(self)})
 
 
+def sent_speed(c: FixColumns) -> Array:
+    """Horizontal speed (N,) m/s as sent, alone or in components; NaN where neither was."""
+    return np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+
+
 def fix_columns(t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> FixColumns:
     """Columns (N,) of fixes of which the others than `known`, by their names, are unknown."""
     unknown = np.full(t.size, np.nan)

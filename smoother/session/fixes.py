@@ -6,7 +6,7 @@ from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
-from smoother.session.fix_columns import ESTIMATED, FixColumns, metres
+from smoother.session.fix_columns import ESTIMATED, FixColumns, metres, sent_speed
 from smoother.session.heights import without_height_jumps
 from smoother.session.interpolated import measured_rows, rows_at_knots
 from smoother.session.rows import RowFilter, put_in_time_order
@@ -174,7 +174,7 @@ def _speed_at_rows(t: Array, c: FixColumns, fresh: BoolArray) -> Array:
     north, east = metres(c)
     rows = np.flatnonzero(fresh)
     by_position = _speed_from_positions(t[rows], north[rows], east[rows])[np.cumsum(fresh) - 1]
-    speed = np.where(np.isfinite(c.speed), c.speed, np.hypot(c.velocity_north, c.velocity_east))
+    speed = sent_speed(c)
     return np.where(np.isfinite(speed), speed, by_position)
 
 

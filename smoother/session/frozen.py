@@ -29,10 +29,8 @@ GOING_ON = 0.1  # of the other sensor's samples are unlike the one before
 CLIPPED = 0.5  # of the largest value of an axis; an end of its range is farther out
 LEVEL_TIMES = (2, 3)  # stretches at 0, and at another value, from which on it is a level of the sensor
 AS_LONG = 0.25  # of one of them, at least, lasts another that counts
-NEAR, FEW_NEAR = (
-    0.5,
-    0.01,
-)  # of the step to what comes next to a level, and share of samples so near: it has none between
+# of the step to what comes next to a level, and share of samples that may be so near to it: it has none between
+NEAR, FEW_NEAR = 0.5, 0.01
 RESTING = 0.5 * STANDARD_GRAVITY  # m/s^2; less force than that is no level of an accelerometer
 DRIVEN = 5.0  # m/s
 AROUND = 1.0  # s before and after a stretch, within which there are fixes

@@ -9,6 +9,7 @@ from smoother.session.rows import RowFilter, put_in_time_order, spread_coarse_ti
 
 ABSURD_SPECIFIC_FORCE = 1000.0  # m/s^2; beyond 100 g, no sensor of a kart reads it
 HOLE = 1.0  # s without samples
+FEWEST_IMU_SAMPLES = 100  # fewer tell nothing
 ABSURD_RATE = 100.0  # rad/s, 5700 deg/s; likewise
 
 

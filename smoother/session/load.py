@@ -18,17 +18,13 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import SessionConfig
-from smoother.disc import kept, pieces, release, settle
+from smoother.disc import kept, release, settle
 from smoother.errors import SessionError
-from smoother.frames import Origin
 from smoother.samples import (
-    DEAD_AXES,
     IMU_AFTER_FIXES,
     IMU_AXES_UNKNOWN,
     IMU_BEFORE_FIXES,
     IMU_INCOMPLETE,
-    SENSOR_AXES,
-    STUCK_AXES,
     GnssFixes,
     Problem,
     RawImu,
@@ -38,15 +34,15 @@ from smoother.samples import (
 from smoother.session.clock import describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
 from smoother.session.files import IMU_NAMES, OWN_NAMES, RESULTS, Foreign, SessionFiles, is_packed, list_files, wanted
-from smoother.session.frozen import stands_at_level, without_frozen_sensor, without_rows
-from smoother.session.inertial import dead_axes, longest_constant
+from smoother.session.frozen import without_frozen_sensor
+from smoother.session.inertial import FEWEST_IMU_SAMPLES
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
+from smoother.session.standing import dead_problems, stuck_problems, without_frozen
 from smoother.session.time_unit import LONGEST_PERIOD
 from smoother.session.unknown_table import about_table
-from smoother.units import STANDARD_GRAVITY
 from smoother.words import counted, span
 
 if TYPE_CHECKING:
@@ -56,13 +52,6 @@ if TYPE_CHECKING:
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
 SAME_RATE = 0.02  # share; a clock or its digits may make 20 Hz a little less
 SLOWEST_FIXES = 20.0  # s from one to the next; likewise
-FEWEST_IMU_SAMPLES = 100
-SENSORS = 2  # of force and of rate
-FROZEN = 1.0  # s for which not one of six noisy values changes
-FROZEN_WAY = 10.0  # m on which it should have
-STUCK_TIME, STUCK_WAY = 10.0, 50.0  # s and m for which one noisy value does not change, however coarse its steps
-STUCK_SPEED = 1.0  # m/s; slower, it is the noise of a kart at rest
-UNIFORM_FORCE, UNIFORM_RATE = 0.1, 2e-3  # m/s^2 from gravity, rad/s: nothing happens that a sensor could have missed
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 # said of files whose columns may be right all the same
@@ -195,13 +184,13 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
-        problems += _dead(imu, recording.imu_file)
-        imu = _without_frozen(imu, gnss, recording.imu_file, problems)
+        problems += dead_problems(imu, recording.imu_file)
+        imu = without_frozen(imu, gnss, recording.imu_file, problems)
         imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
         imu = _if_enough(imu, recording.imu_file, " in which neither sensor stands still", problems)
     if imu is not None:
         imu = without_other_units(imu, recording.imu_file, problems)
-        problems += _stuck(imu, gnss, recording.imu_file)
+        problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
     return RawSession(
@@ -289,94 +278,6 @@ def _reasons_against(imu: RawImu, period: float) -> Iterator[tuple[str, str]]:
         yield "imu_too_slow", f"the motion sensor is too slow ({rates}{asked})"
     for reason in implausible_units(imu):
         yield "imu_implausible", reason
-
-
-def _dead(imu: RawImu, file: str) -> Iterator[Problem]:
-    """What to say of axes that never change while others do. If none does, the smoother sees that none can be used."""
-    dead = dead_axes(imu)
-    if 0 < len(dead) < SENSORS * SENSOR_AXES:
-        axes = ", ".join(f"{axis} of the {sensor}" for sensor, axis in dead)
-        text = f"{file}: {axes} never changes; attitude and what depends on it are wrong: check sensor and wiring"
-        yield Problem(DEAD_AXES, text)
-
-
-def _stuck(imu: RawImu, gnss: GnssFixes, file: str) -> Iterator[Problem]:
-    """What to say of axes that stop, or start late, while others go on; a cable that came off, or a failing chip."""
-    dead = dead_axes(imu)
-    for sensor, values in (("accelerometer", imu.accel), ("gyroscope", imu.gyro)):
-        for axis, letter in enumerate("xyz"):
-            first, last = longest_constant(imu.t, values, axis)
-            begin, end = float(imu.t[first]), float(imu.t[last])
-            if (sensor, letter) in dead or end - begin < STUCK_TIME or not _moves(gnss, begin, end):
-                continue
-            if stands_at_level(imu.t, values[:, axis : axis + 1], first, last):
-                continue
-            text = f"{file}: {letter} of the {sensor} does not change from {begin:.0f} to {end:.0f} s"
-            yield Problem(STUCK_AXES, f"{text}; attitude and what depends on it are wrong: check sensor and wiring")
-
-
-def _without_frozen(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
-    """The samples without those that repeat one another while the fixes move on: a sensor that stands still.
-
-    A box at rest, or at one speed straight ahead, may repeat itself where a simulation has no noise. Samples of which
-    none ever changes are left for the smoother, which sees that they have nothing to do with the fixes.
-    """
-    frozen = np.zeros(imu.t.size, dtype=np.bool_)
-    for first, last in _repeating(imu):
-        force = float(np.linalg.norm(imu.accel[first])) * imu.accel_scale
-        rate = float(np.linalg.norm(imu.gyro[first])) * imu.gyro_scale
-        is_uniform = abs(force - STANDARD_GRAVITY) < UNIFORM_FORCE and rate < UNIFORM_RATE
-        if not is_uniform and _way(gnss, imu.t[first], imu.t[last]) > FROZEN_WAY:
-            frozen[first + 1 : last + 1] = True
-    lost = int(np.count_nonzero(frozen))
-    if lost == 0 or imu.t.size - lost < FEWEST_IMU_SAMPLES:
-        return imu
-    text = f"{file}: {counted(lost, 'sample')} like the one before while the fixes move on; left out, as not measured"
-    problems.append(Problem("imu_frozen", text, lost))
-    return without_rows(imu, frozen)
-
-
-def _repeating(imu: RawImu) -> Iterator[tuple[int, int]]:
-    """First and last sample of each stretch of at least FROZEN s in which none differs from the one before."""
-    same = np.zeros(imu.t.size + 1, dtype=np.bool_)  # as the one before; after the last one comes another
-    for part in pieces(imu.t.size - 1):
-        before, now = slice(part.start, part.stop), slice(part.start + 1, part.stop + 1)
-        same[now] = np.all(imu.accel[now] == imu.accel[before], axis=1) & np.all(
-            imu.gyro[now] == imu.gyro[before], axis=1
-        )
-        release(imu)
-    edges = np.flatnonzero(np.diff(same))
-    for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
-        if imu.t[last] - imu.t[first] > FROZEN:
-            yield first, last
-
-
-def _moves(gnss: GnssFixes, begin: float, end: float) -> bool:
-    """Whether the kart goes STUCK_WAY from begin to end s, by the fixes' places and by their speeds, where sent.
-
-    After a cold start, or beside a wall, the fixes of a kart at rest wander as far.
-    """
-    if _way(gnss, begin, end) < STUCK_WAY:
-        return False
-    assert gnss.speed is not None
-    inside = (gnss.t >= begin) & (gnss.t <= end)
-    speed = np.where(np.isfinite(gnss.speed), gnss.speed, np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1]))[
-        inside
-    ]
-    known = np.isfinite(speed)
-    if np.count_nonzero(known) < 0.5 * known.size:
-        return True
-    driven = np.where(speed[known] > STUCK_SPEED, speed[known], 0.0)
-    return bool(np.mean(driven) * (end - begin) >= STUCK_WAY)
-
-
-def _way(gnss: GnssFixes, begin: float, end: float) -> float:
-    """How far apart the fixes from begin to end s lie, m: the larger of north and west."""
-    inside = (gnss.t >= begin) & (gnss.t <= end)
-    if not inside.any():
-        return 0.0
-    position = gnss.position_n(Origin(float(gnss.lat_deg[0]), float(gnss.lon_deg[0]), 0.0))[inside, :2]
-    return float(np.max(np.ptp(position, axis=0)))
 
 
 def _evened_mag(mag: RawMag | None) -> RawMag | None:

@@ -150,12 +150,7 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     else:
         room = np.append(steps, typical)
         rows.say("coarse_time", f"{said}spread evenly", count)
-    if together:  # a group has the room of its own size; a gap beside it is no room for it
-        each = float(np.median((room / size)[1:]))
-        room[0] = np.inf
-        room = np.where(room > (1.0 + UNEVEN) * each * size, each * size, np.maximum(room, 0.0))
-    else:
-        room = np.clip(room, 0.0, typical)
+    room = _room_of_reading(room, size) if together else np.clip(room, 0.0, typical)
     spread = t.copy()
     spread[index] = time + place * (room / size)[group]
     return spread
@@ -182,6 +177,16 @@ def _step_within_reading(t: Array) -> float:
     each = wait[waited] / size[waited]
     is_even = np.abs(each / np.median(each) - 1.0) < UNEVEN
     return shortest if np.mean(is_even) > MOSTLY else 0.0
+
+
+def _room_of_reading(wait: Array, size: IntArray) -> Array:
+    """The time (G,) s in which the rows of each group, of `size` (G,), gathered: `wait` (G,) s since the one before.
+
+    A pause before a group, and what was before the first, is no part of it.
+    """
+    each = float(np.median((wait / size)[1:]))
+    is_pause = (wait > (1.0 + UNEVEN) * each * size) | (np.arange(size.size) == 0)
+    return np.asarray(np.where(is_pause, each * size, np.maximum(wait, 0.0)))
 
 
 def _when_read_out(t: Array, shortest: float) -> Array:

@@ -30,7 +30,7 @@ from smoother.estimate.graph.mounting import (
     are_driven,
     swing_on_the_wheel,
 )
-from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.rows import UP_N, Rows
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
     KEYFRAME_SIZE,
@@ -59,7 +59,6 @@ SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or f
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have less
-UP = np.array([0.0, 0.0, 1.0])  # in n
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
@@ -357,7 +356,7 @@ def _keyframes(
         felt, arm_n = source.around(state.t[part]).felt, R[part] @ arm_s
         rate_n = felt.rate_at(state.t[part])
         velocity_n[part] += np.cross(rate_n, arm_n)
-        by_height = height_sigma * np.cross(rate_n, UP)
+        by_height = height_sigma * np.cross(rate_n, UP_N)
         covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n) + by_height[:, :, None] * by_height[:, None, :]
         release(covariance, known, source.binned)
     return Keyframes(
