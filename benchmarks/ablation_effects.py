@@ -8,10 +8,24 @@ from unittest.mock import patch
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
+from smoother.estimate.clock_offset import NO_OFFSET, ClockOffset
+from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift
 from smoother.estimate.gnss_offset import OffsetModel
-from smoother.estimate.graph import batch, components, expected, imu, inertial, output, rows, smoother, solve, start
+from smoother.estimate.graph import (
+    batch,
+    begin,
+    components,
+    expected,
+    imu,
+    inertial,
+    output,
+    rows,
+    smoother,
+    solve,
+    start,
+)
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.felt import Felt
@@ -99,8 +113,24 @@ def _one_latency() -> tuple[Patch, ...]:
     return ((start, "_priors", same_start), (rows, "add_constants_prior", held_together))
 
 
-def _rough_mounting(state: Any, rough_R_bs: Array) -> FittedMounting:
+def _rough_mounting(_: Any, rough_R_bs: Array, *__: Any) -> FittedMounting:
     return FittedMounting(rough_R_bs, np.full(3, 0.05), False)
+
+
+def _none_left_out(session: Session, *_: Any) -> BoolArray:
+    return np.zeros(len(session.gnss), dtype=np.bool_)
+
+
+def _one_pace(*_: Any, **__: Any) -> ClockDrift:
+    return UNSEEN_DRIFT
+
+
+def _one_time(*_: Any) -> ClockOffset:
+    return NO_OFFSET
+
+
+def _all_count(solved: Any, name: str, _: BoolArray) -> components.RowComponent:
+    return components.RowComponent.of(solved.rows[name], solved.solution)
 
 
 def _same(value: Any, *_: Any) -> Any:
@@ -251,6 +281,11 @@ EFFECTS = (
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("reported accuracies", session=_no_reports),
+    Effect("receivers that go straight on", patches=((begin, "coasting", _none_left_out),)),
+    Effect("receivers that have not settled", patches=((begin, "unsettled", _none_left_out),)),
+    Effect("drift of the clocks", patches=((begin, "clock_drift", _one_pace),)),
+    Effect("clocks that show different times", patches=((begin, "clock_offset", _one_time),)),
+    Effect("noise of the fixes from driving alone", patches=((components, "_component_of", _all_count),)),
     Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
 )
 FULL = Effect("everything on")

@@ -17,11 +17,9 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,81 +28,19 @@ import numpy as np
 
 from ablation_effects import BY_NAME, EFFECTS, FULL, Effect
 from ablation_tables import HORIZONTAL, SIGMAS, Key, Result, report
+from ablation_worlds import WORLDS
 from scoring import SCORED_RATE, Case, cases, compare, normalised_errors, recorded, rms_errors
 from smoother.estimate.resample import position_at
-from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw
 from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
-from smoother.units import DEG
 from thinning import DATA, read_estimate, scored, thin
 from twins import differ, twin_sessions
 
 BLOCKS = 8  # of a recording, in place of seeds
 RECORDINGS = ("kart_adria_first_half", "kart_lignano_racebox")
-
-
-@dataclass(frozen=True)
-class World:
-    """What a group of simulated sessions is like: a preset, figures changed, and what befalls the fixes afterwards."""
-
-    preset: str
-    changes: dict[str, Any] = field(default_factory=dict)
-    befalls: Callable[[Session, int], Session] | None = None
-
-
-def _poor_sky(session: Session, seed: int) -> Session:
-    """Under trees for 12 s three times: fixes ten times as noisy, and the receiver says so."""
-    rng, gnss, origin = np.random.default_rng(9000 + seed), session.gnss, session.origin
-    starts = gnss.t[0] + (gnss.t[-1] - gnss.t[0]) * (0.25 + 0.25 * np.arange(3))
-    poor = np.any([(gnss.t > start) & (gnss.t < start + 12.0) for start in starts], axis=0)
-    noise_n = poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * [2.0, 2.0, 4.0]
-    lat, lon, alt = nwu_to_geodetic(session.fix_position_n + noise_n, origin)
-    velocity_n = gnss.velocity_n + poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * 1.5
-    said = np.where(poor, 10.0, 1.0)
-    gnss = replace(
-        gnss,
-        lat_deg=lat,
-        lon_deg=lon,
-        alt_m=alt,
-        velocity_n=velocity_n,
-        sigma_horizontal=0.3 * said,
-        sigma_up=0.6 * said,
-        sigma_velocity=0.15 * said,
-    )
-    return replace(session, gnss=gnss)
-
-
-def _loose_plug(session: Session, seed: int) -> Session:
-    """Three times no inertial samples for 3 s."""
-    assert session.imu is not None
-    t, rng = session.imu.t, np.random.default_rng(9500 + seed)
-    starts = t[0] + (t[-1] - t[0]) * (np.array([0.25, 0.5, 0.75]) + rng.uniform(-0.1, 0.1, 3))
-    kept = ~np.any([(t > start) & (t < start + 3.0) for start in starts], axis=0)
-    force, rate = session.imu.specific_force_s[kept], session.imu.angular_rate_s[kept]
-    return replace(session, imu=replace(session.imu, t=t[kept], specific_force_s=force, angular_rate_s=rate))
-
-
-NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
-QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
-# The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
-# plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
-# steering wheel whose accelerometer is late
-WORLDS = {
-    "white": World("white"),
-    "kart": World("kart"),
-    "kart_harsh": World("kart_harsh"),
-    "kart, 2 g and 150 deg/s": World("kart", {"imu_accel_range": 2.0 * 9.81, "imu_gyro_range": 150.0 * DEG}),
-    "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
-    "kart, poor sky at times": World("kart", {}, _poor_sky),
-    "kart, no samples at times": World("kart", {}, _loose_plug),
-    "kart, samples as noisy as real ones": World("kart", NOISY),
-    "kart_harsh, good receiver": World("kart_harsh", {"gnss_velocity_sigma": 0.05}),
-    "kart, quick receiver on a long arm": World("kart", {**NOISY, **QUICK, "lever_arm_b": np.array([0.9, 0.2, 0.3])}),
-    "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
-}
 
 
 @dataclass(frozen=True)

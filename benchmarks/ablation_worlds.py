@@ -1,0 +1,138 @@
+"""Kinds of simulated sessions for the ablations: a preset, figures changed, and what befalls samples and fixes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.frames import nwu_to_geodetic
+from smoother.samples import GnssFixes, Session
+from smoother.sim.motion import Stop
+from smoother.units import DEG
+
+COASTS, COASTS_EVERY = 3.0, 30.0  # s that a receiver goes straight on, and how often
+COLD, FADES = 36.0, 15.0  # m off when the first satellites are found, s in which a third of it is left
+COUNTED = 3e-3  # drift of samples that are stamped by counting them: the oscillator of an MPU9250 is good to a per cent
+APART = 7.0  # s between two clocks
+HELD = 0.5  # m/s, below which receivers hold what they show
+
+
+@dataclass(frozen=True)
+class World:
+    """What a group of simulated sessions is like."""
+
+    preset: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    befalls: Callable[[Session, int], Session] | None = None
+
+
+def _moved(session: Session, offset_n: Array, velocity_n: Array | None = None) -> GnssFixes:
+    """Fixes that are `offset_n` (n, 3), m, off, with another velocity (n, 3), m/s, where one is given."""
+    lat, lon, alt = nwu_to_geodetic(session.fix_position_n + offset_n, session.origin)
+    gnss = replace(session.gnss, lat_deg=lat, lon_deg=lon, alt_m=alt)
+    return gnss if velocity_n is None else replace(gnss, velocity_n=velocity_n)
+
+
+def _times(t: Array, shares: Array, lasts: float) -> BoolArray:
+    """Which of the times `t` (n,) are within `lasts` s after shares (k,) of all of it."""
+    return np.asarray(np.any([(t > start) & (t < start + lasts) for start in t[0] + np.ptp(t) * shares], axis=0))
+
+
+def _poor_sky(session: Session, seed: int) -> Session:
+    """Under trees for 12 s three times: fixes ten times as noisy, and the receiver says so."""
+    rng, gnss = np.random.default_rng(9000 + seed), session.gnss
+    poor = _times(gnss.t, np.array([0.25, 0.5, 0.75]), 12.0)
+    noise_n = poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * [2.0, 2.0, 4.0]
+    velocity_n = gnss.velocity_n + poor[:, None] * rng.normal(size=(len(gnss.t), 3)) * 1.5
+    said = np.where(poor, 10.0, 1.0)
+    gnss = replace(
+        _moved(session, noise_n, velocity_n),
+        sigma_horizontal=0.3 * said,
+        sigma_up=0.6 * said,
+        sigma_velocity=0.15 * said,
+    )
+    return replace(session, gnss=gnss)
+
+
+def _loose_plug(session: Session, seed: int) -> Session:
+    """Three times no inertial samples for 3 s."""
+    assert session.imu is not None
+    t, rng = session.imu.t, np.random.default_rng(9500 + seed)
+    kept = ~_times(t, np.array([0.25, 0.5, 0.75]) + rng.uniform(-0.1, 0.1, 3), 3.0)
+    force, rate = session.imu.specific_force_s[kept], session.imu.angular_rate_s[kept]
+    return replace(session, imu=replace(session.imu, t=t[kept], specific_force_s=force, angular_rate_s=rate))
+
+
+def _coasts(session: Session, seed: int) -> Session:
+    """A receiver that loses its satellites now and then and goes straight on meanwhile."""
+    gnss, rng = session.gnss, np.random.default_rng(9700 + seed)
+    offset_n, velocity_n = np.zeros((len(gnss), 3)), gnss.velocity_n.copy()
+    for start in np.arange(gnss.t[0] + COASTS_EVERY, gnss.t[-1] - COASTS, COASTS_EVERY) + rng.uniform(-5.0, 5.0):
+        last = int(np.searchsorted(gnss.t, start))
+        lost = np.flatnonzero((gnss.t > gnss.t[last]) & (gnss.t < start + COASTS))  # none in an outage
+        gone = (gnss.t[lost] - gnss.t[last])[:, None] * np.nan_to_num(velocity_n[last])  # upwards there is none
+        offset_n[lost] = session.fix_position_n[last] + gone - session.fix_position_n[lost]
+        velocity_n[lost] = velocity_n[last]
+    return replace(session, gnss=_moved(session, offset_n, velocity_n))
+
+
+def _cold_start(session: Session, seed: int) -> Session:
+    """A receiver that has just found its satellites and comes in from somewhere."""
+    since, azimuth = session.gnss.t - session.gnss.t[0], np.random.default_rng(9800 + seed).uniform(0.0, 2.0 * np.pi)
+    direction_n = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    return replace(session, gnss=_moved(session, COLD * np.exp(-since / FADES)[:, None] * direction_n))
+
+
+def _counted(session: Session, _: int) -> Session:
+    """Samples are stamped by counting them, fixes by UTC."""
+    return _stamped(session, 1.0 + COUNTED, 0.0)
+
+
+def _clocks_apart(session: Session, _: int) -> Session:
+    """Samples are stamped by a clock that shows another time."""
+    return _stamped(session, 1.0, APART)
+
+
+def _stamped(session: Session, pace: float, apart: float) -> Session:
+    assert session.imu is not None
+    start = session.imu.t[0]
+    imu = replace(session.imu, t=start + (session.imu.t - start) * pace + apart)
+    if session.mag is None:
+        return replace(session, imu=imu)
+    return replace(session, imu=imu, mag=replace(session.mag, t=start + (session.mag.t - start) * pace + apart))
+
+
+def _holds(session: Session, _: int) -> Session:
+    """A receiver that shows one place and no speed while the kart stands."""
+    gnss = session.gnss
+    still = np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1]) < HELD
+    first = np.maximum.accumulate(np.where(still & ~np.roll(still, 1), np.arange(len(gnss)), 0))
+    offset_n = np.where(still[:, None], session.fix_position_n[first] - session.fix_position_n, 0.0)
+    return replace(session, gnss=_moved(session, offset_n, np.where(still[:, None], 0.0, gnss.velocity_n)))
+
+
+NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
+QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
+# The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
+# plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
+# steering wheel whose accelerometer is late; receivers and clocks as they should not be
+WORLDS = {
+    "white": World("white"),
+    "kart": World("kart"),
+    "kart_harsh": World("kart_harsh"),
+    "kart, 2 g and 150 deg/s": World("kart", {"imu_accel_range": 2.0 * 9.81, "imu_gyro_range": 150.0 * DEG}),
+    "kart, box that warms up": World("kart", {"imu_accel_bias_walk": 0.03, "imu_gyro_bias_walk": 0.1 * DEG}),
+    "kart, poor sky at times": World("kart", {}, _poor_sky),
+    "kart, no samples at times": World("kart", {}, _loose_plug),
+    "kart, samples as noisy as real ones": World("kart", NOISY),
+    "kart_harsh, good receiver": World("kart_harsh", {"gnss_velocity_sigma": 0.05}),
+    "kart, quick receiver on a long arm": World("kart", {**NOISY, **QUICK, "lever_arm_b": np.array([0.9, 0.2, 0.3])}),
+    "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
+    "kart, receiver that goes straight on": World("kart", {}, _coasts),
+    "kart, receiver from cold": World("kart", {}, _cold_start),
+    "kart, samples stamped by counting": World("kart", {}, _counted),
+    "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
+    "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
+}

@@ -1,0 +1,61 @@
+"""The switches of benchmarks/ablations.py: every effect can still be left out, by names that are still there."""
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from smoother.samples import Session
+from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+SEED, DURATION, LONGER = 9, 70.0, 130.0  # s; clocks and receivers show late what they are like
+COMPARED = ("position_n", "velocity_n", "R_nb")
+# what effects are for that leave a usual kart as it is
+WORLD_OF = {
+    "accelerometer delay": "kart, late force on the wheel",
+    "two fixes to a keyframe beyond 10 Hz": "kart, quick receiver on a long arm",
+    "GPS offset as the fixes show it beforehand": "white",
+    "reported accuracies": "kart, poor sky at times",
+    "more noise where samples miss": "kart, no samples at times",
+    "receivers that go straight on": "kart, receiver that goes straight on",
+    "receivers that have not settled": "kart, receiver from cold",
+    "drift of the clocks": "kart, samples stamped by counting",
+    "clocks that show different times": "kart, clocks 7 s apart",
+}
+
+
+@pytest.fixture(scope="module")
+def modules() -> Iterator[dict[str, ModuleType]]:
+    """The benchmarks as modules; their own folder is on the path only as long."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        yield {name: importlib.import_module(name) for name in ("ablation_effects", "ablation_worlds", "scoring")}
+
+
+def test_every_effect_can_be_left_out(modules: dict[str, ModuleType]) -> None:
+    effects = modules["ablation_effects"]
+    unchanged: set[str] = set()
+    for world in sorted({WORLD_OF.get(effect.name, "kart") for effect in effects.EFFECTS}):
+        session = _session(modules, world)
+        full = effects.FULL.estimate(session)
+        for effect in effects.EFFECTS:
+            if WORLD_OF.get(effect.name, "kart") == world and not _differ(effect.estimate(session), full):
+                unchanged.add(effect.name)
+    assert not unchanged
+
+
+def _differ(one: Trajectory, other: Trajectory) -> bool:
+    return any(not np.array_equal(getattr(one, name), getattr(other, name)) for name in COMPARED)
+
+
+def _session(modules: dict[str, ModuleType], name: str) -> Session:
+    world = modules["ablation_worlds"].WORLDS[name]
+    duration = LONGER if world.befalls or name != "kart" else DURATION
+    simulation = simulate_preset(world.preset, seed=SEED, duration=duration, **world.changes)
+    session: Session = modules["scoring"].recorded(simulation)
+    return session if world.befalls is None else world.befalls(session, SEED)
