@@ -7,6 +7,8 @@ changes far less than the samples say, by more than they ever are off else, and 
 was sent at that velocity is left out. A hill is felt as braking too, but nothing is to be caught up with there.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
@@ -28,6 +30,8 @@ ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise inclu
 SHORTEST, REACH = 0.8, 10.0  # s of one coasting, at least, and to either side of where it is felt, at most
 CAUGHT_UP = 0.7  # of what it was off is left, WINDOW after the first fix with which it has its satellites again
 MISSING = 5.0  # s without fixes before that, at most
+HELD = 0.7  # s in which velocity stays the same to the last digit, as a measured one never does
+SIGMAS_OF_HELD = 3.0  # beyond the usual scatter, which grows as the root of the time: of those, turns may be gentle
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -51,32 +55,71 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
     if first.size < FEWEST:
         return out
     summed = _summed_up(imu, path, alignment, felt_at)
-    told, felt = velocity[last] - velocity[first], summed[last] - summed[first]
-    sigmas = SIGMAS if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE
-    goes_straight = _goes_straight(told, felt, _shaken(imu, felt_at[first], felt_at[last]), sigmas)
-    is_fast = np.hypot(*velocity[first].T) > MIN_SPEED
     apart = velocity - summed
+    looseness = 1.0 if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE / SIGMAS
+    parting = _Parting.of(apart[last] - apart[first], _shaken(imu, felt_at[first], felt_at[last]), looseness)
+    goes_straight = _goes_straight(parting, velocity[last] - velocity[first], summed[last] - summed[first])
+    is_fast = np.hypot(*velocity.T) > MIN_SPEED
     ended: dict[int, bool] = {}
-    for k in np.flatnonzero(goes_straight & is_fast).tolist():
+    for k in np.flatnonzero(goes_straight & is_fast[first]).tolist():
         alike = _alike(t, velocity, int(first[k]), int(last[k]))
         if alike.stop not in ended:  # the first window of several that see the same
             ended[alike.stop] = _catches_up(t, apart, int(first[k]), alike.stop - 1)
         if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
             out[rows[alike]] = True
+    begin, end = _held(t, velocity)
+    turns = parting.is_beyond(t[end] - t[begin], apart[end] - apart[begin]) & _are_sampled(
+        imu, felt_at[begin], felt_at[end]
+    )
+    for k in np.flatnonzero(turns & is_fast[begin]).tolist():
+        if _catches_up(t, apart, int(begin[k]), int(end[k]), is_held=True):
+            out[rows[begin[k] : end[k] + 1]] = True
     return out
 
 
-def _goes_straight(told: Array, felt: Array, shaken: Array, sigmas: float) -> BoolArray:
-    """Mask (W,) of the windows in which velocity is told to change (W, 2) m/s far less than is felt (W, 2) m/s.
+@dataclass(frozen=True)
+class _Parting:
+    """How velocity that is told and felt part in WINDOW s: off (W, 2) m/s, but for what is steady.
 
-    shaken (W,) m^2/s^2, of :func:`_shaken`: what is beyond the usual of it adds to the usual scatter.
+    beyond (W,): that in usual scatters. drift (2,) m/s: what is steady. usual: scatter, m/s.
     """
-    off = told - felt
-    off = off - np.median(off, axis=0)
-    usual = max(MEDIAN_TO_SIGMA * median(np.hypot(*off.T)), 1e-3)
-    beyond = np.hypot(*off.T) / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0))
+
+    beyond: Array
+    drift: Array
+    usual: float
+
+    @classmethod
+    def of(cls, parted: Array, shaken: Array, looseness: float) -> "_Parting":
+        """Of what is parted (W, 2) m/s in windows; shaken (W,) m^2/s^2, of :func:`_shaken`: what is beyond the usual
+        of it adds to the usual scatter, which counts `looseness` times.
+        """
+        drift = np.median(parted, axis=0)
+        off = np.hypot(*(parted - drift).T)
+        usual = max(MEDIAN_TO_SIGMA * median(off), 1e-3)
+        return cls(
+            off / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0)) / looseness, drift, usual * looseness
+        )
+
+    def is_beyond(self, lasts: Array, parted: Array) -> BoolArray:
+        """Mask (H,) of what is parted (H, 2) m/s in (H,) s by more than chance does, where velocity is held."""
+        windows = lasts / WINDOW
+        off = np.hypot(*(parted - windows[:, None] * self.drift).T)
+        return np.asarray(off > np.maximum(SIGMAS_OF_HELD * self.usual * np.sqrt(windows), LEAST_FELT))
+
+
+def _goes_straight(parting: _Parting, told: Array, felt: Array) -> BoolArray:
+    """Mask (W,) of the windows in which velocity is told to change (W, 2) m/s far less than is felt (W, 2) m/s."""
     size = np.hypot(*felt.T)
-    return np.asarray((beyond > sigmas) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
+    return np.asarray((parting.beyond > SIGMAS) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
+
+
+def _held(t: Array, velocity: Array) -> tuple[IntArray, IntArray]:
+    """First and last fix (H,) each of the runs of one velocity (M, 2) m/s for HELD s, at t (M,) s without a hole."""
+    breaks = np.any(np.diff(velocity, axis=0) != 0.0, axis=1) | (np.diff(t) > 2.0 * QUICK)
+    begin = np.flatnonzero(np.append(True, breaks))
+    end = np.append(begin[1:] - 1, len(t) - 1)
+    lasts = t[end] - t[begin] >= HELD
+    return begin[lasts], end[lasts]
 
 
 def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
@@ -90,16 +133,20 @@ def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
     return np.asarray(total[np.searchsorted(imu.t, end) - 1] - total[np.searchsorted(imu.t, begin) - 1])
 
 
-def _catches_up(t: Array, apart: Array, first: int, end: int) -> bool:
+def _catches_up(t: Array, apart: Array, first: int, end: int, *, is_held: bool = False) -> bool:
     """Whether velocities sent and felt, apart (M, 2) m/s at t (M,) s, come together again once it does not go straight.
 
-    From fix `first` to fix `end` they part. A road that climbs is felt as braking too, but there they stay apart.
+    From fix `first` to fix `end` they part. A road that climbs is felt as braking too, but there they stay apart. Where
+    velocity was held, only the direction in which they part counts: over seconds what is felt turns aside, with an
+    attitude that knows no better than the fixes.
     """
     if end + 1 == len(t) or t[end + 1] - t[end] > MISSING:
         return False
     after = slice(end + 1, int(np.searchsorted(t, t[end + 1] + WINDOW)))
-    left = np.min(np.hypot(*(apart[after] - apart[first]).T))
-    return bool(left < CAUGHT_UP * np.hypot(*(apart[end] - apart[first])))
+    parted, left = apart[end] - apart[first], apart[after] - apart[first]
+    if is_held:
+        return bool(np.min(left @ parted) < CAUGHT_UP * parted @ parted)
+    return bool(np.min(np.hypot(*left.T)) < CAUGHT_UP * np.hypot(*parted))
 
 
 def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:
@@ -119,13 +166,16 @@ def _windows(t: Array, felt_at: Array, imu: ImuSamples) -> tuple[IntArray, IntAr
     last = np.searchsorted(t, t + WINDOW - 1e-6)
     first = np.flatnonzero(last < len(t))
     last = last[first]
-    holes = np.flatnonzero(np.diff(imu.t) > STEP)
-    before = np.searchsorted(imu.t[holes], felt_at)
-    sampled = (felt_at[first] > imu.t[0]) & (felt_at[last] < imu.t[-1]) & (before[first] == before[last])
-    made_up = in_gap(imu.t, felt_at)  # where samples are missing so is the attitude beside them
-    sampled &= ~(made_up[first] | made_up[last])
-    keep = sampled & (t[last] - t[first] < 1.6 * WINDOW)
+    keep = _are_sampled(imu, felt_at[first], felt_at[last]) & (t[last] - t[first] < 1.6 * WINDOW)
     return first[keep], last[keep]
+
+
+def _are_sampled(imu: ImuSamples, begin: Array, end: Array) -> BoolArray:
+    """Mask (W,) of the spans from begin to end (W,) s that have samples all the way, and beside them."""
+    holes = imu.t[np.flatnonzero(np.diff(imu.t) > STEP)]
+    unbroken = np.searchsorted(holes, begin) == np.searchsorted(holes, end)
+    beside = in_gap(imu.t, begin) | in_gap(imu.t, end)  # where samples are missing so is the attitude beside them
+    return np.asarray((begin > imu.t[0]) & (end < imu.t[-1]) & unbroken & ~beside)
 
 
 def _summed_up(imu: ImuSamples, path: PathMotion, alignment: Alignment, t: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import BoolArray
-from smoother.estimate.gnss_coasting import COASTING, coasting, coasting_problems
+from smoother.estimate.gnss_coasting import COASTING, _catches_up, coasting, coasting_problems
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.graph.start import GraphOptions
@@ -183,3 +183,20 @@ def test_a_receiver_that_finds_its_satellites_after_a_gap_went_straight_on(sessi
         lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + 1.5)
     found = found_in(replace(given, gnss=given.gnss.select(~lost)))
     assert np.mean(found[out[~lost]]) > 0.9
+
+
+def test_velocity_that_is_held_to_the_last_digit_is_measured_by_none() -> None:
+    # a bend so gentle that no 0.6 s of it stand out
+    given, out = coasted(prepare(simulate_preset("kart", 6, duration=DURATION, gnss_outages=()).raw), [61.0], 3.0)
+    assert np.mean(found_in(given)[out]) > 0.9
+
+
+def test_what_is_felt_may_turn_aside_before_the_receiver_catches_up() -> None:
+    t = 0.2 * np.arange(30)
+    apart = np.outer(np.clip((t - 1.0) / 3.0, 0.0, 1.0), [9.0, 12.0])
+    assert not _catches_up(t, apart, 5, 20, is_held=True)  # a hill
+    apart[21:] += [5.0, -12.0]
+    assert _catches_up(t, apart, 5, 20, is_held=True)
+    assert not _catches_up(t, apart, 5, 20)
+    apart[21:] += [-5.0, 24.0]
+    assert not _catches_up(t, apart, 5, 20, is_held=True)
