@@ -30,8 +30,12 @@ ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise inclu
 SHORTEST, REACH = 0.8, 10.0  # s of one coasting, at least, and to either side of where it is felt, at most
 CAUGHT_UP = 0.7  # of what it was off is left, WINDOW after the first fix with which it has its satellites again
 MISSING = 5.0  # s without fixes before that, at most
-HELD = 0.7  # s in which velocity stays the same to the last digit, as a measured one never does
-SIGMAS_OF_HELD = 3.0  # beyond the usual scatter, which grows as the root of the time: of those, turns may be gentle
+HELD = 0.7  # s in which velocity stays the same to the last digit
+SELDOM = 0.02  # of the fixes that are less long the same as those before: more, and the receiver is coarse
+OFTEN = 0.3  # of the fixes that are held: more, and it renews its velocity less often than its places
+SIGMAS_OF_HELD = (
+    3.0  # beyond the usual scatter, which grows as the root of the time: what no one measures may be gentle
+)
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -67,13 +71,12 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
             ended[alike.stop] = _catches_up(t, apart, int(first[k]), alike.stop - 1)
         if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
             out[rows[alike]] = True
-    begin, end = _held(t, velocity)
-    turns = parting.is_beyond(t[end] - t[begin], apart[end] - apart[begin]) & _are_sampled(
-        imu, felt_at[begin], felt_at[end]
-    )
-    for k in np.flatnonzero(turns & is_fast[begin]).tolist():
-        if _catches_up(t, apart, int(begin[k]), int(end[k]), is_held=True):
-            out[rows[begin[k] : end[k] + 1]] = True
+    begin, end = _held(t, velocity, is_fast)
+    sampled = _are_sampled(imu, felt_at[begin], felt_at[end])
+    for one, other in zip(begin[sampled].tolist(), end[sampled].tolist(), strict=True):
+        run = slice(one, other + 1)
+        if parting.is_beyond(t[run] - t[one], apart[run] - apart[one]).any():
+            out[rows[run]] = True
     return out
 
 
@@ -113,13 +116,21 @@ def _goes_straight(parting: _Parting, told: Array, felt: Array) -> BoolArray:
     return np.asarray((parting.beyond > SIGMAS) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
 
 
-def _held(t: Array, velocity: Array) -> tuple[IntArray, IntArray]:
-    """First and last fix (H,) each of the runs of one velocity (M, 2) m/s for HELD s, at t (M,) s without a hole."""
+def _held(t: Array, velocity: Array, is_fast: BoolArray) -> tuple[IntArray, IntArray]:
+    """First and last fix (H,) each of the runs at t (M,) s, at speed, in which velocity (M, 2) m/s is one for HELD s.
+
+    None has a hole. A measured velocity is never held like that; where it often is, it is coarse, or seldom renewed.
+    """
     breaks = np.any(np.diff(velocity, axis=0) != 0.0, axis=1) | (np.diff(t) > 2.0 * QUICK)
     begin = np.flatnonzero(np.append(True, breaks))
     end = np.append(begin[1:] - 1, len(t) - 1)
-    lasts = t[end] - t[begin] >= HELD
-    return begin[lasts], end[lasts]
+    repeats, at_speed = end - begin, is_fast[begin]
+    is_held = (t[end] - t[begin] >= HELD) & at_speed
+    most = np.count_nonzero(is_fast)
+    is_coarse = np.sum(repeats[at_speed & ~is_held]) > SELDOM * most
+    if is_coarse or np.sum(repeats[is_held]) > OFTEN * most:
+        return begin[:0], end[:0]
+    return begin[is_held], end[is_held]
 
 
 def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
@@ -133,20 +144,16 @@ def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
     return np.asarray(total[np.searchsorted(imu.t, end) - 1] - total[np.searchsorted(imu.t, begin) - 1])
 
 
-def _catches_up(t: Array, apart: Array, first: int, end: int, *, is_held: bool = False) -> bool:
+def _catches_up(t: Array, apart: Array, first: int, end: int) -> bool:
     """Whether velocities sent and felt, apart (M, 2) m/s at t (M,) s, come together again once it does not go straight.
 
-    From fix `first` to fix `end` they part. A road that climbs is felt as braking too, but there they stay apart. Where
-    velocity was held, only the direction in which they part counts: over seconds what is felt turns aside, with an
-    attitude that knows no better than the fixes.
+    From fix `first` to fix `end` they part. A road that climbs is felt as braking too, but there they stay apart.
     """
     if end + 1 == len(t) or t[end + 1] - t[end] > MISSING:
         return False
     after = slice(end + 1, int(np.searchsorted(t, t[end + 1] + WINDOW)))
-    parted, left = apart[end] - apart[first], apart[after] - apart[first]
-    if is_held:
-        return bool(np.min(left @ parted) < CAUGHT_UP * parted @ parted)
-    return bool(np.min(np.hypot(*left.T)) < CAUGHT_UP * np.hypot(*parted))
+    left = np.min(np.hypot(*(apart[after] - apart[first]).T))
+    return bool(left < CAUGHT_UP * np.hypot(*(apart[end] - apart[first])))
 
 
 def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:

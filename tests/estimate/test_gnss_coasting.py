@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import BoolArray
-from smoother.estimate.gnss_coasting import COASTING, _catches_up, coasting, coasting_problems
+from smoother.estimate.gnss_coasting import COASTING, _held, coasting, coasting_problems
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.graph.start import GraphOptions
@@ -191,12 +191,19 @@ def test_velocity_that_is_held_to_the_last_digit_is_measured_by_none() -> None:
     assert np.mean(found_in(given)[out]) > 0.9
 
 
-def test_what_is_felt_may_turn_aside_before_the_receiver_catches_up() -> None:
-    t = 0.2 * np.arange(30)
-    apart = np.outer(np.clip((t - 1.0) / 3.0, 0.0, 1.0), [9.0, 12.0])
-    assert not _catches_up(t, apart, 5, 20, is_held=True)  # a hill
-    apart[21:] += [5.0, -12.0]
-    assert _catches_up(t, apart, 5, 20, is_held=True)
-    assert not _catches_up(t, apart, 5, 20)
-    apart[21:] += [-5.0, 24.0]
-    assert not _catches_up(t, apart, 5, 20, is_held=True)
+def test_a_receiver_may_go_straight_on_into_a_gap(session: Session) -> None:
+    given, out = coasted(session, in_corners(session), 1.2)
+    lost = np.zeros_like(out)
+    for end in np.flatnonzero(np.diff(out.astype(np.int8)) < 0):
+        lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + 8.0)
+    found = found_in(replace(given, gnss=given.gnss.select(~lost)))
+    assert np.mean(found[out[~lost]]) > 0.9
+
+
+def test_coarse_velocities_and_those_that_are_seldom_renewed_are_not_held(session: Session) -> None:
+    velocity_n = session.gnss.velocity_n
+    coarse = np.round(velocity_n / 2.0) * 2.0
+    seldom = velocity_n[np.arange(len(velocity_n)) // 10 * 10]
+    for velocity_n in (coarse, seldom):
+        t, speed = session.gnss.t, np.hypot(*velocity_n[:, :2].T)
+        assert not _held(t, velocity_n[:, :2], speed > 5.0)[0].size
