@@ -141,6 +141,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=120.0)
     parser.add_argument("--variant", action="append", choices=list(VARIANTS))
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=DOCS, help="directory of the report")
     arguments = parser.parse_args()
     variants = arguments.variant or list(VARIANTS)
     cases = [Case(variant, seed + 1, arguments.duration) for variant in variants for seed in range(arguments.seeds)]
@@ -148,7 +149,7 @@ def main() -> None:
         found = np.array(list(pool.map(evaluated, cases)))
     text = table(cases, found)
     print(text)
-    (DOCS / "calibration_improvement.md").write_text(document(arguments, text), encoding="utf-8")
+    (arguments.out / "calibration_improvement.md").write_text(document(arguments, text), encoding="utf-8")
 
 
 def document(arguments: argparse.Namespace, text: str) -> str:

@@ -138,6 +138,8 @@ class Score:
 def _score(simulation: Simulation) -> Score:
     aboard = Aboard(Foreground())
     states = [s.lag for s in stream_through(encode_frames(drive_records(simulation)), aboard) if s.lag is not None]
+    if not states:
+        raise SystemExit(f"{simulation.raw.name}: the smoother never began; a longer --duration is needed")
     end = states[-1].t
     last = [s for s in states if s.t > end - 10.0]
     truth = simulation.truth.at(np.array([s.t for s in last]))

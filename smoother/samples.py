@@ -115,7 +115,7 @@ class MagSamples:
         require_increasing(self.t, "MagSamples.t")
 
 
-_SIGMAS = ("sigma_horizontal", "sigma_up", "sigma_velocity")
+_ABOVE_ZERO = ("sigma_horizontal", "sigma_up", "sigma_velocity", "hdop")
 _OPTIONAL_COLUMNS = ("speed", "course_deg", "sigma_horizontal", "sigma_up", "sigma_velocity", "hdop", "unix_s")
 
 
@@ -127,7 +127,7 @@ class GnssFixes:
     velocity_n (N, 3) m/s (components NaN if unknown); speed (N,) m/s and course_deg (N,) clockwise from north, as sent;
     sigma_horizontal, sigma_up (N,) m and sigma_velocity (N,) m/s per axis, as reported by the receiver; hdop (N,);
     num_sv (N,) satellites, -1 unknown; fix (N,) quality, >= 1 usable; unix_s (N,) the receiver's own UTC. A sigma
-    that is not above zero is none, and unknown.
+    or an hdop that is not above zero is none, and unknown.
     """
 
     t: Array
@@ -151,7 +151,7 @@ class GnssFixes:
         for name in _OPTIONAL_COLUMNS:
             value = getattr(self, name)
             value = np.full(n, np.nan) if value is None else value
-            value = np.where(np.less_equal(value, 0.0), np.nan, value) if name in _SIGMAS else value
+            value = np.where(np.less_equal(value, 0.0), np.nan, value) if name in _ABOVE_ZERO else value
             object.__setattr__(self, name, frozen(value, (n,), f"GnssFixes.{name}"))
         for name, unknown in (("num_sv", -1), ("fix", 1)):
             value = getattr(self, name)

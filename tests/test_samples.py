@@ -101,11 +101,11 @@ def test_an_unknown_height_costs_up_only() -> None:
 @pytest.mark.parametrize("choice", [np.array([True, False, True, False]), np.array([0, 2])])
 def test_select_takes_the_same_rows_of_every_column(choice: np.ndarray) -> None:
     count = np.arange(4)
-    gnss = fixes(4, hdop=count * 1.0, num_sv=count, fix=count + 1, unix_s=1e9 + count)
+    gnss = fixes(4, hdop=count + 1.0, num_sv=count, fix=count + 1, unix_s=1e9 + count)
     part = gnss.select(choice)
     np.testing.assert_array_equal(part.t, gnss.t[[0, 2]])
     np.testing.assert_array_equal(part.velocity_n, gnss.velocity_n[[0, 2]])
-    np.testing.assert_array_equal(part.hdop, [0.0, 2.0])
+    np.testing.assert_array_equal(part.hdop, [1.0, 3.0])
     np.testing.assert_array_equal(part.num_sv, [0, 2])
     np.testing.assert_array_equal(part.fix, [1, 3])
     np.testing.assert_array_equal(part.unix_s, [1e9, 1e9 + 2])
@@ -116,7 +116,7 @@ def test_a_session_places_its_fixes_in_its_own_frame() -> None:
     np.testing.assert_array_equal(session.fix_position_n, session.gnss.position_n(ORIGIN))
 
 
-@pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity"])
+@pytest.mark.parametrize("name", ["sigma_horizontal", "sigma_up", "sigma_velocity", "hdop"])
 def test_a_sigma_of_nothing_is_unknown(name: str) -> None:
     given = np.array([0.0, -1.0, np.nan, 2.0])
     np.testing.assert_array_equal(getattr(fixes(4, **{name: given}), name), [np.nan, np.nan, np.nan, 2.0])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray, are_near
 from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
 from smoother.estimate.on_wheel import is_on_wheel
@@ -38,6 +38,7 @@ _OWN_LOGGER = (".klg", "out.txt", "simulation")  # ends of inputs of this projec
 _WITH_SENSOR = (*_OWN_LOGGER, "imu.csv", "imu.csv.gz")  # ends of inputs that promise a motion sensor
 USELESS = ("imu_missing", "imu_too_slow", "imu_implausible")  # problems of the reader: why there are no samples
 _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_folder")  # a sensor is there, but not read
+SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
@@ -166,7 +167,7 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
         "fix_gap_share": float(np.sum(gaps)) / lasts,
         "accuracy_median_m": _median(fixes.sigma_horizontal),
         "satellites_median": _median(_known_satellites(fixes)),
-        "speed_known_share": float(np.mean(np.isfinite(fixes.velocity_n[:, 0]))),
+        "speed_known_share": float(np.mean(_have_speed(fixes))),
         "top_speed_mps": _top_speed(fixes),
     }
     return _Part(list(_judge_gnss(measures, limits)), measures)
@@ -364,6 +365,11 @@ def _repeated_ends(values: Array, lowest: Array, highest: Array, least: float) -
 def _known_satellites(fixes: GnssFixes) -> Array:
     count = np.asarray(fixes.num_sv, dtype=np.float64)
     return np.where(count > 0.0, count, np.nan)
+
+
+def _have_speed(fixes: GnssFixes) -> BoolArray:
+    """Mask (N,) of the fixes with a velocity, or one near: a receiver may renew it less often than its positions."""
+    return are_near(fixes.t, fixes.t[np.isfinite(fixes.velocity_n[:, 0])], SPEED_NEAR)
 
 
 def _top_speed(fixes: GnssFixes) -> float:

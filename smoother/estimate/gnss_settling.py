@@ -28,12 +28,16 @@ SETTLED = 1.2  # times the usual change, from which on a receiver wanders as it 
 
 
 def unsettled(session: Session) -> BoolArray:
-    """Mask (N,) of the fixes whose positions still drift to where they should be; none without Doppler."""
+    """Mask (N,) of the fixes whose positions still drift to where they should be; none without Doppler.
+
+    A receiver may measure its velocity less often than its positions, but for most of the time it has to.
+    """
     t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
     out = np.zeros(len(t), dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(position_n).all(axis=1) & np.isfinite(velocity_n).all(axis=1))
-    runs = [rows for rows in unbroken_runs(t, known) if t[rows[-1]] - t[rows[0]] > 2.0 * LATER]
-    if 2 * known.size < len(t) or not runs:
+    unbroken = unbroken_runs(t, known)
+    runs = [rows for rows in unbroken if t[rows[-1]] - t[rows[0]] > 2.0 * LATER]
+    if 2 * sum(int(rows[-1] - rows[0]) + 1 for rows in unbroken) < len(t) or not runs:
         return out
     errors = [_error(t[rows], position_n[rows], velocity_n[rows]) for rows in runs]
     changes = [_changes(t[rows], error) for rows, error in zip(runs, errors, strict=True)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.frames import euler_from_rotation
 from smoother.samples import Problem
 from smoother.trajectory import Trajectory
@@ -13,7 +13,7 @@ LEANS = "vehicle_leans"  # code of the problem that says so
 # and cars lean outwards, by 0.02 to 0.06 of it
 LEAST_LEAN, LEAST_ROLL = -0.35, 12.0 * DEG
 MIN_SPEED, LEAST_PUSH, FEWEST = 5.0, 2.0, 50  # m/s, m/s^2 and rows, in corners that tell
-SAMPLED = 5  # one row in so many is looked at
+APART = 0.1  # s from one row that is looked at to the next; in a second a corner is half over
 
 
 def leaning_problems(trajectory: Trajectory) -> tuple[Problem, ...]:
@@ -33,14 +33,20 @@ def leaning_problems(trajectory: Trajectory) -> tuple[Problem, ...]:
 
 
 def _roll_and_push(trajectory: Trajectory) -> tuple[Array, Array]:
-    """Roll (K,) rad and acceleration to the left of the path (K,) m/s^2, in corners."""
-    rows = slice(None, None, SAMPLED)
-    t, velocity = trajectory.t[rows], trajectory.velocity_n[rows, :2]
+    """Roll (K,) rad and acceleration to the left of the path (K,) m/s^2, in corners.
+
+    At the keyframes where there are any: rows are as far apart as they were asked for.
+    """
+    path = trajectory if trajectory.report.keyframes is None else trajectory.report.keyframes
+    if len(path.t) < 3:
+        return np.empty(0), np.empty(0)
+    every = max(1, round(APART / median(np.diff(path.t))))
+    t, velocity, R_nb = path.t[::every], path.velocity_n[::every, :2], path.R_nb[::every]
     if len(t) < 3:
         return np.empty(0), np.empty(0)
     speed = np.hypot(*velocity.T)
     change = np.stack([np.gradient(velocity[:, i], t) for i in range(2)], axis=1)
     push = (velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]) / np.maximum(speed, 1.0)
-    roll = euler_from_rotation(trajectory.R_nb[rows])[0]
+    roll = euler_from_rotation(R_nb)[0]
     tells = (speed > MIN_SPEED) & (np.abs(push) > LEAST_PUSH) & np.isfinite(roll)
     return roll[tells], push[tells]

@@ -301,7 +301,8 @@ def _without_repeats(rows: RowFilter, c: FixColumns) -> FixColumns:
     """The columns without the velocities of a receiver that renews them less often than its positions.
 
     Each is then repeated as often, until the next one comes; what is merely coarse, or steady, is repeated now more
-    often and now less. The positions have to change from row to row.
+    often and now less. The positions have to change from row to row. What stands for longer was measured anew each
+    time one was due: of a kart that stands, the zeros hold positions that have not settled.
     """
     velocity = np.column_stack([c.speed, c.course_deg, c.velocity_north, c.velocity_east])
     same = (velocity[1:] == velocity[:-1]) | (np.isnan(velocity[1:]) & np.isnan(velocity[:-1]))
@@ -314,12 +315,23 @@ def _without_repeats(rows: RowFilter, c: FixColumns) -> FixColumns:
     usual = float(np.median(lengths[is_moving])) if np.count_nonzero(is_moving) >= FEWEST_RENEWED else 1.0
     if usual < 2.0 or np.mean(lengths[is_moving] == usual) < RENEWED_ALIKE:
         return c
-    repeats = same & moves & np.any(np.isfinite(velocity), axis=1)
+    repeats = same & moves & np.any(np.isfinite(velocity), axis=1) & ~_are_due(begins, same.size, usual)
     count = int(np.count_nonzero(repeats))
-    text = f"speed and course are new in every {usual:.0f}th row only, and repeated in {counted(count, 'row')}"
+    text = f"speed and course are new in one of {usual:.0f} rows only, and repeated in {counted(count, 'row')}"
     rows.say("velocity_repeated", f"{text}; not used there", count)
     names = ("speed", "course_deg", "velocity_north", "velocity_east", "velocity_up")
     return replace(c, **{name: np.where(repeats, np.nan, getattr(c, name)) for name in names})
+
+
+def _are_due(begins: IntArray, n: int, usual: float) -> BoolArray:
+    """Mask (n,) of the rows in which a new value is due every `usual` rows, in runs that begin at rows `begins`.
+
+    A rest that is no more than half as long is of a value that came late, not of another.
+    """
+    length = np.diff(np.append(begins, n))
+    run = np.repeat(np.arange(begins.size), length)
+    place = np.arange(n) - begins[run]
+    return np.asarray((place % usual == 0.0) & (length[run] - place > 0.5 * usual))
 
 
 def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

@@ -56,10 +56,14 @@ def _stamp_error(t: Array) -> float:
 
 
 def _digit(values: Array) -> float:
-    """Worth of the last digit that values (N,) are written with, 0 where they never change."""
+    """Worth of the last digit that values (N,) are written with, 0 where they never change.
+
+    By the values, their steps and how these change, which are so many digits too: on a road that leads elsewhere no
+    value comes near another, and the shortest step would pass for a digit.
+    """
     known = values[np.isfinite(values)]
     fine = MANTISSA * float(np.max(np.abs(known), initial=0.0))
-    gaps = np.diff(np.unique(known))
+    gaps = np.concatenate([np.diff(np.unique(np.diff(known, order))) for order in range(3)])
     return max(float(np.min(gaps[gaps > fine], initial=np.inf)), 4.0 * fine) if np.any(gaps > fine) else 0.0
 
 

@@ -224,8 +224,9 @@ def _without_fillers(gnss: GnssFixes) -> GnssFixes:
     if np.nanmax(np.abs(velocity_n[:, 2]), initial=0.0) == 0.0:
         velocity_n = np.column_stack([velocity_n[:, :2], np.full(len(gnss), np.nan)])
     alt_m = gnss.alt_m if np.nanmax(np.abs(gnss.alt_m), initial=0.0) > 0.0 else np.full(len(gnss), np.nan)
-    if len(alt_m) >= MANY_HEIGHTS and np.all(alt_m == alt_m[0]):
-        alt_m = np.where(np.arange(len(alt_m)) == 0, alt_m, np.nan)
+    known = np.flatnonzero(np.isfinite(alt_m))
+    if known.size >= MANY_HEIGHTS and np.all(alt_m[known] == alt_m[known[0]]):
+        alt_m = np.where(np.arange(len(alt_m)) == known[0], alt_m, np.nan)
     return replace(gnss, velocity_n=velocity_n, alt_m=alt_m)
 
 

@@ -105,6 +105,12 @@ def test_fixes_without_speed_are_a_warning(kart: RawSession) -> None:
     assert "no speed and course" in texts(check(changed(kart, gnss=blank)), "warning")
 
 
+def test_a_speed_in_every_fifth_fix_is_no_want_of_sentences(kart: RawSession) -> None:
+    held = np.arange(len(kart.gnss))[:, None] % 5 == 0
+    seldom = dataclasses.replace(kart.gnss, velocity_n=np.where(held, kart.gnss.velocity_n, np.nan))
+    assert "no speed and course" not in texts(check(changed(kart, gnss=seldom)), "warning")
+
+
 def test_gaps_of_the_motion_sensor_are_those_that_the_reader_tells(kart: RawSession) -> None:
     assert kart.imu is not None
     keep = np.ones(len(kart.imu.t), dtype=bool)

@@ -55,6 +55,17 @@ def test_fixes_before_the_receiver_had_settled_are_found(session: Session) -> No
     assert 10.0 < np.sum(again) / 5.0 < 50.0
 
 
+@pytest.mark.parametrize("every", [3, 5])
+def test_a_receiver_may_measure_its_velocity_less_often_than_its_positions(session: Session, every: int) -> None:
+    moving = coming_in(session, 0.0)
+    measured = np.arange(len(moving.gnss)) % every == 0
+    velocity_n = np.where(measured[:, None], moving.gnss.velocity_n, np.nan)
+    out = unsettled(replace(moving, gnss=replace(moving.gnss, velocity_n=velocity_n)))
+    assert out[0] and abs(int(out.sum()) - int(unsettled(moving).sum())) < 30
+    seldom = np.where(session.gnss.t[:, None] < session.gnss.t[0] + 60.0, moving.gnss.velocity_n, np.nan)
+    assert not unsettled(replace(moving, gnss=replace(moving.gnss, velocity_n=seldom))).any()
+
+
 @pytest.mark.parametrize("hold", [15.0, 30.0, 60.0])
 def test_a_receiver_may_wait_before_it_settles(session: Session, hold: float) -> None:
     t = session.gnss.t - session.gnss.t[0]

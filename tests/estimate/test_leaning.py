@@ -8,7 +8,7 @@ import pytest
 from smoother.estimate.leaning import LEANS, leaning_problems
 from smoother.frames import rotation_from_euler
 from smoother.sim.simulation import simulate_preset
-from smoother.trajectory import Trajectory
+from smoother.trajectory import EstimateReport, Keyframes, Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +36,24 @@ def test_two_wheels_do(driven: Trajectory) -> None:
     (said,) = leaning_problems(leaning(driven, -0.8))
     assert said.code == LEANS
     assert "leans into corners by" in said.text
+
+
+@pytest.mark.parametrize("rate", [1, 2, 10])
+def test_rows_may_be_as_far_apart_as_they_were_asked_for(driven: Trajectory, rate: int) -> None:
+    leans = leaning(driven, -0.8)
+    rows, at = leans.every(50 // rate), leans.every(10)
+    n, unknown = len(at), np.zeros((len(at), 3))
+    keyframes = Keyframes(
+        at.t,
+        at.position_n,
+        at.velocity_n,
+        at.R_nb,
+        np.zeros((n, 9, 9)),
+        *(unknown,) * 5,
+        np.zeros(3),
+    )
+    (said,) = leaning_problems(replace(rows, report=EstimateReport(keyframes=keyframes)))
+    assert said.code == LEANS
 
 
 def test_who_stands_tells_nothing(driven: Trajectory) -> None:

@@ -55,7 +55,7 @@ def choices() -> st.SearchStrategy[dict[str, Any]]:
             "rate": st.sampled_from([1.0, 7.5, 10.0, 50.0]),
             "count": st.integers(2, 120),
             "speed": st.floats(3.0, 40.0),
-            "radius": st.floats(4.0, 400.0),
+            "radius": st.floats(4.0, 400.0) | st.floats(4.0, 12.0),  # of the small ones laps are timed
             "turns_left": st.booleans(),
             "has_imu": st.booleans(),
             "laps": st.booleans(),

@@ -256,8 +256,26 @@ def test_a_velocity_that_is_renewed_less_often_than_the_positions_counts_once(tm
     sent = {"speed_mps": np.asarray(whole.speed)[held], "course_deg": np.asarray(whole.course_deg)[held]}
     fixes, said = lap(tmp_path, **sent)
     np.testing.assert_array_equal(np.isfinite(fixes.velocity_n[:, 0]), held == np.arange(600))
-    new = f"speed and course are new in every {every}th row only, and repeated in {600 - 600 // every} rows"
+    new = f"speed and course are new in one of {every} rows only, and repeated in {600 - 600 // every} rows"
     assert new in said["gps_velocity_repeated"]
+
+
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_of_a_kart_that_stands_such_a_velocity_is_measured_as_often(tmp_path: Path, every: int) -> None:
+    """Positions wander where nothing moves, by noise or as they settle: only the zeros say that it stands."""
+    whole = sound(tmp_path)
+    # of which no two rows in a row are the same
+    stands, wander = np.arange(600) < 200, 3e-6 * np.random.default_rng(6).standard_normal(600)
+    held = np.where(stands, 0, np.arange(600) // every * every)
+    sent = {
+        "speed_mps": np.where(stands, 0.0, np.asarray(whole.speed)[held]),
+        "course_deg": np.asarray(whole.course_deg)[held],
+        "lat_deg": np.where(stands, whole.lat_deg[200], whole.lat_deg) + wander,
+        "lon_deg": np.where(stands, whole.lon_deg[200], whole.lon_deg),
+    }
+    fixes, said = lap(tmp_path, **sent)
+    assert "gps_velocity_repeated" in said
+    np.testing.assert_array_equal(np.isfinite(fixes.velocity_n[:, 0]), np.arange(600) % every == 0)
 
 
 def test_a_coarse_or_steady_velocity_is_repeated_now_and_then_and_stays(tmp_path: Path) -> None:

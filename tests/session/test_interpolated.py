@@ -50,6 +50,32 @@ def test_every_second_row_is_left_out_where_rows_come_twice_as_often() -> None:
     assert rows is not None and np.all(np.diff(rows) == 2)
 
 
+def road(rate: float, duration: float = 600.0) -> tuple[Array, list[Array]]:
+    """Fixes on a road that leads north-east, so that no latitude comes near another."""
+    t = np.arange(0.0, duration, 1.0 / rate)
+    noise = 0.02 * np.random.default_rng(3).standard_normal((2, t.size))
+    course, speed = 0.8 + 0.4 * np.sin(t / 15.0) + 0.2 * np.sin(t / 4.0), 20.0 + 5.0 * np.sin(t / 9.0)
+    north, east = np.cumsum(speed * np.array([np.cos(course), np.sin(course)]), axis=1) / rate + noise
+    return t, [45 + north / 111_195, 12 + east / 78_600]
+
+
+def test_they_are_left_out_of_a_road_that_never_comes_back() -> None:
+    t, channels = road(1.0)
+    rows = np.round(np.arange(0.0, t[-1], 0.1), 6)
+    found = measured_rows(rows, [np.round(np.interp(rows, t, x), 7) for x in channels])
+    assert found is not None and abs(found.size - t.size) <= 2
+    for digits in (5, 6, 7, 9):
+        assert measured_rows(t, [np.round(x, digits) for x in channels]) is None
+        quick, measured = road(10.0)
+        assert measured_rows(quick, [np.round(x, digits) for x in measured]) is None
+
+
+def test_a_gentle_bend_without_any_noise_is_no_row_of_lines() -> None:
+    angle = 4.3 / 250.0 * np.arange(81) / 10.0
+    lat, lon = 0.4 + 250.0 * np.sin(angle) / 110_575, 4.3 - 250.0 * (1.0 - np.cos(angle)) / 111_319.7
+    assert measured_rows(np.arange(81) / 10.0, [np.round(lat, 9), np.round(lon, 9)]) is None
+
+
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 25.0])
 @pytest.mark.parametrize("digits", [5, 6, 7, 9])
 def test_measured_rows_stay_whatever_their_digits(rate: float, digits: int) -> None:

@@ -475,6 +475,11 @@ def test_heights_and_climbs_of_nothing_but_zeros_were_not_measured(folder: Folde
 def test_a_height_that_never_changes_was_measured_once_at_most(folder: Folder) -> None:
     constant = folder.write(imu__csv=imu_csv(count=1400), gps__csv=gps_csv(count=60)).load()
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(constant.gnss.alt_m)), [0])
+    rows = gps_csv(count=60).splitlines()
+    for row in (1, 30):  # where one is missing, no other was measured
+        rows[row] = rows[row].replace("12.0,8.0,", "12.0,,")
+    holes = folder.write(gps__csv="\n".join(rows)).load()
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(holes.gnss.alt_m)), [1])
     rough = folder.write(gps__csv=gps_csv(count=60).replace("12.0,8.0", "12.0,8.1", 1)).load()
     assert np.isfinite(rough.gnss.alt_m).all()
 

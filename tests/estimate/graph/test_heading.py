@@ -141,6 +141,19 @@ def test_moments_under_a_bridge_are_left_out() -> None:
     assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 5.0 * DEG
 
 
+def test_what_the_compass_read_before_the_first_keyframe_and_after_the_last_does_not_count() -> None:
+    state = laps()
+    mag = readings(state)
+    beside = np.arange(0.1, 60.0, 0.1)
+    t = np.concatenate([mag.t[0] - beside[::-1], mag.t, state.t[-1] + beside])
+    stray = np.tile([300.0, -50.0, 80.0], (len(beside), 1))
+    longer = MagSamples(t, np.concatenate([stray, mag.field_s, stray]))
+    heading, usual = (heading_from_field(each, state, DECLINATION, INCLINATION) for each in (longer, mag))
+    assert heading is not None and usual is not None
+    np.testing.assert_array_equal(heading.interval, usual.interval)
+    np.testing.assert_allclose(heading.field_s, usual.field_s)
+
+
 class TestRefusal:
     def test_a_field_that_has_nothing_to_do_with_the_heading_is_refused(self) -> None:
         state = laps()
