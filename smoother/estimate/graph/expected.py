@@ -22,9 +22,17 @@ What is left of it is no part of what the fit reads, the residuals of Doppler ag
 mean and the difference of what it is the mean of are independent), so that the acceleration needs to be freed from no
 more than that. The turn rate is left to the samples: Doppler tells of it through the path alone, whose errors by the
 arm and the latencies it would then be believed.
+
+What a path may hold between two keyframes is another matter. Slopes of fixes are made of velocity and acceleration at
+the keyframes, and so are the predictions: of a motion that is too quick for that, a chassis that hops on its tyres ten
+times a second, both are made of the same few samples, by which the prediction is then off. Slope and error go together,
+by as much as the hop has at the time from keyframe to fix, which looks like a latency: in a car that drives straight,
+where little else accelerates, one of 30 ms, this way or that by where in their intervals the fixes fall. So slopes are
+made of what samples T s apart can follow (Nyquist). The expected motion itself keeps the rest: it was there.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,17 +55,25 @@ TURNING = slice(TURN, TURN + 1)
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedMotion:
-    """velocity_n (M, 3) m/s, acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path.
-
-    The velocity is the path's, less what the noise in the acceleration has added to it. turn_variance, (rad/s)^2: of
-    the errors of turn_rate.
-    """
+class Motion:
+    """velocity_n (M, 3) m/s and acceleration_n (M, 3) m/s^2 at the edges of a path."""
 
     velocity_n: Array
     acceleration_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedMotion(Motion):
+    """Motion, and turn_rate (M,) rad/s about up, at the edges of a path.
+
+    The velocity is the path's, less what the noise in the acceleration has added to it. turn_variance, (rad/s)^2: of
+    the errors of turn_rate. followed: the motion without what is too quick for keyframes to follow; None where that is
+    all of it.
+    """
+
     turn_rate: Array
     turn_variance: float = 0.0
+    followed: Motion | None = None
 
     def means(self, n_bins: int) -> Array:
         """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
@@ -109,10 +125,22 @@ def expected_motion(
     lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
     level = most_probable(felt.channels(LEVEL_AND_TURNING).later(lead), sigma[:, LEVEL_AND_TURNING], LEVEL)
     up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
-    acceleration_n = np.einsum("kij,kj->ki", R_nb, np.hstack([level.signal.values(), up.signal.values()]))
-    noise_n = integrated(path.acceleration_n - acceleration_n, dt)
+    found = level.signal, up.signal
+    motion = _motion_along(path, R_nb, found)
+    followed = _motion_along(path, R_nb, [signal.slower_than(0.5 / interval) for signal in found])
     turn_rate = at_edges(turn.signal.values()[:, 0])
-    return ExpectedMotion(path.velocity_n - noise_n, at_edges(acceleration_n), turn_rate, float(turn.variance[0]))
+    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, turn_rate, float(turn.variance[0]), followed)
+
+
+def _motion_along(path: DensePath, R_nb: Array, accelerations: Sequence[Transform]) -> Motion:
+    """Motion with the accelerations, m/s^2 ahead, left and up, of the bins of `path`, whose axes are R_nb (M-1, 3, 3).
+
+    Velocities are the path's but for what its accelerations have beyond that.
+    """
+    acceleration_b = np.hstack([signal.values() for signal in accelerations])
+    acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
+    beyond_n = integrated(path.acceleration_n - acceleration_n, float(path.t[1] - path.t[0]))
+    return Motion(path.velocity_n - beyond_n, at_edges(acceleration_n))
 
 
 def _expected_turn(level: Array, rate: Array, speed: Array, scatter: Array, dt: float) -> MostProbable:

@@ -428,8 +428,12 @@ def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket,
     as good as keyframes that are all early by it, to which only the inertial samples object. Fixes and Doppler alone
     know how late one is behind the other a hundred times better than how late both are; with slopes that do not fit
     together, a thousandth of a second there (a Doppler that is filtered differently) is a hundredth of one here.
+
+    Without what is too quick for keyframes to follow: taken at these, it goes with what the curve misses between them.
     """
-    velocity_n, acceleration_n = (at_times(path, values, state.t) for values in (felt.velocity_n, felt.acceleration_n))
+    motion = felt if felt.followed is None else felt.followed
+    of_motion = motion.velocity_n, motion.acceleration_n
+    velocity_n, acceleration_n = (at_times(path, values, state.t) for values in of_motion)
     return _weighed(b, weights, velocity_n, acceleration_n)
 
 

@@ -64,6 +64,10 @@ class Transform:
         turned = np.exp(-2j * np.pi * self.frequency[:, None] * by)
         return replace(self, coefficients=self.coefficients * turned)
 
+    def slower_than(self, limit: float) -> "Transform":
+        """Return the values without what is as quick as `limit` Hz or quicker."""
+        return replace(self, coefficients=np.where(self.frequency[:, None] < limit, self.coefficients, 0.0))
+
 
 def quick_length(count: int) -> int:
     """Least even number from `count` on that is FACTOR times a power of two at most."""

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.expected import ExpectedMotion, expected_motion
 from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path
+from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise, dense_path
 from smoother.estimate.graph.inertial import empty_system
 from smoother.estimate.graph.rows import (
     Rows,
@@ -178,6 +178,47 @@ def velocity_maker(binned: BinnedImu, gyro: np.ndarray, t: np.ndarray = TIMES) -
         return velocity_rows(state, path, felt, t, np.ones(shape), np.ones(shape))
 
     return make
+
+
+def hopping() -> tuple[ChainState, DensePath, Callable[[np.ndarray], np.ndarray]]:
+    """Keyframes of a car that drives straight on and hops on its tyres, their path, and its velocity at t, (N, 3).
+
+    The samples tell everything of it. It hops eight to twelve times a second, by a decimetre a second.
+    """
+    rng = np.random.default_rng(0)
+    hz = np.concatenate([rng.uniform(0.1, 0.6, 20), rng.uniform(8.0, 12.0, 40)])
+    speed = np.concatenate([np.full(20, 0.3), np.full(40, 0.1 / np.sqrt(20.0))])
+    phase = rng.uniform(0.0, 2.0 * np.pi, 60)
+
+    def velocity_n(t: np.ndarray) -> np.ndarray:
+        ahead = np.cos(2.0 * np.pi * np.outer(t, hz) + phase) @ speed
+        return np.asarray(ahead[:, None] * [1.0, 0.0, 0.0] + [20.0, 0.0, 0.0])
+
+    def position_n(t: np.ndarray) -> np.ndarray:
+        ahead = np.sin(2.0 * np.pi * np.outer(t, hz) + phase) @ (speed / (2.0 * np.pi * hz))
+        return np.asarray((ahead + 20.0 * t)[:, None] * [1.0, 0.0, 0.0])
+
+    n, n_bins = 1501, 5
+    t = T * np.arange(n)
+    zeros, edges = np.zeros((n, 3)), T / n_bins * np.arange((n - 1) * n_bins + 1)
+    constants = Constants(0.0, 0.0, np.zeros(3))
+    state = ChainState(t, np.tile(np.eye(3), (n, 1, 1)), position_n(t), velocity_n(t), zeros, zeros, zeros, constants)
+    force = np.diff(velocity_n(edges), axis=0).reshape(n - 1, n_bins, 3) * n_bins / T - GRAVITY_N
+    path = path_of(state, BinnedImu(t, T / n_bins, force, np.zeros_like(force), np.zeros(n - 1)))
+    return state, path, velocity_n
+
+
+class TestHoppingCar:
+    @pytest.mark.parametrize("share", [0.2, 0.3, 0.7, 0.8])
+    def test_what_the_curve_misses_between_two_keyframes_is_no_latency(self, share: float) -> None:
+        """Wherever in their intervals the velocities fall: with the hop in the slopes it is one of 10 ms and more."""
+        state, path, velocity_n = hopping()
+        felt = expected_motion(path, np.eye(3), InertialNoise(0.1, 1e-3, 0.003, 1e-4), None, T)
+        t = state.t[5:-5] + share * T
+        rows = velocity_rows(state, path, felt, t, velocity_n(t), np.ones((len(t), 3)))
+        residual, slope = rows.residual[:, 0], rows.constants[:, 0, VELOCITY_LATENCY.start]
+        assert np.std(residual) > 0.05  # there is much that the curve misses
+        assert abs(residual @ slope / (slope @ slope)) < 4e-3
 
 
 @pytest.mark.parametrize("make", [position_maker, velocity_maker])

@@ -42,6 +42,11 @@ class TestTransform:
         np.testing.assert_allclose(late[inside, 0], np.sin(2.0 * np.pi * 0.5 * (MIDDLE - 0.3))[inside], atol=1e-3)
         np.testing.assert_allclose(late[:, 1], wave[:, 0], atol=1e-12)
 
+    def test_what_is_slower_stays_and_what_is_quicker_goes(self) -> None:
+        slow, quick = np.sin(2.0 * np.pi * 0.5 * MIDDLE), np.sin(2.0 * np.pi * 4.0 * MIDDLE)
+        left = Transform.of((slow + quick + 7.0)[:, None], DT).slower_than(2.0).values()[:, 0]
+        np.testing.assert_allclose(left[500:-500], slow[500:-500] + 7.0, atol=0.01)
+
     def test_lengths_are_quick(self) -> None:
         for count in (*range(1, 500), 15017, 30047, 999983):
             length = quick_length(count)
