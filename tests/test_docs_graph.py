@@ -179,7 +179,8 @@ def test_doppler_velocity(last: Linearized) -> None:
     t = data.t[use] - c.velocity_latency
     arm_n = attitude_at(path, t) @ c.lever_arm_s
     swing = np.interp(t, path.t, felt.turn_rate)[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0], 0.0 * t])
-    beta = rho * level(last, np.gradient(felt.acceleration_n, dt, axis=0), t)
+    assert felt.followed is not None
+    beta = rho * level(last, np.gradient(felt.followed.acceleration_n, dt, axis=0), t)
     u = min(max((rho - 0.001) / 0.003, 0.0), 1.0)
     if u > 0.0:
         tau, arm = math.sqrt(2.0 * rho), path.R_ns @ c.lever_arm_s

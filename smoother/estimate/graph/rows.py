@@ -448,12 +448,14 @@ class _Response:
 def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Array) -> _Response:
     """Response at t (N,) s to the motion that the antenna is expected to have had, without up.
 
-    The second derivative; of a response beyond its own noise it is that of a low-pass of first order, late
-    by its time constant tau: tau^2 / 2 is left beyond that delay in slow motion, less in quick.
+    The second derivative, of what is slow enough for keyframes and for that; of a response beyond its own noise it is
+    that of a low-pass of first order, late by its time constant tau: tau^2 / 2 is left beyond that delay in slow
+    motion, less in quick.
     """
     dt, response = float(path.t[1] - path.t[0]), session.velocity_response
     jerk_n = np.gradient(felt.acceleration_n[:, :2], dt, axis=0)
-    slope = at_times(path, _level(jerk_n), t)
+    slow = felt if felt.followed is None else felt.followed
+    slope = at_times(path, _level(np.gradient(slow.acceleration_n[:, :2], dt, axis=0)), t)
     simple = _Response(response * slope, slope)
     u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
     share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])

@@ -220,6 +220,17 @@ class TestHoppingCar:
         assert np.std(residual) > 0.05  # there is much that the curve misses
         assert abs(residual @ slope / (slope @ slope)) < 4e-3
 
+    @pytest.mark.parametrize("share", [0.2, 0.3, 0.7, 0.8])
+    def test_nor_is_it_a_receiver_that_answers_to_the_second_derivative(self, share: float) -> None:
+        """That holds of motion which is slow for its filter; of a hop it is a hundred times the hop."""
+        state, path, velocity_n = hopping()
+        felt = expected_motion(path, np.eye(3), InertialNoise(0.1, 1e-3, 0.003, 1e-4), None, T)
+        t = state.t[5:-5] + share * T
+        rows = velocity_rows(state, path, felt, t, velocity_n(t), np.ones((len(t), 3)))
+        residual, slope = rows.residual[:, 0], rows.constants[:, 0, VELOCITY_RESPONSE.start]
+        assert np.std(residual) > 0.05
+        assert abs(residual @ slope / (slope @ slope)) < 1e-3
+
 
 @pytest.mark.parametrize("make", [position_maker, velocity_maker])
 class TestReceiverJacobians:
