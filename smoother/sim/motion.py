@@ -75,6 +75,7 @@ class Motion:
     pitch_per_acceleration: float = 0.0012  # rad per m/s^2
     steering: float = 0.0  # rad, one sigma of the angle of a steering wheel that carries the box; 0: it is on the frame
     steering_length: float = 0.15  # s between independent values of it: turning of up to 3 Hz
+    steering_per_curvature: float = 0.0  # rad m: how far that wheel turns with the bend, beside it; karts 1.2 to 4
     column: float = 40.0 * DEG  # by which the wheel's column rises from the level towards the driver
     roughness: float = 0.25 * DEG  # rad, roll and pitch of the asphalt, one sigma
     roughness_length: float = 6.0  # m

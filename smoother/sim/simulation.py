@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from smoother.arrays import Array
 from smoother.samples import RawSession
@@ -26,6 +27,9 @@ from smoother.sim.sensors import (
 )
 from smoother.sim.track import TRACKS, Track
 from smoother.sim.truth import Clock, Truth
+
+WHEEL_STEP = 0.05  # s; steering is slower than 10 Hz
+SLOW = 2.0  # m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
     truth = drive(TRACKS[scenario.track], scenario.motion, scenario.duration, motion_rng, clock)
     field_n = _field_n(scenario)
     R_bs, duration = scenario.R_bs, scenario.duration
-    wheel = _wheel(scenario.motion, duration, wheel_rng)
+    wheel = _wheel(scenario.motion, truth, duration, wheel_rng)
     imu = None if imu_errors is None else simulate_imu(truth, imu_errors, R_bs, duration, imu_rng, wheel)
     gnss = simulate_gnss(truth, scenario.gnss, scenario.lever_arm_b, duration, scenario.start_unix, gnss_rng)
     mag, calibration = None, None
@@ -84,12 +88,24 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
     return Simulation(raw, truth, scenario, field_n, imu, gnss)
 
 
-def _wheel(motion: Motion, duration: float, rng: np.random.Generator) -> Wheel | None:
+def _wheel(motion: Motion, truth: Truth, duration: float, rng: np.random.Generator) -> Wheel | None:
     """The steering wheel with the box on it; None for a box on the frame."""
     if motion.steering == 0.0:
         return None
     angle = wander(-MARGIN, duration + MARGIN, motion.steering_length, rng, motion.steering)
+    if motion.steering_per_curvature != 0.0:
+        time = np.arange(-MARGIN, duration + MARGIN, WHEEL_STEP)
+        bend = motion.steering_per_curvature * _curvature(truth, truth.clock.to_session(time))
+        angle = make_interp_spline(time, angle(time) + bend, k=5)
     return Wheel(angle, np.array([-np.cos(motion.column), 0.0, np.sin(motion.column)]))
+
+
+def _curvature(truth: Truth, t: Array) -> Array:
+    """1/m (N,) of the path at session times t (N,) s, positive to the left; less below the speed of a walk."""
+    states = truth.at(np.clip(t, truth.first, truth.last))
+    velocity, change = states.velocity_n, states.acceleration_n
+    across = velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]
+    return np.asarray(across / np.maximum(np.hypot(velocity[:, 0], velocity[:, 1]), SLOW) ** 3)
 
 
 def simulate_preset(

@@ -15,7 +15,7 @@ from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
-from smoother.samples import Session
+from smoother.samples import ImuSamples, Session
 from smoother.session.load import load_raw
 from smoother.sim.motion import Spin
 from smoother.sim.scenario import Interval
@@ -198,6 +198,24 @@ def test_a_receiver_may_go_straight_on_into_a_gap(session: Session) -> None:
         lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + 8.0)
     found = found_in(replace(given, gnss=given.gnss.select(~lost)))
     assert np.mean(found[out[~lost]]) > 0.9
+
+
+def without_samples(session: Session, starts: list[float], lasts: float) -> Session:
+    """The session without its samples for `lasts` s from each of the starts, s from the first fix on."""
+    imu = session.imu
+    assert imu is not None
+    t = imu.t - session.gnss.t[0]
+    kept = ~np.any([(t > start) & (t < start + lasts) for start in starts], axis=0)
+    parts = (imu.t[kept], imu.specific_force_s[kept], imu.angular_rate_s[kept])
+    return replace(session, imu=ImuSamples(*parts))
+
+
+@pytest.mark.parametrize("lasts", [1.0, 4.0])
+def test_beside_holes_of_the_samples_fixes_are_measured_all_the_same(session: Session, lasts: float) -> None:
+    """Where the attitude is made up, a hill passes for braking that the receiver missed."""
+    for each in (session, country_road(slope=0.09).session):
+        holes = np.arange(30.0, 170.0, lasts + 7.0).tolist()
+        assert not found_in(without_samples(each, holes, lasts)).any()
 
 
 def test_coarse_velocities_and_those_that_are_seldom_renewed_are_not_held(session: Session) -> None:

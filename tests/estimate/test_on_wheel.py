@@ -9,6 +9,7 @@ from smoother import so3
 from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.sensor_units import beginning
 from smoother.samples import GnssFixes, ImuSamples
+from smoother.sim.motion import wander
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
 
@@ -35,6 +36,15 @@ def test_a_box_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
 @pytest.mark.parametrize("seconds", [45.0, 90.0])
 def test_a_box_on_the_frame_is_not_taken_for_one(preset: str, seconds: float) -> None:
     assert not any(is_on_wheel(*driven(preset, seed, seconds=seconds)) for seed in range(4))
+
+
+def test_a_box_that_rocks_by_more_than_it_turns_is_loose_and_not_on_the_wheel() -> None:
+    simulation = simulate_preset("kart", 2, duration=90.0, motion_steering=10.0 * DEG)
+    assert simulation.raw.imu is not None
+    imu, ahead_s = beginning(simulation.raw.imu), simulation.scenario.R_bs.T @ [1.0, 0.0, 0.0]
+    rocks = wander(float(imu.t[0]), float(imu.t[-1]), 0.15, np.random.default_rng(4), 2.0)(imu.t)
+    loose = replace(imu, angular_rate_s=imu.angular_rate_s + rocks[:, None] * ahead_s)
+    assert is_on_wheel(imu, simulation.raw.gnss) and not is_on_wheel(loose, simulation.raw.gnss)
 
 
 def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:

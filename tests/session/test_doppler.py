@@ -242,6 +242,15 @@ def test_velocities_upwards_that_contradict_the_heights_are_not_used(tmp_path: P
     assert np.isnan(fixes.velocity_n[:, 2]).all() == bool(said) and np.isfinite(fixes.velocity_n[:, :2]).all()
 
 
+def test_velocities_upwards_that_wander_as_much_as_they_climb_do_not_clearly_contradict_the_heights(
+    tmp_path: Path,
+) -> None:
+    """By such errors heights seem to rise by half; in 24 times CLIMB_TIME that may be all of it as well."""
+    wandering = 0.4 * np.cos(np.arange(0.0, 120.0, 0.2) / 4.1)
+    fixes, told = lap(tmp_path, alt_m=np.cumsum(CLIMB) * 0.2, vel_u_mps=CLIMB + wandering)
+    assert told == {} and np.isfinite(fixes.velocity_n).all()
+
+
 def test_velocities_upwards_on_the_flat_are_left_alone(tmp_path: Path) -> None:
     """Where neither goes up or down, both are noise, and say nothing of each other."""
     rng = np.random.default_rng(9)

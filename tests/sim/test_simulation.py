@@ -7,6 +7,7 @@ from smoother.samples import RawSession
 from smoother.sim.presets import PRESETS
 from smoother.sim.simulation import simulate_preset
 from smoother.sim.track import TRACKS
+from smoother.units import DEG
 
 
 def assert_same(first, second):
@@ -53,6 +54,23 @@ def test_errors_of_the_fixes_are_the_recorded_ones():
     white = gnss.fixes.position_n(truth.origin) - position - gnss.offset_n - gnss.jump_n
     np.testing.assert_allclose(np.std(white, axis=0), [0.3, 0.3, 0.5], rtol=0.15)
     assert np.max(np.abs(gnss.jump_n)) > 5.0
+
+
+def test_a_steering_wheel_turns_with_the_bends_and_leaves_the_draws_as_they_were():
+    """A turn about a column that stands upright is one about up: of the wheel, as fast as the curvature changes."""
+    changes = {"duration": 60.0, "motion_steering": 1.0 * DEG, "motion_column": 90.0 * DEG}
+    still, turned = (simulate_preset("white", 4, motion_steering_per_curvature=k, **changes) for k in (0.0, 2.0))
+    assert_same(still.truth.control, turned.truth.control)
+    t = turned.raw.imu.t
+    up_s = turned.scenario.R_bs.T @ [0.0, 0.0, 1.0]
+    angle = np.cumsum((turned.raw.imu.gyro - still.raw.imu.gyro) @ up_s) * np.median(np.diff(t))
+    states = turned.truth.at(t)
+    velocity, change = states.velocity_n, states.acceleration_n
+    across = velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]
+    fast = np.hypot(velocity[:, 0], velocity[:, 1]) > 5.0
+    wanted = 2.0 * across[fast] / np.hypot(velocity[fast, 0], velocity[fast, 1]) ** 3
+    assert np.std(wanted) > 2.0 * DEG
+    assert np.std(angle[fast] - wanted) < 0.1 * np.std(wanted)
 
 
 def test_static_session_without_gps_velocity_can_be_asked_for():

@@ -170,6 +170,80 @@ def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, u
     assert swing_on_the_wheel(keyframes_of_drive(wheel, lean, unsure)) is None
 
 
+def keyframes_of_calm_drive(
+    wheel: float = 0.0,
+    hand: float = 0.0,
+    bank: float = 0.0,
+    column: float = 50.0 * DEG,
+    lean: float = 0.09 * DEG,
+    rocking: float = 0.0,
+    seed: int = 6,
+) -> Keyframes:
+    """A kart on laps whose driver moves the wheel little beside what the bends need, and a box on the column, or not.
+
+    wheel: rad of it per 1/m of curvature; hand: rms rad beside that; bank: rad inwards per 1/m of curvature of the
+    road; lean: rad of the frame outwards per m/s^2; rocking: rms rad.
+    """
+    state = state_of_drive(np.eye(3), slip=-0.25 * DEG, lean=lean, noise=0.05 * DEG, turns=0.05)
+    rng = np.random.default_rng(seed)
+    course = np.unwrap(np.arctan2(state.velocity_n[:, 1], state.velocity_n[:, 0]))
+    curvature = np.gradient(course, INTERVAL) / np.hypot(*state.velocity_n[:, :2].T)
+    quick = np.convolve(rng.normal(size=K), [0.25, 0.5, 0.25], mode="same") / np.sqrt(0.375)
+    angle = (wheel * curvature + hand * quick)[:, None]
+    axis = np.array([-np.sin(column), 0.0, np.cos(column)])
+    banked = so3.exp(-bank * curvature[:, None] * np.array([1.0, 0.0, 0.0]))
+    rocks = so3.exp(rng.normal(size=(K, 1)) * [rocking, 0.0, 0.0])
+    R_nb = state.R_ns @ banked @ so3.exp(angle * axis) @ rocks
+    covariance = np.tile(np.diag([(0.15 * DEG) ** 2] * 9), (K, 1, 1))
+    zeros = np.zeros((K, 3))
+    return Keyframes(state.t, zeros, state.velocity_n, R_nb, covariance, zeros, zeros, zeros, zeros)
+
+
+@pytest.mark.parametrize("column", [30.0 * DEG, 60.0 * DEG])
+def test_a_box_on_the_wheel_of_a_calm_driver_is_noticed_by_how_it_leans_into_bends(column: float) -> None:
+    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, column=column)
+    swing = swing_on_the_wheel(calm)
+    assert swing is not None
+    assert 0.5 * DEG < swing[0] < 6.0 * DEG
+    assert swing[1] == 0.0
+    assert 0.5 * DEG < swing[2] < 6.0 * DEG
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        keyframes_of_calm_drive(),  # a box in the floor
+        keyframes_of_calm_drive(lean=0.25 * DEG),  # of a soft frame
+        keyframes_of_calm_drive(bank=1.6),  # where each bend is banked
+        keyframes_of_calm_drive(hand=0.4 * DEG),  # a hand moves it, and the bends do not
+        keyframes_of_calm_drive(bank=1.6, hand=0.4 * DEG, column=10.0 * DEG),  # there, of a kart that is corrected
+        keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, column=80.0 * DEG),  # it rocks about its length
+        keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG, bank=8.0),  # what leans as two wheels do
+    ],
+)
+def test_what_leans_otherwise_is_not_taken_for_a_calm_drivers_wheel(other: Keyframes) -> None:
+    assert swing_on_the_wheel(other) is None
+
+
+def test_spins_do_not_hide_a_box_on_the_wheel_of_a_calm_driver() -> None:
+    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG)
+    spun = np.zeros((K, 3))
+    for middle in (300, 700, 1300):
+        spun[:, 2] += np.pi * np.exp(-0.5 * ((np.arange(K) - middle) / 3.0) ** 2)
+    assert swing_on_the_wheel(replace(calm, R_nb=calm.R_nb @ so3.exp(spun))) is not None
+
+
+def test_where_roll_is_not_known_a_calm_drivers_wheel_does_not_show() -> None:
+    calm = keyframes_of_calm_drive(wheel=1.6, hand=0.4 * DEG)
+    unsure = np.tile(np.diag([(8.0 * DEG) ** 2] * 9), (K, 1, 1))
+    assert swing_on_the_wheel(replace(calm, covariance=unsure)) is None
+
+
+def test_a_box_that_rocks_on_banks_does_not_pass_for_one_on_the_wheel_by_luck() -> None:
+    karts = (keyframes_of_calm_drive(bank=1.6, rocking=1.0 * DEG, seed=seed) for seed in range(12))
+    assert not any(swing_on_the_wheel(kart) is not None for kart in karts)
+
+
 def test_attitudes_in_a_hole_of_the_samples_have_no_say() -> None:
     R_bs = random_rotation(2)
     state = state_of_drive(R_bs, slip=0.6 * DEG, lean=0.3 * DEG, noise=0.5 * DEG)

@@ -628,6 +628,31 @@ def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure
         assert np.mean(np.abs(error) < 2.0 * sigma) == pytest.approx(0.955, abs=0.03 if wheel_turns_it else 0.05)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_box_on_the_wheel_of_a_calm_driver_is_named_too(seed: int) -> None:
+    changes = {"motion_standstill": None, "motion_steering": 1.0 * DEG, "motion_steering_per_curvature": 2.0}
+    simulation = simulate_preset("kart", seed, duration=100.0, **changes)
+    found = GraphSmoother().estimate(prepare(simulation.raw))
+    assert [problem.code for problem in found.report.problems] == [BOX_ON_WHEEL]
+    assert found.sigmas is not None
+    driving, true = found.speed > 5.0, simulation.truth.at(found.t).R_nb
+    for i in (0, 2):
+        error = wrap_angle(euler_from_rotation(found.R_nb)[i] - euler_from_rotation(true)[i])[driving]
+        normalised = error / found.sigmas.attitude[driving, i]
+        assert np.sqrt(np.mean(normalised**2)) < 1.6  # 3 to 4.5 where it passes for a box on the frame
+
+
+def test_where_nothing_tells_of_heights_a_road_may_climb() -> None:
+    """The ground is taken to be level then, and 5 % of slope are 0.7 m/s: 6 of the sigmas of a level road."""
+    road = country_road(slope=0.05)
+    gnss = road.session.gnss
+    level = replace(gnss, alt_m=np.full(len(gnss), np.nan), velocity_n=gnss.velocity_n * [1.0, 1.0, np.nan])
+    found = GraphSmoother().estimate(replace(road.session, gnss=level))
+    assert found.report.mode == "full" and found.sigmas is not None
+    off = found.velocity_n[:, 2] - np.interp(found.t, road.t, road.velocity_n[:, 2])
+    assert np.sqrt(np.mean((off / found.sigmas.velocity_n[:, 2]) ** 2)) < 1.5
+
+
 def test_keyframes_are_closer_where_fixes_are() -> None:
     options = GraphOptions()
     assert options.for_fixes(0.2 * np.arange(100)) is options
