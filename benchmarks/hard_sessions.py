@@ -302,7 +302,11 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--long", action="store_true", help="also the hour in the paddock")
     arguments = parser.parse_args()
-    wanted = [hard for hard in (*HARD, *([PARKED_LONG] if arguments.long else [])) if arguments.case in hard.name]
+    known = (*HARD, *([PARKED_LONG] if arguments.long else []))
+    wanted = [hard for hard in known if arguments.case in hard.name]
+    if not wanted:
+        names = "; ".join(hard.name for hard in known)
+        parser.error(f"no session has {arguments.case!r} in its name; there are {names}")
     work = partial(run_by_name, seed=arguments.seed)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         outcomes = list(pool.map(work, [hard.name for hard in wanted]))

@@ -110,8 +110,12 @@ def naming(path: Path) -> Iterator[None]:
         file, colon, rest = text.partition(":")
         if Path(file).is_absolute() or text.startswith((str(path), str(directory))):
             raise
-        is_there = bool(colon and file) and (directory / file).exists()
-        raise type(error)(f"{directory / file}:{rest}" if is_there else f"{path}: {text}") from error
+        if colon and file and (directory / file).exists():
+            named = f"{directory / file}:{rest}"
+        else:
+            own = (path.resolve().name.partition(".")[0], directory.resolve().name)  # the session needs no second name
+            named = f"{path}:{rest}" if colon and file in own else f"{path}: {text}"
+        raise type(error)(named) from error
 
 
 def read(path: Path) -> RawSession:

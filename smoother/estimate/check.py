@@ -19,6 +19,7 @@ from smoother.samples import (
     DEAD_AXES,
     IMU_AXES_UNKNOWN,
     IMU_INCOMPLETE,
+    VIBRATION,
     GnssFixes,
     Problem,
     RawImu,
@@ -41,7 +42,7 @@ _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_fol
 SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
-_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES)  # problems of the reader that are judged below by themselves
+_JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES, VIBRATION)  # of the reader, judged below by themselves
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class CheckLimits:
     clipped: float = 0.001  # share of samples
     clipped_stop: float = 0.02
     accel_vibration: float = 8.0  # m/s^2 rms over the three axes; a rigidly mounted box on a kart has about 4
+    accel_bent: float = 25.0  # m/s^2 rms; stronger, and clipped, it makes gravity seem another
+    bent_gravity: tuple[float, float] = (0.45, 2.0)  # of the standard, what is left of it then
     gyro_vibration: float = 120.0 * DEG  # rad/s rms; about 95 deg/s was seen on a kart that still could be smoothed
     gravity: tuple[float, float] = (0.75, 1.6)  # of the standard, slow specific force at its 20th percentile
     turn_rate: float = 10.0  # rad/s, slow rate rms; above it the file is most likely in deg/s
@@ -246,10 +249,13 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
     yield Finding("warning" if strong else "ok", "IMU", f"vibration {accel:.1f} m/s² and {gyro:.0f} deg/s rms{remedy}")
     gravity, (low, high) = measures["slow_force_mps2"] / STANDARD_GRAVITY, limits.gravity
     if not low <= gravity <= high:
-        text = (
-            f"the accelerometer reads {measures['slow_force_mps2']:.2f} m/s² where 9.8 is due; is it in another unit?"
-        )
-        yield Finding("stop", "IMU", text)
+        reads = f"the accelerometer reads {measures['slow_force_mps2']:.2f} m/s² where 9.8 is due"
+        least, most = limits.bent_gravity
+        if accel > limits.accel_bent and least <= gravity <= most:
+            text = f"{reads}, as where vibration is clipped; damp the box, or set a wider range"
+            yield Finding("warning", "IMU", text)
+        else:
+            yield Finding("stop", "IMU", f"{reads}; is it in another unit?")
     if measures["slow_turn_rate_dps"] * DEG > limits.turn_rate:
         yield Finding("stop", "IMU", "the gyroscope turns faster than any kart; is it in deg/s instead of rad/s?")
 

@@ -25,6 +25,13 @@ SIGMAS = 4.5  # beyond the usual scatter; without coasting 4 is not reached, in 
 SIGMAS_OF_LOOSE, LOOSE = 9.0, 0.92
 LEAST_FELT = 1.0  # m/s of such a change; where little is felt cars' receivers seemed to go straight on at 0.8
 STRAIGHT = 0.25  # of the change that is felt is what was sent at most
+# s: vibration that sampling without a filter folds to 0 Hz pushes for as long as its phase stands still, where the
+# engine's frequency changes by 5 Hz/s
+STANDING_TONE = 0.3
+AROUND = 2.0  # s to either side of a window, in which vibration is as strong as where it is folded to 0 Hz and unseen
+UNLIKE = 0.5  # of what is told or felt is off, where the two have little in common
+SELDOM_UNLIKE = 1  # window like that within REACH, where the receiver does not go straight; more, and samples are wrong
+OFTEN_UNLIKE = 0.02  # of all windows, beyond which they are wrong anywhere; of coasting receivers 0.005 are
 MIN_SPEED = 5.0  # m/s; nobody who crawls goes straight on
 ALIKE = 0.6  # m/s by which velocities of one coasting differ, their noise included
 SHORTEST, REACH = 0.8, 10.0  # s of one coasting, at least, and to either side of where it is felt, at most
@@ -62,15 +69,20 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
     apart = velocity - summed
     looseness = 1.0 if alignment.share_explained > LOOSE else SIGMAS_OF_LOOSE / SIGMAS
     parting = _Parting.of(apart[last] - apart[first], _shaken(imu, felt_at[first], felt_at[last]), looseness)
-    goes_straight = _goes_straight(parting, velocity[last] - velocity[first], summed[last] - summed[first])
+    told, felt = velocity[last] - velocity[first], summed[last] - summed[first]
+    goes_straight = _goes_straight(parting, told, felt)
+    goes_straight &= parting.off > STANDING_TONE * _quick(imu, felt_at[first], felt_at[last])
     is_fast = np.hypot(*velocity.T) > MIN_SPEED
     ended: dict[int, bool] = {}
+    runs: list[slice] = []
     for k in np.flatnonzero(goes_straight & is_fast[first]).tolist():
         alike = _alike(t, velocity, int(first[k]), int(last[k]))
         if alike.stop not in ended:  # the first window of several that see the same
             ended[alike.stop] = _catches_up(t, apart, int(first[k]), alike.stop - 1)
         if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
-            out[rows[alike]] = True
+            runs.append(alike)
+    for run in _trusted(t, runs, (t[first], t[last]), parting.is_unlike(told, felt)):
+        out[rows[run]] = True
     begin, end = _held(t, velocity, is_fast)
     sampled = _are_sampled(imu, felt_at[begin], felt_at[end])
     for one, other in zip(begin[sampled].tolist(), end[sampled].tolist(), strict=True):
@@ -84,9 +96,10 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
 class _Parting:
     """How velocity that is told and felt part in WINDOW s: off (W, 2) m/s, but for what is steady.
 
-    beyond (W,): that in usual scatters. drift (2,) m/s: what is steady. usual: scatter, m/s.
+    off (W,) m/s: by how much. beyond (W,): that in usual scatters. drift (2,) m/s: what is steady. usual: scatter, m/s.
     """
 
+    off: Array
     beyond: Array
     drift: Array
     usual: float
@@ -100,8 +113,17 @@ class _Parting:
         off = np.hypot(*(parted - drift).T)
         usual = max(MEDIAN_TO_SIGMA * median(off), 1e-3)
         return cls(
-            off / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0)) / looseness, drift, usual * looseness
+            off,
+            off / np.sqrt(usual**2 + np.maximum(shaken - median(shaken), 0.0)) / looseness,
+            drift,
+            usual * looseness,
         )
+
+    def is_unlike(self, told: Array, felt: Array) -> BoolArray:
+        """Mask (W,) of the windows in which what is told and felt (W, 2) m/s is off beyond chance and has little in
+        common: of a quick corner a part may be off by times that are not known yet."""
+        most = np.maximum(np.hypot(*told.T), np.hypot(*felt.T))
+        return np.asarray((self.beyond > SIGMAS) & (self.off > UNLIKE * most))
 
     def is_beyond(self, lasts: Array, parted: Array) -> BoolArray:
         """Mask (H,) of what is parted (H, 2) m/s in (H,) s by more than chance does, where velocity is held."""
@@ -142,6 +164,34 @@ def _shaken(imu: ImuSamples, begin: Array, end: Array) -> Array:
     squared = np.sum(np.diff(imu.specific_force_s, axis=0) ** 2, axis=1) / 6.0 * steps**2  # (m/s)^2 per axis
     total = np.concatenate([[0.0], np.cumsum(squared)])
     return np.asarray(total[np.searchsorted(imu.t, end) - 1] - total[np.searchsorted(imu.t, begin) - 1])
+
+
+def _quick(imu: ImuSamples, begin: Array, end: Array) -> Array:
+    """Rms (W,) m/s^2 of what changes from sample to sample around the spans from begin to end (W,) s."""
+    squared = 0.5 * np.sum(np.diff(imu.specific_force_s, axis=0) ** 2, axis=1)
+    total = np.concatenate([[0.0], np.cumsum(squared)])
+    low = np.searchsorted(imu.t, begin - AROUND)
+    high = np.maximum(np.searchsorted(imu.t, end + AROUND) - 1, low + 1)
+    return np.asarray(np.sqrt((total[high] - total[low]) / (high - low)))
+
+
+def _trusted(t: Array, runs: list[slice], windows: tuple[Array, Array], unlike: BoolArray) -> list[slice]:
+    """Those of the runs of fixes at t (M,) s near which the samples are right while the receiver turns and brakes; none
+    where they are often wrong.
+
+    windows: begin and end (W,) s; unlike (W,): what is told and felt in them has little in common.
+    """
+    begin, end = windows
+    beside = np.ones(len(begin), dtype=np.bool_)
+    for run in runs:
+        beside &= (end < t[run.start] - WINDOW) | (begin > t[run.stop - 1] + WINDOW)
+    unlike = beside & unlike
+    if np.mean(unlike) > OFTEN_UNLIKE:
+        return []
+    at = begin[unlike]
+    return [
+        run for run in runs if np.sum((at > t[run.start] - REACH) & (at < t[run.stop - 1] + REACH)) <= SELDOM_UNLIKE
+    ]
 
 
 def _catches_up(t: Array, apart: Array, first: int, end: int) -> bool:

@@ -2,7 +2,8 @@
 
 A gyroscope in another unit turns with the course all the same, only so many times as fast, and an accelerometer with
 another range feels so many times gravity. What is off by a known unit is converted; what is off by any other factor is
-left out, since nobody knows what else is wrong with it.
+left out, since nobody knows what else is wrong with it. Strong vibration that is clipped makes gravity seem another,
+too; that is said as what it is, and such samples stay.
 """
 
 from dataclasses import replace
@@ -10,12 +11,16 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.estimate.align import Alignment, PathMotion, align
-from smoother.samples import GnssFixes, ImuSamples, Problem, RawImu, RawSession
+from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession
 from smoother.units import DEG
 
 ENOUGH = 1 << 20  # samples from the beginning, an hour and a half at 200 Hz
+SOME = 100_000  # samples, evenly taken, that tell how much the box is shaken
 LIKELY_TURN = (0.5, 2.0)  # of the course; boxes of karts and cars have 0.85 to 1.02
 LIKELY_FORCE = (0.75, 1.4)  # of gravity; likewise 0.95 to 1.07
+SHAKEN = 30.0  # m/s^2 rms of what changes from sample to sample; engines and tracks make 1 to 26 of it
+BENT_FORCE = (0.6, 1.7)  # of gravity, what clipped vibration leaves of it; twice or half of it is another range
+AT_THE_END = 0.01  # share of the samples at the largest value of an axis, beyond which it is the end of the range
 SAME_UNIT = 0.2  # share; the nearest two of them are many times apart
 TURN_UNITS = {  # how many times too fast
     "with deg/s where rad/s belong": 1.0 / DEG,
@@ -27,10 +32,20 @@ TURN_UNITS = {  # how many times too fast
 def in_known_units(raw: RawSession) -> RawSession:
     """Return the session with a gyroscope in rad/s, or without a motion sensor that is off by another factor, and say
     so in its problems; as it is where the motion does not tell."""
-    if raw.imu is None or (found := aligned(raw.imu, raw.gnss)) is None:
+    if raw.imu is None:
+        return raw
+    shaken = _shaken(raw.imu)
+    if not shaken:
+        return _judged(raw, raw.imu, LIKELY_FORCE)
+    return _judged(replace(raw, problems=(*raw.problems, *shaken)), raw.imu, BENT_FORCE)
+
+
+def _judged(raw: RawSession, imu: RawImu, likely_force: tuple[float, float]) -> RawSession:
+    """The session with units that are known, or without the sensor; likely_force: what it feels of gravity."""
+    if (found := aligned(imu, raw.gnss)) is None:
         return raw
     force, turn = found.force_scale, found.turn_scale
-    if force < LIKELY_FORCE[0] or force > LIKELY_FORCE[1]:
+    if force < likely_force[0] or force > likely_force[1]:
         return _without_imu(raw, f"the box feels {force:.3g} times gravity; are ax, ay, az in m/s^2?")
     if not (turn < LIKELY_TURN[0] or turn > LIKELY_TURN[1]):  # NaN: nothing tells
         return raw
@@ -38,8 +53,25 @@ def in_known_units(raw: RawSession) -> RawSession:
     unit = next((name for name, size in TURN_UNITS.items() if abs(turn / size - 1.0) < SAME_UNIT), None)
     if unit is None:
         return _without_imu(raw, f"{text}; are gx, gy, gz in rad/s?")
-    imu = _turning_slower(raw.imu, TURN_UNITS[unit])
-    return replace(raw, imu=imu, problems=(*raw.problems, Problem("imu_gyro_unit", f"{text}, as {unit}; taken so")))
+    slower = _turning_slower(imu, TURN_UNITS[unit])
+    return replace(raw, imu=slower, problems=(*raw.problems, Problem("imu_gyro_unit", f"{text}, as {unit}; taken so")))
+
+
+def _shaken(imu: RawImu) -> tuple[Problem, ...]:
+    """Say so where the box is shaken by more than a road and a damped engine do, and what of it is clipped."""
+    step = max(1, len(imu.t) // SOME)
+    rows = np.arange(0, len(imu.t) - 1, step)
+    some, later = imu.accel[rows] * imu.accel_scale, imu.accel[rows + 1] * imu.accel_scale
+    size = float(np.sqrt(0.5 * np.mean(np.sum((later - some) ** 2, axis=1)))) if len(rows) else 0.0
+    if not size > SHAKEN:
+        return ()
+    at_end = np.mean((some == some.max(axis=0)) | (some == some.min(axis=0)), axis=0)
+    clipped = float(np.max(at_end[np.ptp(some, axis=0) > 0.0]))
+    is_clipped = clipped > AT_THE_END
+    what = f", {100 * clipped:.0f} % of an axis at the end of the range" if is_clipped else ""
+    wider = ", or set a wider range of the accelerometer" if is_clipped else ""
+    text = f"vibration shakes the box by {size:.0f} m/s^2 rms{what}: attitude, delays and line are poorer. Damp the box"
+    return (Problem(VIBRATION, f"{text}{wider}"),)
 
 
 def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:

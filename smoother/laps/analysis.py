@@ -9,6 +9,7 @@ from smoother.disc import release
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
+from smoother.laps.loop import SHORTEST
 from smoother.laps.passages import Passage, find_passages, reasons
 from smoother.laps.path import PlanPath, in_gaps, interpolated, plan_path
 from smoother.laps.reference import Curve
@@ -40,7 +41,7 @@ class LapOptions:
     """What may be stated about laps; everything has a default.
 
     lines: start/finish and sectors, None: found. reference, reference_lap: of another session, for comparisons.
-    official (K,) s: transponder times in driving order. shortest m: a loop below is no lap (indoor tracks have 200).
+    official (K,) s: transponder times in driving order. shortest m: a loop below is no lap.
     drift: how the position error changes with time, of results read from files. problems: what people should know of
     what was stated.
     """
@@ -49,7 +50,7 @@ class LapOptions:
     reference: ReferenceLine | None = None
     reference_lap: ReferenceLap | None = None
     official: tuple[float, ...] = ()
-    shortest: float = 100.0
+    shortest: float = SHORTEST
     drift: Drift | None = None
     problems: tuple[Problem, ...] = ()
 

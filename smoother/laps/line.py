@@ -15,6 +15,7 @@ from smoother.laps.results import Line
 BESIDE = 12.0  # m beyond the ends of a gate at which a track may pass: three sigma of the wander of a GPS, twice
 HALF_WIDTH = 8.0  # m, of a line that was found: a wide kart track and the spread of its fixes
 BETWEEN = 0.45  # of the distance to another part of the track, which the line must not reach
+ELSEWHERE, ELSEWHERE_OF_SMALL = 40.0, 0.4  # m along the track, of the length of small ones: the other side of the round
 STRAIGHT = 1.0 / 120.0  # 1/m: what counts as straight where a line may be put
 STRAIGHT_FOR = 10.0  # m before and after the line
 FAST = 0.9  # of the best place's speed: all such places are about as good, and the one that gives more laps is chosen
@@ -87,7 +88,7 @@ def _room(curve: Curve, distance: float) -> float:
     along = np.abs(curve.line.distance - distance)
     if curve.line.is_closed:
         along = np.minimum(along, curve.length - along)
-    elsewhere = along > 40.0
+    elsewhere = along > min(ELSEWHERE, ELSEWHERE_OF_SMALL * curve.length)
     if not elsewhere.any():
         return np.inf
     centre = curve.position(np.array([distance]))[0]

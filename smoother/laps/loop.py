@@ -18,6 +18,9 @@ SAME_DIRECTION = 0.7  # least cosine between the two directions of travel
 SPACING = 4.0  # m between the places that are compared
 MOST_PLACES = 1500  # that are looked for again; more say nothing new
 PAIRS = 1 << 24  # of places that are compared at once at most: some 100 MB
+# m: neighbours on the path are near each other anyhow, and a kart that spins comes back after 10 to 25. Rounds in a car
+# park have 40, and of a skid pad of 15 m radius 94; twice the lap is what is found where one is below
+SHORTEST = 30.0
 LONGEST_LAP = 30_000.0  # m
 BIN = 10.0  # m, of repeat distances; as wide as SAME_PLACE blurs them
 SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap

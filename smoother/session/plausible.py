@@ -28,17 +28,30 @@ FASTEST = 90.0  # per cent of the windows
 
 @dataclass(frozen=True)
 class _Sensor:
-    """Samples of one sensor and what is usual of them, SI; `said` completes what is said of another size."""
+    """Samples of one sensor and what is usual of them, SI; `said` completes what is said of another size.
+
+    has_gravity: vibration may be larger than what is usual, but in its mean gravity is left.
+    """
 
     values: Array
     scale: float
     usual: tuple[float, float]
     said: str
     unit: float | None = None  # SI, of the samples where they are off for any length of time; None: no motion is so
+    has_gravity: bool = False
 
     def sizes(self, values: Array) -> Array:
-        """Length (N,) of samples (N, 3), SI."""
-        return np.asarray(np.linalg.norm(values, axis=1) * self.scale)
+        """Length (.., ) of samples (.., 3), SI."""
+        return np.asarray(np.linalg.norm(values, axis=-1) * self.scale)
+
+    def typical(self, values: Array) -> Array:
+        """Median length (K,) of each of (K, N, 3) samples; where vibration makes it large, that of their mean, SI."""
+        median_size = np.median(self.sizes(values), axis=-1)
+        if not self.has_gravity:
+            return np.asarray(median_size)
+        low, high = self.usual
+        steady = np.maximum(self.sizes(np.mean(values, axis=-2)), low)
+        return np.asarray(np.where(median_size > high, steady, median_size))
 
     def is_off(self, size: Array | float) -> BoolArray:
         low, high = self.usual
@@ -62,7 +75,7 @@ def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
     force = "typically {:.2g} m/s^2, where gravity alone gives 9.8; are ax, ay, az in m/s^2?"
     rate = "typically {:.0f} rad/s, which no kart turns; are gx, gy, gz in rad/s?"
     return (
-        _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force),
+        _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force, has_gravity=True),
         _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate, DEG),
     )
 
@@ -74,7 +87,10 @@ def implausible_units(imu: RawImu) -> Iterator[str]:
         yield "no gravity in ax, ay, az; is it linear acceleration? It has to be with gravity"
         return
     for sensor in _sensors(imu):
-        size = median(sensor.sizes(thinned(sensor.values, step)))
+        some = thinned(sensor.values, step)
+        size = median(sensor.sizes(some))
+        if size > sensor.usual[1]:  # it may be vibration
+            size = median(np.concatenate([sensor.typical(part[None]) for part in _parts(imu, some)]))
         if sensor.is_off(size):
             yield sensor.reason(size)
 
@@ -82,10 +98,14 @@ def implausible_units(imu: RawImu) -> Iterator[str]:
 def _has_no_gravity(imu: RawImu, some: Array) -> bool:
     """Whether samples move without a force that stays; some (N, 3) : of `imu.accel`, evenly taken."""
     force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
-    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
-    parts = np.array_split(some, count)  # a box that turns over in one of them has gravity in all others
-    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in parts])) * imu.accel_scale
+    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in _parts(imu, some)])) * imu.accel_scale
     return bool(steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION)
+
+
+def _parts(imu: RawImu, some: Array) -> list[Array]:
+    """Some (N, 3) of the samples in a few parts: a box that turns over in one of them has gravity in all others."""
+    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
+    return np.array_split(some, count)
 
 
 def without_other_units(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
@@ -117,7 +137,7 @@ def _window_sizes(sensor: _Sensor, count: int) -> Array:
     """Median size (K,) of each `count` samples; what is left at the end, of fewer, is of the last window."""
     whole, sizes = len(sensor.values) // count * count, []
     for part in pieces(whole, max(1, PIECE // count) * count):
-        sizes.append(np.median(sensor.sizes(sensor.values[part]).reshape(-1, count), axis=1))
+        sizes.append(sensor.typical(sensor.values[part].reshape(-1, count, 3)))
         release(sensor.values)
     return np.concatenate(sizes) if sizes else np.empty(0)
 

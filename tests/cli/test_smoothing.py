@@ -276,6 +276,17 @@ def test_what_is_wrong_with_a_session_is_said_with_its_place(
     assert "fleet" not in capsys.readouterr().err  # as it was named
 
 
+@pytest.mark.parametrize("named", [".", "gps.csv", "../run1"])
+def test_a_session_that_cannot_be_used_is_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured, named: str
+) -> None:
+    (tmp_path / "run1").mkdir()
+    (tmp_path / "run1" / "gps.csv").write_text("t_s,lat_deg,lon_deg,alt_m\n0,45,12,30\n")
+    monkeypatch.chdir(tmp_path / "run1")
+    assert run([named]) == 2
+    assert capsys.readouterr().err == f"smooth: {named}: only one usable fix, which is no track\n"
+
+
 def test_of_several_sessions_the_path_stands_above_each(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:

@@ -266,6 +266,16 @@ def test_a_recorder_that_loses_samples_is_not_good(kart: RawSession) -> None:
     assert "try another card" in texts(check(changed(kart, imu=lossy)), "stop")
 
 
+def test_gravity_that_clipped_vibration_bends_is_no_unit(kart: RawSession) -> None:
+    assert kart.imu is not None
+    force = kart.imu.accel * kart.imu.accel_scale
+    force[:, 2] += 60.0 * np.random.default_rng(1).standard_normal(len(force))
+    force[:, 2] = np.clip(force[:, 2], None, 50.0)
+    found = check(with_imu(kart, accel=force, accel_scale=1.0, accel_full_scale=None))
+    assert "another unit" not in texts(found, "stop")
+    assert "as where vibration is clipped; damp the box, or set a wider range" in texts(found, "warning")
+
+
 def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) -> None:
     assert kart.imu is not None
     shaken = kart.imu.accel + np.random.default_rng(1).normal(0.0, 8.0 / kart.imu.accel_scale, kart.imu.accel.shape)

@@ -176,6 +176,47 @@ def test_vibration_that_grows_with_the_revolutions_is_no_motion() -> None:
     assert not found_in(country_road(vibration=30.0).session).any()
 
 
+def pushed(session: Session, time: float) -> Session:
+    """The session of samples that are pushed to the front for 0.8 s from `time` on, s, and back as long.
+
+    As vibration does that sampling without a filter folds to nearly 0 Hz.
+    """
+    imu = session.imu
+    assert imu is not None
+    t, force = imu.t - session.gnss.t[0], imu.specific_force_s.copy()
+    force[(t > time) & (t < time + 0.8), 0] += 5.0
+    force[(t > time + 0.8) & (t < time + 1.6), 0] -= 5.0
+    return replace(session, imu=replace(imu, specific_force_s=force))
+
+
+def steadiest(session: Session) -> float:
+    """When the velocity changes least over 1.2 s of driving fast, s."""
+    t, velocity = session.gnss.t - session.gnss.t[0], session.gnss.velocity_n[:, :2]
+    changes = np.array([np.ptp(velocity[k : k + 12], axis=0).max() for k in range(len(t) - 12)])
+    fast = np.hypot(*velocity[: len(changes)].T) > 10.0
+    inside = (t[: len(changes)] > 40.0) & (t[: len(changes)] < DURATION - 40.0)
+    return float(t[int(np.argmin(np.where(fast & inside, changes, np.inf)))])
+
+
+def test_where_samples_are_off_beside_it_too_the_receiver_is_believed(session: Session) -> None:
+    assert not found_in(pushed(session, steadiest(session))).any()
+    elsewhere, out = coasted(session, in_corners(session)[:1], 2.0)
+    found = found_in(pushed(elsewhere, steadiest(session)))
+    assert np.mean(found[out]) > 0.7 and np.count_nonzero(found & ~out) < 5
+
+
+@pytest.mark.parametrize(("size", "is_found"), [(1.0, True), (30.0, False)])
+def test_what_vibration_around_could_push_is_no_motion(session: Session, size: float, is_found: bool) -> None:
+    """Folded to 0 Hz for a moment it pushes by its size; from sample to sample up and down it is seen beside."""
+    given, _ = coasted(session, in_corners(session)[:1], 1.2)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(given.gnss.velocity_n.shape)  # else it is one that is held
+    given = replace(given, gnss=replace(given.gnss, velocity_n=given.gnss.velocity_n + noise))
+    assert given.imu is not None
+    up_and_down = size * (-1.0) ** np.arange(len(given.imu.t))[:, None] * np.array([0.0, 0.0, 1.0])
+    shaken = replace(given.imu, specific_force_s=given.imu.specific_force_s + up_and_down)
+    assert found_in(replace(given, imu=shaken)).any() == is_found
+
+
 def test_a_receiver_that_finds_its_satellites_after_a_gap_went_straight_on(session: Session) -> None:
     given, out = coasted(session, in_corners(session), 1.2)
     lost = np.zeros_like(out)

@@ -59,6 +59,39 @@ def test_a_sensor_that_is_off_by_any_other_factor_is_left_out_and_said(
     assert said in raw.problems[-1].text and raw.problems[-1].text.endswith(": smoothed from GPS alone")
 
 
+def shaken(raw: RawSession, rms: float, most: float) -> RawSession:
+    """As by an engine, from sample to sample, along the third axis, and clipped upwards at `most` m/s^2."""
+    assert raw.imu is not None
+    force = raw.imu.accel * raw.imu.accel_scale
+    shaken_by = rms * np.random.default_rng(1).standard_normal(len(force))
+    down = np.array([0.0, 0.0, 1.0])
+    force = np.clip(force + shaken_by[:, None] * down, -np.inf, most)
+    imu = dataclasses.replace(raw.imu, accel=force, accel_scale=1.0, accel_full_scale=None)
+    return dataclasses.replace(raw, imu=imu)
+
+
+@pytest.mark.parametrize(
+    ("rms", "most", "said"),
+    [
+        (60.0, 1000.0, "rms: attitude, delays and line are poorer. Damp the box"),
+        (60.0, 80.0, "of an axis at the end of the range: attitude, delays and line are poorer. Damp the box, or "),
+    ],
+)
+def test_vibration_is_named_as_what_it_is_and_the_sensor_stays(
+    kart: RawSession, rms: float, most: float, said: str
+) -> None:
+    raw = in_known_units(shaken(kart, rms, most))
+    assert raw.imu is not None
+    (problem,) = [p for p in raw.problems if p not in kart.problems]
+    assert problem.code == "imu_vibration" and said in problem.text
+
+
+def test_another_unit_is_asked_for_though_the_box_is_shaken(kart: RawSession) -> None:
+    raw = in_known_units(scaled(shaken(kart, 60.0, 1000.0), accel=2.0))
+    assert raw.imu is None
+    assert [p.code for p in raw.problems][-2:] == ["imu_vibration", "imu_implausible"]
+
+
 def test_samples_that_have_nothing_to_do_with_the_fixes_are_left_for_the_smoother(kart: RawSession) -> None:
     assert kart.imu is not None
     rng = np.random.default_rng(1)

@@ -24,6 +24,15 @@ def catalogue() -> ModuleType:
     return module
 
 
+def test_a_name_that_no_session_has_is_refused_with_those_there_are(
+    catalogue: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["hard_sessions.py", "--case", "nosuch"])
+    with pytest.raises(SystemExit, match="2"):
+        catalogue.main()
+    assert "'nosuch'" in (said := capsys.readouterr().err) and "four spins" in said
+
+
 @pytest.mark.parametrize(
     "name",
     [

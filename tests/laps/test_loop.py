@@ -100,6 +100,47 @@ def test_the_crossing_of_a_figure_of_eight_is_no_lap(make: Made, round_trip: Rou
     assert len(timed(analyse(make(t, position), fixes(make(t, position))))) in (2, 3)
 
 
+@pytest.mark.parametrize("radius", [6.4, 11.5, 15.0, 20.0])
+def test_a_round_of_a_small_circle_is_a_lap(make: Made, fixes: Fixes, radius: float) -> None:
+    """Rounds in a car park have 40 m, of a skid pad of 15 m radius 94; each is driven a little wider or narrower."""
+    speed = float(np.sqrt(6.0 * radius))
+    t = np.arange(0.0, 10.5 * 2.0 * np.pi * radius / speed, 0.02)
+    angle = speed * t / radius
+    driven = (radius + np.sin(0.37 * angle))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    wander = np.stack([np.sin(t / 40.0), np.cos(t / 55.0)], axis=1)
+    found = analyse(make(t, driven + wander), fixes(make(t, driven + wander)))
+    lap = 2.0 * np.pi * radius / speed
+    assert len(timed(found)) in (9, 10)
+    assert timed(found) == pytest.approx([lap] * len(timed(found)), rel=0.02)
+    assert all(each.is_valid for each in found.laps if each.is_timed)
+
+
+@pytest.mark.parametrize("share", [0.15, 0.25])
+def test_a_small_figure_of_eight_is_one_lap(make: Made, round_trip: RoundTrip, fixes: Fixes, share: float) -> None:
+    t, position = round_trip(share * EIGHT, 7.0, 5.6)
+    found = analyse(make(t, position), fixes(make(t, position)))
+    assert len(timed(found)) in (4, 5)
+    assert timed(found) == pytest.approx([t[-1] / 5.6] * len(timed(found)), rel=0.01)
+
+
+def test_a_line_stays_on_its_side_of_a_small_circle(make: Made, fixes: Fixes) -> None:
+    angle = np.arange(0.0, 60.0, 0.02)
+    position = 6.4 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    line = analyse(make(angle, position), fixes(make(angle, position))).start_line
+    assert line is not None
+    assert np.linalg.norm(line.left_n - line.right_n) < 2.0 * 6.4
+
+
+def test_spins_on_the_spot_are_no_laps(make: Made, fixes: Fixes) -> None:
+    straight = np.arange(0.0, 300.0, 0.2)
+    angle = np.arange(0.0, 6.0 * np.pi, 0.2 / 3.0)
+    spins = np.array([300.0, 3.0]) + 3.0 * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    position = np.concatenate([np.stack([straight, 0.0 * straight], axis=1), spins])
+    position = np.concatenate([position, spins[-1] + np.stack([straight, 0.0 * straight], axis=1)])
+    t = 0.02 * np.arange(len(position))
+    assert not timed(analyse(make(t, position), fixes(make(t, position))))
+
+
 def test_a_parallel_straight_nearby_is_no_lap_and_no_crossing(make: Made, round_trip: RoundTrip, fixes: Fixes) -> None:
     t, position = round_trip(PAPERCLIP, 14.0, 4.5)
     trajectory = make(t, position)

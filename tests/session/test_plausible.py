@@ -105,3 +105,13 @@ def test_a_whole_recording_in_another_unit_is_named() -> None:
     assert [text[:9] for text in implausible_units(RawImu(t, force / STANDARD_GRAVITY, rate / DEG))] == [
         "typically"
     ] * 2
+
+
+def test_vibration_is_no_unit_where_its_mean_is_gravity() -> None:
+    force, rate = samples()
+    t = np.arange(len(force)) / RATE
+    shaken = force + 60.0 * np.random.default_rng(4).standard_normal((len(force), 3)) * (t > 20.0)[:, None]
+    imu, problems = judged(shaken, rate)
+    assert problems == [] and len(imu.t) == RATE * LASTS
+    assert not list(implausible_units(RawImu(t, shaken, rate)))
+    assert ["ax, ay, az" in text for text in implausible_units(RawImu(t, 100.0 * shaken, rate))] == [True]

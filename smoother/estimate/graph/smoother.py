@@ -48,6 +48,7 @@ from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import IMU_SHAKEN, EstimateReport, Identified, Trajectory
+from smoother.units import DEG
 from smoother.words import counted
 
 __all__ = ["GraphOptions", "GraphSmoother"]
@@ -59,6 +60,8 @@ UNLIKE = (
     "both files on one clock? Where the delay of the fixes is known, state it: [gps] position_latency in session.toml"
 )
 SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as well as they say, those above do not
+# rad/s/sqrt(Hz); harsh simulated karts have 3 deg/s and know their delays, a shaken box on a skid pad had 7 and did not
+UNSTEADY = 5.0 * DEG
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
 LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
 FEWEST_FIXES = 10
@@ -180,6 +183,7 @@ class GraphSmoother:
                 *told.problems,
                 *solution.problems,
                 *_shaken(session, solution.noise),
+                *_unsteady(session, solution.noise),
                 *_early(told.identified),
                 *leaning_problems(trajectory),
                 *offset_problems(begun.offset),
@@ -237,6 +241,19 @@ def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
         "Damp the box, or sample faster with the sensor's low-pass filter on"
     )
     return (Problem(IMU_SHAKEN, text),)
+
+
+def _unsteady(session: Session, noise: Noise) -> tuple[Problem, ...]:
+    """Say so where rates are farther from the turning of the path than gyroscopes and roads make them."""
+    density = noise.inertial.gyro
+    if session.config.imu.gyro_noise is not None or density < UNSTEADY:
+        return ()
+    text = (
+        f"the turn rates are {density / DEG:.1f} deg/s/sqrt(Hz) off the motion, as of a box that is shaken or loose or "
+        "a kart that only circles: delays of the GPS and the antenna's place may be off by many times their sigma. "
+        "Mount the box firmly and damp it; drive bends to both sides and straights"
+    )
+    return (Problem("imu_rate_unsteady", text),)
 
 
 def _jumped(
