@@ -38,6 +38,7 @@ SCORED_FROM = 1e-6  # residuals; with fewer the logarithm of their ratio is none
 HASTE = 1.4  # power of a step's ratio; single steps approach the fixed point from one side, more slowly than needed
 OWN_SCATTER = 0.3  # of the scatter between bins: the noise that moves the path is not far below what is seen
 SCATTER_COUNT = 10.0  # residuals; a minute of driving with Doppler tells more
+FEWEST_DRIVEN = 25  # intervals, that tell more of noise than all those at rest
 ENOUGH_INTERVALS = 1000  # spread evenly; from three components of each a density is known to 2 %
 SHAPE_COUNT = 20.0  # residuals in each direction that say that noise is the same in all of them
 FLATTEST = 0.02  # of the largest variance: the least that any direction has
@@ -100,6 +101,8 @@ def update_noise(
     good, driven = binned.missing == 0.0, np.ones(binned.missing.size, dtype=np.bool_)
     if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes,
         driven[solved.rows["standstill"].interval] = False  # and of a receiver that may hold its last place and speed
+    if np.count_nonzero(driven) < FEWEST_DRIVEN:
+        driven[:] = True  # then there is nothing else that tells
     good &= driven
     some = np.zeros_like(good)
     some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True

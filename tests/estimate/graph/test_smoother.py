@@ -804,3 +804,10 @@ def test_fixes_that_report_a_sigma_of_nothing_count_as_those_that_report_none(na
         for value in (0.0, np.nan)
     )
     np.testing.assert_array_equal(nothing.position_n, unknown.position_n)
+
+
+def test_noise_of_a_kart_that_never_drives_is_that_of_all_its_rows() -> None:
+    """Where nothing was asked the slow error of the fixes took all of theirs, step by step, without an end."""
+    found = GraphSmoother().estimate(prepare(simulate_preset("white", 11, duration=30.0).raw)).report.identified
+    assert np.all(np.asarray(found["gps_offset_sigma"].value) < 1.0)
+    np.testing.assert_allclose(np.asarray(found["gps_position_noise"].value)[:2], 2.5, rtol=0.2)
