@@ -27,7 +27,7 @@ from smoother.estimate.graph import (
     start,
 )
 from smoother.estimate.graph.chain import ChainSystem
-from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
 from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
 from smoother.estimate.graph.keyframes import keyframe_times
@@ -195,10 +195,16 @@ def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
 
 def _raw_upwards(path: DensePath, *arguments: Any) -> ExpectedMotion:
     """What is expected, but up and down as the samples say."""
-    felt, raw = expected.expected_motion(path, *arguments), expected.at_edges(path.acceleration_n)
-    velocity_n, acceleration_n = felt.velocity_n.copy(), felt.acceleration_n.copy()
-    velocity_n[:, 2], acceleration_n[:, 2] = path.velocity_n[:, 2], raw[:, 2]
-    return replace(felt, velocity_n=velocity_n, acceleration_n=acceleration_n)
+    felt = expected.expected_motion(path, *arguments)
+    raised = _upwards_as_felt(felt, path)
+    followed = None if felt.followed is None else _upwards_as_felt(felt.followed, path)
+    return replace(felt, velocity_n=raised.velocity_n, acceleration_n=raised.acceleration_n, followed=followed)
+
+
+def _upwards_as_felt(motion: Motion, path: DensePath) -> Motion:
+    velocity_n, acceleration_n = motion.velocity_n.copy(), motion.acceleration_n.copy()
+    velocity_n[:, 2], acceleration_n[:, 2] = path.velocity_n[:, 2], expected.at_edges(path.acceleration_n)[:, 2]
+    return Motion(velocity_n, acceleration_n)
 
 
 def _averaged_rates(path: DensePath, *_: Any) -> Felt:
