@@ -4,7 +4,8 @@ Under a bridge, beside a stand or upside down a receiver may send on the velocit
 if they were measured. Place and Doppler agree with one another and with their neighbours, and both are wrong. The
 samples tell: they feel the kart turn or brake while the receiver says straight on. Where the velocity that was sent
 changes far less than the samples say, by more than they ever are off else, and catches up with them afterwards, what
-was sent at that velocity is left out. A hill is felt as braking too, but nothing is to be caught up with there.
+was sent at that velocity is left out. A hill is felt as braking too, but nothing is to be caught up with there. A fine
+velocity that stays the same to the last digit was not measured: it needs to part from what is felt, and no more.
 """
 
 from dataclasses import dataclass
@@ -40,9 +41,7 @@ MISSING = 5.0  # s without fixes before that, at most
 HELD = 0.7  # s in which velocity stays the same to the last digit
 SELDOM = 0.02  # of the fixes that are less long the same as those before: more, and the receiver is coarse
 OFTEN = 0.3  # of the fixes that are held: more, and it renews its velocity less often than its places
-SIGMAS_OF_HELD = (
-    3.0  # beyond the usual scatter, which grows as the root of the time: what no one measures may be gentle
-)
+SIGMAS_OF_HELD = 3.0  # beyond the usual scatter, which grows as the root of the time: such turns may be gentle
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -120,8 +119,10 @@ class _Parting:
         )
 
     def is_unlike(self, told: Array, felt: Array) -> BoolArray:
-        """Mask (W,) of the windows in which what is told and felt (W, 2) m/s is off beyond chance and has little in
-        common: of a quick corner a part may be off by times that are not known yet."""
+        """Mask (W,) of the windows in which what is told and felt (W, 2) m/s is off beyond chance, and unlike.
+
+        Of a quick corner a part may be off by times that are not known yet.
+        """
         most = np.maximum(np.hypot(*told.T), np.hypot(*felt.T))
         return np.asarray((self.beyond > SIGMAS) & (self.off > UNLIKE * most))
 

@@ -41,7 +41,7 @@ class _Sensor:
     has_gravity: bool = False
 
     def sizes(self, values: Array) -> Array:
-        """Length (.., ) of samples (.., 3), SI."""
+        """Length (...) of samples (..., 3), SI."""
         return np.asarray(np.linalg.norm(values, axis=-1) * self.scale)
 
     def typical(self, values: Array) -> Array:

@@ -217,11 +217,12 @@ def test_what_vibration_around_could_push_is_no_motion(session: Session, size: f
     assert found_in(replace(given, imu=shaken)).any() == is_found
 
 
-def test_a_receiver_that_finds_its_satellites_after_a_gap_went_straight_on(session: Session) -> None:
+@pytest.mark.parametrize("lasts", [1.5, 8.0])
+def test_a_receiver_may_go_straight_on_into_a_gap(session: Session, lasts: float) -> None:
     given, out = coasted(session, in_corners(session), 1.2)
     lost = np.zeros_like(out)
     for end in np.flatnonzero(np.diff(out.astype(np.int8)) < 0):
-        lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + 1.5)
+        lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + lasts)
     found = found_in(replace(given, gnss=given.gnss.select(~lost)))
     assert np.mean(found[out[~lost]]) > 0.9
 
@@ -230,15 +231,6 @@ def test_velocity_that_is_held_to_the_last_digit_is_measured_by_none() -> None:
     # a bend so gentle that no 0.6 s of it stand out
     given, out = coasted(prepare(simulate_preset("kart", 6, duration=DURATION, gnss_outages=()).raw), [61.0], 3.0)
     assert np.mean(found_in(given)[out]) > 0.9
-
-
-def test_a_receiver_may_go_straight_on_into_a_gap(session: Session) -> None:
-    given, out = coasted(session, in_corners(session), 1.2)
-    lost = np.zeros_like(out)
-    for end in np.flatnonzero(np.diff(out.astype(np.int8)) < 0):
-        lost |= (given.gnss.t > given.gnss.t[end]) & (given.gnss.t < given.gnss.t[end] + 8.0)
-    found = found_in(replace(given, gnss=given.gnss.select(~lost)))
-    assert np.mean(found[out[~lost]]) > 0.9
 
 
 def without_samples(session: Session, starts: list[float], lasts: float) -> Session:
