@@ -1,11 +1,14 @@
-"""A road car's drive not of the simulator's making: hills, vibration that grows with speed, a body that rocks."""
+"""Drives not of the simulator's making: a road car's over hills, with vibration that grows with speed and a body that
+rocks, and laps of a track that is not level across.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from smoother import so3
 from smoother.arrays import Array
-from smoother.frames import Origin, nwu_to_geodetic
+from smoother.frames import GRAVITY_N, Origin, nwu_to_geodetic, rotation_from_euler
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, RawImu, RawSession, Session
 from smoother.units import STANDARD_GRAVITY
@@ -20,6 +23,15 @@ class Road:
     session: Session
     t: Array
     velocity_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The session, and the true roll (N,) rad of the kart at t (N,) s."""
+
+    session: Session
+    t: Array
+    roll: Array
 
 
 def country_road(slope: float = 0.0, vibration: float = 0.0, rocking: float = 0.0, height: float = 0.0) -> Road:
@@ -52,10 +64,42 @@ def country_road(slope: float = 0.0, vibration: float = 0.0, rocking: float = 0.
     velocity = speed[:, None] * ahead + np.stack([none, none, speed * np.tan(climb)], axis=1)
     at_antenna = velocity + height * turn_left[:, None] * ahead
     above = height * (np.sin(-tilt)[:, None] * ahead + np.cos(tilt)[:, None] * np.array([0.0, 0.0, 1.0]))
+    session = _recorded(rng, t, force, turn, np.cumsum(velocity, axis=0) / RATE + above, at_antenna)
+    return Road(session, t, at_antenna)
+
+
+def unlevel_track(fall: float, varies: float) -> Track:
+    """Laps of 40 s, with bends to both sides, of a kart that leans as its tyres do, by a degree per g.
+
+    fall, rad, by which the track lies lower to the right of the kart, on average over a lap; varies, rad rms, by which
+    it does so more here and less there. The box is at the antenna, and askew by some degrees.
+    """
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, LASTS, 1.0 / RATE)
+    phase = 2.0 * np.pi * (t / 40.0 + 0.01 * np.sin(2.0 * np.pi * t / 73.0))  # no lap is as fast as the one before
+    position = np.stack([90.0 * np.cos(phase), 45.0 * np.sin(phase), np.zeros_like(t)], axis=1)
+    position[:, :2] += np.stack([20.0 * np.sin(3.0 * phase), 20.0 * np.cos(3.0 * phase)], axis=1)
+    velocity = np.gradient(position, t, axis=0)
+    acceleration = np.gradient(velocity, t, axis=0)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    to_left = (velocity[:, 0] * acceleration[:, 1] - velocity[:, 1] * acceleration[:, 0]) / speed
+    roll = fall + varies * (np.sin(2.0 * phase + 1.0) + np.sin(5.0 * phase)) + 0.0018 * to_left
+    R_nb = rotation_from_euler(roll, np.zeros_like(t), np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))
+    force = np.einsum("nji,nj->ni", R_nb, acceleration - GRAVITY_N)
+    turn = so3.log(R_nb[:-1].transpose(0, 2, 1) @ R_nb[1:]) * RATE
+    R_bs = so3.exp(np.array([0.05, -0.03, 0.1]))
+    force_s = (force + 0.5 * rng.standard_normal(force.shape)) @ R_bs
+    return Track(_recorded(rng, t, force_s, np.vstack([turn, turn[-1:]]) @ R_bs, position, velocity), t, roll)
+
+
+def _recorded(
+    rng: np.random.Generator, t: Array, force: Array, turn: Array, antenna_n: Array, velocity_n: Array
+) -> Session:
+    """Session of force (N, 3) m/s^2 and turn (N, 3) rad/s in s, and of fixes at 10 Hz of where the antenna is."""
     at = slice(0, None, int(RATE) // 10)
-    fixes = (np.cumsum(velocity, axis=0) / RATE + above)[at] + 0.3 * rng.standard_normal((t[at].size, 3))
+    fixes = antenna_n[at] + 0.3 * rng.standard_normal((t[at].size, 3))
     lat_deg, lon_deg, alt_m = nwu_to_geodetic(fixes, Origin(45.0, 12.0, 0.0))
-    sent = at_antenna[at] + 0.05 * rng.standard_normal((t[at].size, 3))
+    sent = velocity_n[at] + 0.05 * rng.standard_normal((t[at].size, 3))
     gnss = GnssFixes(t[at] + LATENCY, lat_deg, lon_deg, alt_m, sent)
-    turn += 2e-3 * rng.standard_normal((t.size, 3))
-    return Road(prepare(RawSession("road", gnss, RawImu(t, force, turn))), t, at_antenna)
+    noisy = turn + 2e-3 * rng.standard_normal((t.size, 3))
+    return prepare(RawSession("road", gnss, RawImu(t, force, noisy)))

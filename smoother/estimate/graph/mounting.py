@@ -4,7 +4,7 @@ A kart that neither slides nor leans points along its path and stands level. It 
 acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
 and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
 with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
-are taken to be level.
+are taken to be level on average. How far they are from level here and there says how well that can hold.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +14,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
+from smoother.estimate.graph.ground import variance_of_places
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
@@ -28,6 +29,12 @@ MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
 ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
+# What roll has of the place on level ground: kerbs that lift one side lap after lap, frames that do not give in
+# proportion. Up to 0.18 deg on the level tracks of a simulator of other making, 0.5 to 1.2 on those that are not
+ROCKING = 0.2 * DEG
+# However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
+# (FIA, Appendix O to the International Sporting Code, 7.5)
+CROSSFALL = 0.022
 STEERED = 0.6  # least correlation of that with slip
 # A calm hand moves the wheel by less, and the box still leans into each bend: on the columns of a simulator of other
 # making by 1.3 to 7 deg per g of push. Frames lean outwards, by up to 1.2, and on banks of 12 % inwards, by 1 to 2
@@ -67,9 +74,7 @@ def fit_mounting(
     missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up. height_sigma, m: of
     the height from the first of them to the last; None where no fix has a height.
     """
-    use = are_driven(state)
-    if missing is not None:
-        use &= are_told(missing)
+    use = _are_fitted(state, missing)
     if np.count_nonzero(use) < MIN_KEYFRAMES:
         return FittedMounting(rough_R_bs, np.full(3, ROUGH), False)
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
@@ -94,6 +99,38 @@ def fit_mounting(
         R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
     sigma[1] = np.hypot(sigma[1], _slope_sigma(state, use, height_sigma))
     return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def on_its_ground(
+    mounting: FittedMounting, state: ChainState, unsure: float, missing: Array | None = None
+) -> FittedMounting:
+    """Return `mounting`, fitted to `state`, with its roll as unsure as the ground around the lap is unlevel.
+
+    unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`. Ground that falls
+    by a degree more here than there was not made level to a tenth of it on average: that the mean over the lap is off
+    by about as much as places differ is taken for granted. What falls to one side everywhere and alike does not show.
+    """
+    use = _are_fitted(state, missing)
+    t, position_n, velocity_n = state.t[use], state.position_n[use], state.velocity_n[use]
+    acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
+    R_nb = state.R_ns[use] @ mounting.R_bs.T
+    push = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n)
+    # and its signed square: frames that give by more or less than in proportion do it to both sides alike
+    leaning = np.stack([np.ones(len(push)), push, push * np.abs(push)], axis=1)
+    _, residual, _ = _robust_line(leaning, R_nb[:, 2, 1])
+    of_place, rows = variance_of_places(t, position_n, velocity_n, residual)
+    # errors that last for minutes come back with the next lap as well: those are in the sigma already
+    unlevel = of_place - unsure - ROCKING**2
+    if rows < MIN_KEYFRAMES or unlevel <= 0.0:
+        return mounting
+    roll = np.hypot(mounting.sigma[0], min(np.sqrt(unlevel), CROSSFALL))
+    return replace(mounting, sigma=np.array([roll, *mounting.sigma[1:]]))
+
+
+def _are_fitted(state: ChainState, missing: Array | None) -> BoolArray:
+    """Mask (K,) of the keyframes that a mounting is fitted to: at speed, and told by samples."""
+    use = are_driven(state)
+    return use if missing is None else use & are_told(missing)
 
 
 def _slope_sigma(state: ChainState, driven: BoolArray, height_sigma: float | None) -> float:
@@ -185,6 +222,15 @@ def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, flo
     memory: number of samples beyond which errors are taken for independent. Source of the sigma: the sandwich of
     M-estimation (Huber 1981, 7.6) with the autocovariances summed up to the first that is not positive (Geyer 1992).
     """
+    line, residual, weight = _robust_line(design, angle)
+    slope = weight * (2.0 * weight - 1.0)  # of weight times residual
+    bread = np.linalg.inv((design * slope[:, None]).T @ design)
+    pull = (design * (weight * residual)[:, None]) @ bread[0]
+    return float(line[0]), float(np.sqrt(_variance_of_sum(pull, memory)))
+
+
+def _robust_line(design: Array, angle: Array) -> tuple[Array, Array, Array]:
+    """Coefficients (c,) of a line with Cauchy weights, residuals (N,) and weights (N,). design (N, c), angle (N,)."""
     weight = np.ones(len(angle))
     for _ in range(8):
         normal = (design * weight[:, None]).T @ design
@@ -192,10 +238,7 @@ def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, flo
         residual = angle - design @ line
         scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
         weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
-    slope = weight * (2.0 * weight - 1.0)  # of weight times residual
-    bread = np.linalg.inv((design * slope[:, None]).T @ design)
-    pull = (design * (weight * residual)[:, None]) @ bread[0]
-    return float(line[0]), float(np.sqrt(_variance_of_sum(pull, memory)))
+    return np.asarray(line), residual, weight
 
 
 def _variance_of_sum(pull: Array, memory: int) -> float:

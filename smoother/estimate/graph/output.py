@@ -309,7 +309,7 @@ def row_times(start: float, end: float, rate: float) -> Array:
     return np.asarray(start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate)
 
 
-def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, made_up: BoolArray | None) -> Array:
+def _left_of_attitude(found: Estimated, mounting: FittedMounting, made_up: BoolArray | None) -> Array:
     """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
 
     An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
@@ -318,17 +318,25 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, R_nb: Array, m
     """
     if not mounting.is_fitted:
         return np.ones(3)
-    told = _told(found.state, made_up)
-    some = told[:: max(1, len(told) // (10 * SAMPLES))]
-    attitude = R_nb[some].transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb[some]
-    attitude = attitude[_usually_known(attitude)]
-    common = mounting.R_bs @ found.common_attitude @ mounting.R_bs.T
-    mean = np.einsum("kii->i", attitude) / len(attitude)
-    left = np.sqrt(np.clip(1.0 - np.diag(common) / mean, 0.0, 1.0))
+    mean, common = attitude_variance(found, mounting.R_bs, made_up)
+    left = np.sqrt(np.clip(1.0 - common / mean, 0.0, 1.0))
     return np.array([*left[:2], 1.0]) if mounting.by_wheels else np.asarray(left)
 
 
-def _made_up(binned: BinnedImu) -> BoolArray | None:
+def attitude_variance(found: Estimated, R_bs: Array, made_up: BoolArray | None) -> tuple[Array, Array]:
+    """Mean variance (3,) rad^2, about the axes of b, of attitudes, and the part (3,) of it that all have in common.
+
+    Of those that the mounting is fitted to. made_up (K,): keyframes without samples.
+    """
+    told = _told(found.state, made_up)
+    some = told[:: max(1, len(told) // (10 * SAMPLES))]
+    R_nb = found.state.R_ns[some] @ R_bs.T
+    attitude = R_nb.transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb
+    attitude = attitude[_usually_known(attitude)]
+    return np.einsum("kii->i", attitude) / len(attitude), np.diag(R_bs @ found.common_attitude @ R_bs.T)
+
+
+def are_made_up(binned: BinnedImu) -> BoolArray | None:
     """Mask (K,) of the keyframes that the mounting is not fitted to since no samples tell them, None without any."""
     sampled = are_told(binned.missing)
     return None if np.all(sampled) else ~sampled
@@ -344,7 +352,7 @@ def _keyframes(
     state, known = found.state, found.uncertainty
     R, arm_s = state.R_ns, state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
-    left = _left_of_attitude(found, mounting, R_nb, _made_up(source.binned))
+    left = _left_of_attitude(found, mounting, are_made_up(source.binned))
     of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
     for part in _parts(state.t, source.pauses):
         covariance[part] = known.antenna[part]

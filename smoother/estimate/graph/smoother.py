@@ -23,8 +23,15 @@ from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, without_heading
-from smoother.estimate.graph.output import Estimated, build_trajectory, estimated, row_times
+from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
+from smoother.estimate.graph.output import (
+    Estimated,
+    are_made_up,
+    attitude_variance,
+    build_trajectory,
+    estimated,
+    row_times,
+)
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
@@ -335,6 +342,9 @@ def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) ->
     else:
         height_sigma = float(np.sqrt(2.0) * noise.offset_sigma[2]) if start.priors.has_height else None
         mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
+        if mounting.is_fitted:
+            mean, common = attitude_variance(found, mounting.R_bs, are_made_up(start.fine))
+            mounting = on_its_ground(mounting, state, float(max(mean[0] - common[0], 0.0)), start.fine.missing)
         of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
         if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
             mounting = along_wheels(mounting, state.constants, of_slip + beyond)

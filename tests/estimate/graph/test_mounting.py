@@ -1,5 +1,6 @@
 """The mounting from path and attitude, on states whose slip and lean are known."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,11 +8,18 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.imu import are_told
-from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, swing_on_the_wheel
+from smoother.estimate.graph.mounting import (
+    CROSSFALL,
+    FittedMounting,
+    along_wheels,
+    fit_mounting,
+    on_its_ground,
+    swing_on_the_wheel,
+)
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
-from smoother.units import DEG
+from smoother.units import DEG, STANDARD_GRAVITY
 
 K, INTERVAL = 1500, 0.2
 ROUGH = 4.0 * DEG
@@ -111,6 +119,83 @@ def test_pitch_is_as_unsure_as_the_mean_slope_of_the_road() -> None:
     laps, road = (fit_mounting(each, R_bs, None, None).sigma for each in (state, away))
     assert laps[1] == pytest.approx(known[1])  # positions of `state` are all zero: it came back
     assert road[1] == pytest.approx(np.hypot(known[1], 0.025), rel=0.01)
+
+
+def state_of_laps(
+    R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], noise: float = 0.1 * DEG, give: float = 0.0
+) -> ChainState:
+    """Six laps of 50 s with bends to both sides. bank: roll rad of the ground at 0..2 pi around the lap.
+
+    noise, rad: of roll, of each keyframe its own; give, rad: what the frame leans at 1 g beyond 1 deg per g.
+    """
+    t = INTERVAL * np.arange(K)
+    phase = 2.0 * np.pi * t / 50.0
+    position_n = np.stack([100.0 * np.cos(phase), 50.0 * np.sin(phase), np.zeros(K)], axis=1)
+    position_n[:, :2] += np.stack([25.0 * np.sin(3.0 * phase), 25.0 * np.cos(3.0 * phase)], axis=1)
+    velocity_n = np.gradient(position_n, t, axis=0)
+    acceleration_n = np.gradient(velocity_n, t, axis=0)
+    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+    push = (
+        (velocity_n[:, 0] * acceleration_n[:, 1] - velocity_n[:, 1] * acceleration_n[:, 0]) / speed / STANDARD_GRAVITY
+    )
+    roll = bank(phase) + 1.0 * DEG * push + give * push * np.abs(push)
+    roll += noise * np.random.default_rng(7).standard_normal(K)
+    R_nb = rotation_from_euler(roll, np.zeros(K), np.arctan2(velocity_n[:, 1], velocity_n[:, 0]))
+    zeros = np.zeros((K, 3))
+    return ChainState(t, R_nb @ R_bs, position_n, velocity_n, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+
+
+def uneven(rms: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Ground that falls to one side by `rms` rad on average, and by that much more and less around the lap."""
+    return lambda phase: rms * (1.0 + np.sin(phase + 1.0) + np.sin(5.0 * phase))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_roll_is_as_unsure_as_the_ground_around_the_lap_is_unlevel(seed: int) -> None:
+    R_bs = random_rotation(seed)
+    state = state_of_laps(R_bs, uneven(0.8 * DEG))
+    fitted = fit_mounting(state, rough(R_bs, seed))
+    found = on_its_ground(fitted, state, (0.1 * DEG) ** 2)
+    error = so3.log(R_bs @ found.R_bs.T)[0]
+    assert abs(error) > 3.0 * fitted.sigma[0]  # the fit alone takes laps for so many different roads
+    assert abs(error) < 2.0 * found.sigma[0]
+    assert found.sigma[0] == pytest.approx(0.8 * DEG, rel=0.2)  # less what the line over acceleration takes of it
+    np.testing.assert_array_equal(found.sigma[1:], fitted.sigma[1:])
+    np.testing.assert_array_equal(found.R_bs, fitted.R_bs)
+
+
+@pytest.mark.parametrize("noise", [0.05 * DEG, 0.6 * DEG])
+@pytest.mark.parametrize("give", [0.0, 0.3 * DEG])
+def test_on_level_ground_roll_is_as_sure_as_before(noise: float, give: float) -> None:
+    """However noisy attitude is, and though frames give by more than in proportion."""
+    R_bs = random_rotation(1)
+    state = state_of_laps(R_bs, np.zeros_like, noise, give)
+    fitted = fit_mounting(state, R_bs)
+    np.testing.assert_array_equal(on_its_ground(fitted, state, noise**2).sigma, fitted.sigma)
+
+
+def test_errors_of_attitude_that_are_known_do_not_pass_for_ground() -> None:
+    R_bs = random_rotation(1)
+    state = state_of_laps(R_bs, uneven(0.6 * DEG))
+    fitted = fit_mounting(state, R_bs)
+    assert on_its_ground(fitted, state, (0.1 * DEG) ** 2).sigma[0] > 0.4 * DEG
+    np.testing.assert_array_equal(on_its_ground(fitted, state, (0.7 * DEG) ** 2).sigma, fitted.sigma)
+
+
+def test_no_track_falls_to_one_side_all_the_way_by_more_than_water_needs() -> None:
+    R_bs = random_rotation(1)
+    state = state_of_laps(R_bs, uneven(4.0 * DEG))
+    fitted = fit_mounting(state, R_bs)
+    found = on_its_ground(fitted, state, 0.0)
+    assert found.sigma[0] == pytest.approx(np.hypot(fitted.sigma[0], CROSSFALL))
+
+
+def test_of_a_road_that_is_driven_once_the_ground_does_not_show() -> None:
+    R_bs = random_rotation(1)
+    state = state_of_laps(R_bs, uneven(0.8 * DEG))
+    away = replace(state, position_n=state.position_n + np.outer(10.0 * state.t, [1.0, 0.0, 0.0]))
+    fitted = fit_mounting(away, R_bs)
+    np.testing.assert_array_equal(on_its_ground(fitted, away, 0.0).sigma, fitted.sigma)
 
 
 def test_wild_slides_are_left_out() -> None:
