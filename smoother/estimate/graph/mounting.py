@@ -115,7 +115,7 @@ def on_its_ground(
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
     R_nb = state.R_ns[use] @ mounting.R_bs.T
     push = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n)
-    # and its signed square: frames that give by more or less than in proportion do it to both sides alike
+    # beside the push its signed square: frames that give by more or less than in proportion do so to both sides alike
     leaning = np.stack([np.ones(len(push)), push, push * np.abs(push)], axis=1)
     _, residual, _ = _robust_line(leaning, R_nb[:, 2, 1])
     of_place, rows = variance_of_places(t, position_n, velocity_n, residual)

@@ -663,7 +663,7 @@ def test_where_nothing_tells_of_heights_a_road_may_climb() -> None:
 
 
 def test_roll_holds_where_a_track_is_not_level_across() -> None:
-    """It is off by the mean of the lap, 0.8 deg: 11 sigmas, where only the fit of the mounting tells how unsure."""
+    """It is off by the mean of the lap, 0.8 deg: 6 sigmas, where only the fit of the mounting tells how unsure."""
     track = unlevel_track(fall=1.2 * DEG, varies=1.0 * DEG)
     found = GraphSmoother().estimate(track.session)
     assert found.sigmas is not None
