@@ -6,13 +6,15 @@ Nobody knows the delay of a reference receiver, so every comparison takes out on
 suits it best; and it is over the same times for the fixes as they came and for the smoothed path. Between two modules
 the difference also holds the distance of their antennas, alike for both.
 
-Last comes how far the smoothed path wanders from the reference over some time, beside what its joint covariance says:
-on that the sigmas of lap times count. There the distance of two antennas, which turns with the car, is taken out.
+Then comes how far the smoothed path wanders from the reference over some time, beside what its joint covariance says:
+on that the sigmas of lap times count. There the distance of two antennas, which turns with the car, is taken out. Last,
+of the two modules, how far their velocities and attitudes are apart, beside the sigmas of both: no reference has these.
 """
 
 import argparse
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,11 +29,13 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.gps_alone import fixes_as_trajectory
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.resample import position_at
+from smoother.frames import wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw
 from smoother.session.truth import load_truth
 from smoother.trajectory import Trajectory
+from smoother.units import DEG
 from thinning import DATA
 
 TWINS = ("car_hi600_twin_a", "car_hi600_twin_b")
@@ -167,6 +171,62 @@ def _change(path: Trajectory, t: float, over: float, axis: int) -> float:
     return float(P[0, 0] + P[1, 1] - 2.0 * P[0, 1])
 
 
+@dataclass(frozen=True)
+class Apart:
+    """How far two estimates of one quantity are apart, in the unit of `name`.
+
+    rms; expected by the sigmas of both; rms ratio of one to the other; shares within one and two sigmas.
+    """
+
+    name: str
+    rms: float
+    expected: float
+    ratio: float
+    within: tuple[float, float]
+
+    @staticmethod
+    def of(name: str, apart: Array, variance: Array) -> "Apart":
+        """Of differences and the variances that are expected of them, each (N,) or (N, c)."""
+        ratio = np.abs(apart) / np.sqrt(variance)
+        within = float(np.mean(ratio < 1.0)), float(np.mean(ratio < 2.0))
+        return Apart(name, _rms(apart), float(np.sqrt(np.mean(variance))), _rms(ratio), within)
+
+
+def motions(one: Trajectory, other: Trajectory, t: Array) -> list[Apart]:
+    """Velocities and attitudes of two boxes in one car, which moves, at the lag that suits the velocities best."""
+
+    def apart(lag: float) -> Array:
+        return np.asarray(_rows(one, one.velocity_n, t + lag) - _rows(other, other.velocity_n, t))
+
+    lag = float(
+        minimize_scalar(lambda s: _rms(apart(s)[:, :2]), bounds=(-LONGEST_LAG, LONGEST_LAG), method="bounded").x
+    )
+    moving = np.hypot(*_rows(other, other.velocity_n, t)[:, :2].T) > MOVING
+    t = t[moving]
+
+    def variance(values: str) -> Array:
+        sigmas = (_rows(path, getattr(path.sigmas, values), at) for path, at in ((one, t + lag), (other, t)))
+        return np.asarray(sum(sigma**2 for sigma in sigmas))
+
+    velocity, of_velocity = apart(lag), variance("velocity_n")
+    angles, others = (np.unwrap(path.euler, axis=0) for path in (one, other))
+    turned = wrap_angle(_rows(one, angles, t + lag) - _rows(other, others, t))
+    of_angle = variance("attitude")
+    out = [
+        Apart.of("velocity, level, m/s", velocity[:, :2], of_velocity[:, :2]),
+        Apart.of("velocity upwards, m/s", velocity[:, 2], of_velocity[:, 2]),
+    ]
+    return out + [
+        Apart.of(f"{name}, deg", turned[:, i] / DEG, of_angle[:, i] / DEG**2)
+        for i, name in enumerate(("roll", "pitch", "yaw"))
+    ]
+
+
+def _rows(path: Trajectory, values: Array, t: Array) -> Array:
+    """Values (N, c) of the rows of `path` at t (M,) s, straight lines between."""
+    return np.column_stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])])
+
+
 def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander]]:
     """Fixes and smoothed path of the car against RTK, at the epochs of RTK."""
     session = prepare(load_raw(data / BESIDE_RTK))
@@ -187,13 +247,13 @@ def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
     return (first, _with_origin_of(second, first)), t
 
 
-def between_twins(data: Path) -> tuple[Difference, Difference, list[Wander]]:
-    """Difference of module b from module a: of their fixes, and of their smoothed paths."""
+def between_twins(data: Path) -> tuple[Difference, Difference, list[Wander], list[Apart]]:
+    """Difference of module b from module a: of their fixes, and of their smoothed paths and motions."""
     (first, second), t = twin_sessions(data)
     raw = differ("fixes", fixes_as_trajectory(second), fixes_as_trajectory(first), t)
     path, other = (GraphSmoother().estimate(session) for session in (second, first))
     found = differ("smoothed", path, other, t)
-    return raw, found, wander(path, other, t)
+    return raw, found, wander(path, other, t), motions(path, other, t)
 
 
 def _with_origin_of(session: Session, other: Session) -> Session:
@@ -205,8 +265,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def table(pair: tuple[Difference, Difference], wanders: list[Wander]) -> str:
-    """Return both differences, and how the smoothed path wanders, as Markdown tables."""
+def table(pair: tuple[Difference, Difference], wanders: list[Wander], apart: Sequence[Apart]) -> str:
+    """Return both differences, how the smoothed path wanders, and motions apart, as Markdown tables."""
     lines = [
         "| | lag taken out, s | horizontal, m | moving: along, m | across, m | over 1 s, m |",
         "|---|---:|---:|---:|---:|---:|",
@@ -221,6 +281,12 @@ def table(pair: tuple[Difference, Difference], wanders: list[Wander]) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     lines += [f"| {w.over:.0f} s | {w.rms:.3f} | {w.sigma:.3f} | {w.ratio:.2f} | {w.usual:.2f} |" for w in wanders]
+    if apart:
+        heading = "| smoothed, moving | apart, rms | expected | ratio | within one sigma | two |"
+        lines += ["", heading, "|---|---:|---:|---:|---:|---:|"]
+    for a in apart:
+        shares = " | ".join(f"{100.0 * share:.0f} %" for share in a.within)
+        lines.append(f"| {a.name} | {a.rms:.3f} | {a.expected:.3f} | {a.ratio:.2f} | {shares} |")
     return "\n".join(lines)
 
 
@@ -232,10 +298,11 @@ def main() -> None:
         parser.exit(0, f"no real recordings at {DATA}; set SMOOTH_DATA\n")
     for heading, comparison in (("against RTK", beside_rtk), ("two modules in one car", between_twins)):
         since = time.process_time()
-        fixes, smoothed, wanders = comparison(DATA)
+        fixes, smoothed, wanders, *motion = comparison(DATA)
         spent = time.process_time() - since
         print(
-            f"\n{heading}: {fixes.count} times ({spent:.0f} s of one core)\n\n{table((fixes, smoothed), wanders)}",
+            f"\n{heading}: {fixes.count} times ({spent:.0f} s of one core)\n\n"
+            f"{table((fixes, smoothed), wanders, *(motion or [()]))}",
             flush=True,
         )
 

@@ -29,7 +29,11 @@ def test_beside_rtk_the_path_is_no_worse_than_its_fixes_and_better_across_the_tr
 
 
 def test_two_modules_in_one_car_agree_better_after_smoothing(twins: ModuleType, data_directory: Path) -> None:
-    fixes, smoothed, wanders = twins.between_twins(data_directory)
+    fixes, smoothed, wanders, motions = twins.between_twins(data_directory)
     assert fixes.count == smoothed.count > 5000
     assert smoothed.horizontal < fixes.horizontal
     assert all(wander.ratio < 2.0 for wander in wanders)
+    level = next(apart for apart in motions if apart.name.startswith("velocity, level"))
+    assert 0.5 < level.ratio < 1.3
+    assert level.rms < 0.04
+    assert all(apart.ratio < 1.3 for apart in motions if apart.name.endswith("deg"))
