@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
@@ -190,7 +190,7 @@ def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, flo
         normal = (design * weight[:, None]).T @ design
         line = np.linalg.solve(normal, (design * weight[:, None]).T @ angle)
         residual = angle - design @ line
-        scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        scale = MAD_TO_SIGMA * np.median(np.abs(residual)) + 1e-9
         weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
     slope = weight * (2.0 * weight - 1.0)  # of weight times residual
     bread = np.linalg.inv((design * slope[:, None]).T @ design)
