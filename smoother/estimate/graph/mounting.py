@@ -18,7 +18,7 @@ from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
 from smoother.fit.running import gaussian_mean
-from smoother.frames import wrap_angle
+from smoother.frames import to_left, wrap_angle
 from smoother.trajectory import Keyframes
 from smoother.units import ANY_ANGLE, DEG, STANDARD_GRAVITY
 
@@ -175,7 +175,7 @@ def _push(keyframes: Keyframes) -> Array:
     """Acceleration to the left of the path (K,), in g."""
     velocity = keyframes.velocity_n[:, :2]
     change = np.gradient(velocity, keyframes.t, axis=0)
-    across = velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]
+    across = to_left(velocity, change)
     return np.asarray(across / np.maximum(np.hypot(*velocity.T), MIN_SPEED) / STANDARD_GRAVITY)
 
 
