@@ -11,9 +11,9 @@ import pytest
 from smoother.cli.main import run
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes
-from smoother.session.foreign import ForeignReading, TimingLine
+from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
-from smoother.session.vbo import read_vbo
+from smoother.session.vbo import TimingLine, own_lines, read_vbo
 
 HEADER = ("satellites", "time", "latitude", "longitude", "velocity kmh", "heading", "height")
 COLUMNS = ("sats", "time", "lat", "long", "velocity", "heading", "height")
@@ -61,9 +61,8 @@ def crossings(gnss: GnssFixes, line: TimingLine) -> np.ndarray:
 
 
 def test_the_laps_of_a_real_recording_come_out_with_its_own_line(data_directory: Path) -> None:
-    reading = read_vbo(data_directory / LIGNANO)
+    reading, ((_, start),) = read_vbo(data_directory / LIGNANO), own_lines(data_directory / LIGNANO)
     wanted = pl.read_csv(data_directory / Path(LIGNANO).parent / "laps_from_gps.csv")["lap_time_s"].to_numpy()
-    (start,) = reading.timing_lines
     assert start.kind == "start"
     found = np.diff(crossings(reading.gnss, start))
     np.testing.assert_allclose(found, wanted, atol=0.02)
@@ -208,14 +207,17 @@ def test_without_column_names_the_header_names_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("line", "order"),
     [
-        "Start   -000784.380000 +02743.975000 -000784.390000 +02743.975000 ¬ Start / Finish",
-        "Start   +02743.975000 -000784.380000 +02743.975000 -000784.390000 ¬   Start / Finish",
+        ("Start   -000784.380000 +02743.975000 -000784.390000 +02743.975000 ¬ Start / Finish", 0),
+        ("Start   +02743.975000 -000784.380000 +02743.975000 -000784.390000 ¬   Start / Finish", 1),
     ],
 )
-def test_both_orders_of_coordinates_in_laptiming_give_the_line_on_the_path(tmp_path: Path, line: str) -> None:
-    (found,) = read(tmp_path, vbo([row(k) for k in range(50)], f"[laptiming]\r\n{line}\r\n")).timing_lines
+def test_laptiming_is_read_with_longitude_first_and_with_latitude_first(tmp_path: Path, line: str, order: int) -> None:
+    path = tmp_path / "x.vbo"
+    path.write_bytes(vbo([row(k) for k in range(50)], f"[laptiming]\r\n{line}\r\n").encode())
+    (orders,) = own_lines(path)
+    found = orders[order]
     assert found.kind == "start" and found.name == "Start / Finish"
     assert found.first_deg == pytest.approx((45.7329166667, 13.073))
     assert found.second_deg == pytest.approx((45.7329166667, 13.0731666667))
