@@ -8,12 +8,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from smoother.cli.main import run
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes
 from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
 from smoother.session.vbo import TimingLine, own_lines, read_vbo
+
+from .readers import assert_outlives_damage, assert_refused
 
 HEADER = ("satellites", "time", "latitude", "longitude", "velocity kmh", "heading", "height")
 COLUMNS = ("sats", "time", "lat", "long", "velocity", "heading", "height")
@@ -284,11 +285,7 @@ def test_rows_with_too_many_or_too_few_values_are_dropped_and_counted(tmp_path: 
 def test_an_unusable_file_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    with pytest.raises(SessionError, match=re.escape(message)):
-        read(tmp_path, text)
-    assert run([str(tmp_path), "--no-figures"]) == 2
-    output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/x.vbo: ")
+    assert_refused(read_vbo, tmp_path / "x.vbo", text, message, capsys)
 
 
 @pytest.mark.parametrize("start", [vbo([]), vbo([row(k) for k in range(9)]), "File created on 11/04/2026", ""])
@@ -308,14 +305,5 @@ def test_an_endless_line_ends_the_reading_with_little_memory(tmp_path: Path, sta
 
 @pytest.mark.parametrize("seed", range(30))
 def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    data = np.frombuffer(
-        vbo([row(k) for k in range(60)], "[laptiming]\r\nStart 1 2 3 4 ¬ x\r\n").encode(), np.uint8
-    ).copy()
-    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
-    try:
-        gnss = read(tmp_path, data[: rng.integers(1, data.size + 1)].tobytes()).gnss
-    except SessionError as error:
-        assert "\n" not in str(error)
-    else:
-        assert np.all(np.diff(gnss.t) > 0.0)
+    text = vbo([row(k) for k in range(60)], "[laptiming]\r\nStart 1 2 3 4 ¬ x\r\n")
+    assert_outlives_damage(read_vbo, tmp_path / "x.vbo", text, seed)
