@@ -1,6 +1,6 @@
 """Every lap over track distance: when and how fast it was where, its delta by position, its line, each with sigma.
 
-Delta compares times at the same place of the track, not after the same distance driven, which drifts by seconds of a
+Delta compares times at the same place of the track, not after the same distance driven, which drifts by tenths of a
 second over a lap as lines differ.
 """
 

@@ -1,8 +1,8 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    one clock, force in step with rate -> fixes alone -> align -> first guess -> jumps beside outages
+    one clock, force in step with rate, without pauses -> fixes alone -> align -> first guess -> jumps beside outages
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
-    -> solve and identify, in turns -> magnetometer -> mounting -> output
+    -> magnetometer -> solve and identify, in turns -> wheels -> mounting -> output
 
 Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
 the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
