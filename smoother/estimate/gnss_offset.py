@@ -137,7 +137,7 @@ def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
 
 
 def fit_offset(seen: Drift) -> OffsetFit:
-    """Return the offset of the highest likelihood, of a drift that :func:`tells_offset`."""
+    """Return the offset of the highest likelihood; `seen` has to tell of one, see :func:`tells_offset`."""
     none = _log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
     axes, best = COARSE, np.zeros(3)
     for _ in range(1 + FINER):
