@@ -12,7 +12,6 @@ import os
 import resource
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +20,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from cost import best_of
 from smoother.session.load import load_raw
 from smoother.session.log import list_recordings, read_records
 from smoother.session.log_encode import encode
@@ -41,23 +41,18 @@ def main() -> int:
         path.write_bytes(encode(records, 1))
         size = path.stat().st_size / 1e6
         print(f"{options.minutes:g} min at {options.rate} Hz: {size:.0f} MB, {len(records.imu_t)} samples")
-        decoding = best_of(3, "records", lambda: read_records(list_recordings([path])[0]))
-        best_of(3, "session", lambda: load_raw(path))
+        decoding = timed("records", lambda: read_records(list_recordings([path])[0]))
+        timed("session", lambda: load_raw(path))
     print(f"peak     {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:6.2f} GB")
     hours = options.minutes / 60.0 * options.rate / 1000.0
     return 0 if decoding <= A_FEW_SECONDS * max(hours, 1.0) else 1
 
 
-def best_of(repeats: int, name: str, work: Callable[[], object]) -> float:
-    """Run and time `work`; print and return the least CPU seconds."""
-    walls, cpus = [], []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        work()
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
-    print(f"{name:8} {min(walls):6.2f} s ({min(cpus):.2f})")
-    return min(cpus)
+def timed(name: str, work: Callable[[], object]) -> float:
+    """Time `work`, print it and return the CPU seconds."""
+    cost = best_of(3, work)
+    print(f"{name:8} {cost.wall:6.2f} s ({cost.cpu:.2f})")
+    return cost.cpu
 
 
 def make_records(duration: float, rate: int, rng: np.random.Generator) -> LogRecords:

@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +29,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
+from cost import Cost, best_of
 from smoother.arrays import Array
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import rotation_from_euler
@@ -41,28 +41,6 @@ from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.units import STANDARD_GRAVITY
 
 TIMES_REFERENCE, TIMES_COMMAND, TIMES_KILOHERTZ, TIMES_HOUR, MEMORY_HOUR = 4.0, 3.0, 1.3, 7.0, 1.0  # promised; GB
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Wall and CPU time, s."""
-
-    wall: float
-    cpu: float
-
-    def __str__(self) -> str:
-        return f"{self.wall:7.2f} s ({self.cpu:7.2f})"
-
-
-def best_of(repeats: int, work: Callable[[], object]) -> Cost:
-    """Run `work` several times and return the least wall and CPU time: what is more was somebody else's."""
-    walls, cpus = [], []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        work()
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
-    return Cost(min(walls), min(cpus))
 
 
 def reference_graph(simulation: Simulation, session: Session) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

@@ -45,7 +45,7 @@ def _vibration(recording: Recording, values: list[Value], remarks: list[str]) ->
     values.append(Value("vibration above 2 Hz, turning", spectra["gyroscope"].rms(2.0) / DEG, None, "deg/s"))
     line = engine_line(t, np.hstack([force, rate]), hz)
     values += _line_values(line, hz, recording.is_driven, remarks)
-    return {"spectra": spectra, "line": line, "rate": hz, "is_driven": recording.is_driven}
+    return {"spectra": spectra, "line": line, "rate": hz}
 
 
 def _timing_values(sensor: str, timing: Timing) -> list[Value]:

@@ -1,4 +1,4 @@
-"""Array type aliases, and the one way data types hold arrays: float64, contiguous, read-only, shape checked."""
+"""Array types, the one way data types hold arrays (float64, contiguous, read-only, shape checked), and medians."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,6 +9,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+MAD_TO_SIGMA = 1.4826  # sigma of normal numbers over the median of their distances from their middle
 _TOGETHER = 1 << 19
 
 

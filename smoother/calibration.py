@@ -230,11 +230,8 @@ def save_calibration(path: Path, calibration: Calibration, notes: Mapping[str, M
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def load_notes(path: Path, calibration: Calibration, newer: Calibration) -> dict[str, dict[str, object]]:
-    """Return what calibration.toml holds for people, by table, except of sensors that `newer` has values for.
-
-    `calibration` is what will be saved: its own keys are left out.
-    """
+def load_notes(path: Path, newer: Calibration) -> dict[str, dict[str, object]]:
+    """Return what calibration.toml holds for people, by table, except of sensors that `newer` has values for."""
     notes: dict[str, dict[str, object]] = {}
     changed = {value.quantity for value in newer.applied()}
     for table, section in _flattened(_document(path)).items():

@@ -60,6 +60,11 @@ def velocity_n_from_course(speed: Array, course_deg: Array) -> Array:
     return np.stack([speed * np.cos(yaw), speed * np.sin(yaw), np.full(np.shape(yaw), np.nan)], axis=-1)
 
 
+def to_left(forward: Array, vector_n: Array) -> Array:
+    """Level component (...) of vectors in n to the left of `forward`, times its level length; both (..., 2 or 3)."""
+    return np.asarray(forward[..., 0] * vector_n[..., 1] - forward[..., 1] * vector_n[..., 0])
+
+
 def wrap_angle(angle: Array) -> Array:
     """Angle in (-pi, pi] rad."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))

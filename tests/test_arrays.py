@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from smoother.arrays import frozen, frozen_int, median, require_increasing
+from smoother.arrays import MAD_TO_SIGMA, frozen, frozen_int, median, require_increasing
 
 
 def test_frozen_array_is_float64_contiguous_and_read_only() -> None:
@@ -78,3 +79,7 @@ def test_there_is_no_median_where_a_value_is_not_known() -> None:
         assert np.isnan(median(some))
     assert median(np.array([1.0, 2.0, np.inf, np.inf, np.inf])) == np.inf
     assert median(np.append(values, np.inf)) == np.median(np.append(values, np.inf))
+
+
+def test_half_of_normal_numbers_lie_within_their_sigma_over_its_factor() -> None:
+    assert norm.cdf(1.0 / MAD_TO_SIGMA) - norm.cdf(-1.0 / MAD_TO_SIGMA) == pytest.approx(0.5, abs=1e-5)

@@ -48,6 +48,11 @@ def test_wrapped_angles_lie_in_the_half_open_circle() -> None:
     assert np.all((wrapped > -np.pi) & (wrapped <= np.pi))
 
 
+def test_left_of_a_northward_course_is_west() -> None:
+    forward = np.array([[2.0, 0.0, 9.0], [0.0, -1.0, 9.0]])  # north, and east
+    np.testing.assert_array_equal(frames.to_left(forward, np.array([3.0, 5.0])), [10.0, 3.0])
+
+
 def test_signs_of_roll_pitch_and_yaw() -> None:
     forward, left, up = np.eye(3)
     quarter = 0.3

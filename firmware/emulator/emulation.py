@@ -6,7 +6,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -126,11 +125,10 @@ def drive_script(stimulus: Stimulus, records: LogRecords, ahead_s: float = AHEAD
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run left: its folder, measurements by name, seconds of wall clock and of this machine's processor."""
+    """What a run left: its folder, measurements by name, seconds of this machine's processor."""
 
     folder: Path
     measured: dict[str, str]
-    wall_s: float
     cpu_s: float
 
     def number(self, name: str) -> float:
@@ -188,7 +186,7 @@ def run(folder: Path, image: Path, stimulus: Stimulus, script: Script, program: 
         old.unlink(missing_ok=True)
     (folder / "stimulus.bin").write_bytes(stimulus.pack())
     (folder / "script.txt").write_text(script.text())
-    since, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [program, image, folder / "stimulus.bin", folder / "script.txt", folder]
     done = subprocess.run(command, capture_output=True, text=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -196,4 +194,4 @@ def run(folder: Path, image: Path, stimulus: Stimulus, script: Script, program: 
     if done.returncode:
         raise RuntimeError(f"emulator: exit code {done.returncode} {done.stderr} {measured.get('fault', '')}")
     cpu = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
-    return Outcome(folder, measured, time.perf_counter() - since, cpu)
+    return Outcome(folder, measured, cpu)

@@ -20,6 +20,8 @@ from smoother.cli.arguments import (
     Number,
     Whole,
     json_option,
+    no_baseline_option,
+    rate_option,
     require_sessions,
     solver_option,
 )
@@ -72,9 +74,9 @@ class Plan:
 @click.option("--again", is_flag=True, help="Smooth what is finished and unchanged too.")
 @click.option("--time-limit", metavar="S", type=Number(1.0), default=3600.0, help="For one session [3600].")
 @click.option("--memory-limit", metavar="MB", type=Whole(64), default=4096, help="For one session [4096].")
-@click.option("--rate", metavar="HZ", type=Number(1.0, 1000.0), default=50.0, help="Rows a second [50].")
+@rate_option
 @solver_option
-@click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
+@no_baseline_option
 @click.option("--no-figures", is_flag=True, help="Write tables only, no reports.")
 @click.option("--pictures", is_flag=True, help="Write the figures as files too; takes half as long again.")
 @json_option

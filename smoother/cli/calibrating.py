@@ -127,7 +127,7 @@ def _write(results: Results, directory: Path, with_figures: bool) -> Path:
     calibration, notes = results.calibration, dict(results.notes)
     if target.is_file():
         calibration = merged(load_calibration(target), calibration)
-        notes = {**load_notes(target, calibration, results.calibration), **notes}
+        notes = {**load_notes(target, results.calibration), **notes}
     if calibration.applied() or notes:
         _save(target, calibration, notes)
     else:

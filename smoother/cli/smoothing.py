@@ -11,9 +11,10 @@ from smoother.cli.arguments import (
     EXIT_DONE,
     EXIT_QUALITY,
     EXIT_UNUSABLE,
-    Number,
     each_once,
     json_option,
+    no_baseline_option,
+    rate_option,
     recording_option,
     require_sessions,
     sessions_argument,
@@ -65,9 +66,9 @@ class SmoothCommand(click.Command):
     "-o", "--out", metavar="DIR", type=click.Path(path_type=Path), help="Where results go [SESSION/smoothed]."
 )
 @recording_option
-@click.option("--rate", metavar="HZ", type=Number(1.0, 1000.0), default=50.0, help="Rows a second [50].")
+@rate_option
 @solver_option
-@click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")
+@no_baseline_option
 @click.option("--no-figures", is_flag=True, help="Write tables only; an earlier report goes.")
 @click.option("--no-pictures", is_flag=True, help="Write the report, but no figures/*.png; earlier ones go.")
 @json_option

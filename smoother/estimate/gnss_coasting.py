@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.align import LAGS, Alignment, Averages, PathMotion, in_gap, initial_attitude
-from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA
+from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.words import counted
 
@@ -54,7 +54,7 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
     """
     gnss, imu = session.gnss, session.imu
     out = np.zeros(len(gnss), dtype=np.bool_)
-    rows = np.flatnonzero(np.isfinite(gnss.velocity_n[:, :2]).all(axis=1))
+    rows = np.flatnonzero(says_velocity(gnss.velocity_n))
     if imu is None or rows.size < FEWEST or alignment.is_level_only or np.ptp(gnss.t) > LONGEST:
         return out
     t, velocity = gnss.t[rows], gnss.velocity_n[rows, :2]

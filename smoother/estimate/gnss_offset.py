@@ -89,11 +89,11 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
-    if not _tells(fixes_t, seen, path):
+    if not tells_offset(fixes_t, seen, path):
         return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
     if is_filtered and lasts <= TIMES * usual.tau:
         return _walked(seen, usual)
-    fit = _fitted(seen)
+    fit = fit_offset(seen)
     if not is_filtered and fit.evidence < PRICE:
         return OffsetModel(usual.sigma * NONE, usual.tau)
     own = usual.sigma * (fit.sigma / usual.sigma[0])
@@ -115,14 +115,8 @@ def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
     return OffsetModel(usual.sigma * share, usual.tau)
 
 
-def fit_offset(fixes_t: Array, path: GnssPath) -> OffsetFit | None:
-    """Return the offset of the fixes, stamped fixes_t (M,) s, of `path`; None with too little Doppler to tell."""
-    seen = drift_against_doppler(fixes_t, path)
-    return _fitted(seen) if _tells(fixes_t, seen, path) else None
-
-
-def _tells(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
-    """Whether there are means and Doppler enough to say anything of an offset."""
+def tells_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
+    """Whether there are means and Doppler enough to say anything of the offset of the fixes, stamped fixes_t (M,) s."""
     return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
 
 
@@ -142,7 +136,8 @@ def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
     return bool(path.jerk_density[0] * step**1.5 > math.sqrt(720.0) * path.velocity_sigma[0])
 
 
-def _fitted(seen: Drift) -> OffsetFit:
+def fit_offset(seen: Drift) -> OffsetFit:
+    """Return the offset of the highest likelihood; `seen` has to tell of one, see :func:`tells_offset`."""
     none = _log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
     axes, best = COARSE, np.zeros(3)
     for _ in range(1 + FINER):

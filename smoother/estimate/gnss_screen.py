@@ -33,10 +33,10 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velo
     t (M,) s; position_n, velocity_n (M, 3), NaN where unknown; has_velocity (M,), as of :func:`plausible_velocities`.
     """
     good = _near_median(t, position_n[:, :2], 7, ABSURD_DISTANCE, ABSURD_SPEED)
-    sent = np.isfinite(velocity_n[:, :2]).all(axis=1) & has_velocity
     known = np.isfinite(position_n[:, :2]).all(axis=1) & good
-    measured = known & sent
-    use_sent = np.count_nonzero(measured) > 0.5 * np.count_nonzero(known)
+    sent_n = np.where(has_velocity[:, None], velocity_n, np.nan)
+    measured = known & says_velocity(sent_n)
+    use_sent = most_say_velocity(sent_n[known])
     for rows in unbroken_runs(t, np.flatnonzero(measured if use_sent else known)):
         if rows.size >= FEWEST_FIXES and (use_sent or np.median(np.diff(t[rows])) <= QUICK):
             position = position_n[rows, :2]
@@ -48,6 +48,16 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velo
 def plausible_velocities(t: Array, velocity_n: Array) -> BoolArray:
     """Mask (M,) of fixes whose horizontal velocity fits those around it."""
     return _near_median(t, velocity_n[:, :2], 5, ABSURD_CHANGE, ABSURD_ACCELERATION)
+
+
+def says_velocity(velocity_n: Array) -> BoolArray:
+    """Mask (M,) of the fixes that say how fast they move on the level: velocity_n (M, 2 or 3) m/s, NaN if unknown."""
+    return np.asarray(np.isfinite(velocity_n[:, :2]).all(axis=1))
+
+
+def most_say_velocity(velocity_n: Array) -> bool:
+    """Whether most of the fixes do: velocity_n (M, 2 or 3) m/s, NaN if unknown."""
+    return bool(np.count_nonzero(says_velocity(velocity_n)) > 0.5 * len(velocity_n))
 
 
 def _near_median(t: Array, values: Array, size: int, slack: float, rate: float) -> BoolArray:

@@ -10,7 +10,7 @@ error that comes and goes is another matter.
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
-from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, unbroken_runs
+from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, says_velocity, unbroken_runs
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
 
@@ -34,7 +34,7 @@ def unsettled(session: Session) -> BoolArray:
     """
     t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
     out = np.zeros(len(t), dtype=np.bool_)
-    known = np.flatnonzero(np.isfinite(position_n).all(axis=1) & np.isfinite(velocity_n).all(axis=1))
+    known = np.flatnonzero(np.isfinite(position_n).all(axis=1) & says_velocity(velocity_n))
     unbroken = unbroken_runs(t, known)
     runs = [rows for rows in unbroken if t[rows[-1]] - t[rows[0]] > 2.0 * LATER]
     if 2 * sum(int(rows[-1] - rows[0]) + 1 for rows in unbroken) < len(t) or not runs:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from smoother.arrays import Array, median
-from smoother.frames import euler_from_rotation
+from smoother.frames import euler_from_rotation, to_left
 from smoother.samples import Problem
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -46,7 +46,7 @@ def _roll_and_push(trajectory: Trajectory) -> tuple[Array, Array]:
         return np.empty(0), np.empty(0)
     speed = np.hypot(*velocity.T)
     change = np.stack([np.gradient(velocity[:, i], t) for i in range(2)], axis=1)
-    push = (velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]) / np.maximum(speed, 1.0)
+    push = to_left(velocity, change) / np.maximum(speed, 1.0)
     roll = euler_from_rotation(R_nb)[0]
     tells = (speed > MIN_SPEED) & (np.abs(push) > LEAST_PUSH) & np.isfinite(roll)
     return roll[tells], push[tells]

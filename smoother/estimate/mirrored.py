@@ -7,6 +7,7 @@ not as the places do.
 import numpy as np
 
 from smoother.estimate.align import PathMotion, align
+from smoother.estimate.gnss_screen import says_velocity
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES
@@ -48,7 +49,7 @@ def _is_course_wrong(read: tuple[Problem, ...]) -> bool:
 
 def _agrees_with_course(session: Session) -> bool:
     """Whether the box turns as the velocities that were sent with most of the places."""
-    known = np.isfinite(session.gnss.velocity_n[:, :2]).all(axis=1)
+    known = says_velocity(session.gnss.velocity_n)
     if session.imu is None or np.mean(known) < 0.5:
         return False
     found = align(session.imu, PathMotion(session.gnss.t[known], session.gnss.velocity_n[known]))

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.estimate.align import Alignment, PathMotion, align
+from smoother.estimate.gnss_screen import says_velocity
 from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession
 from smoother.units import DEG
 
@@ -76,7 +77,7 @@ def _shaken(imu: RawImu) -> tuple[Problem, ...]:
 
 def aligned(imu: RawImu, fixes: GnssFixes) -> Alignment | None:
     """Return how the box lies in the kart by the first ENOUGH samples, None without velocities."""
-    driven = np.isfinite(fixes.velocity_n[:, :2]).all(axis=1)
+    driven = says_velocity(fixes.velocity_n)
     if len(imu.t) < 2 or not driven.any():
         return None
     return align(beginning(imu), PathMotion(fixes.t[driven], fixes.velocity_n[driven]))

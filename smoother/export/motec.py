@@ -22,7 +22,7 @@ from smoother.export.text import PRODUCT, date_and_time, lap_clock
 from smoother.report.files import replacing
 from smoother.units import KMH, MICROSECOND, STANDARD_GRAVITY
 
-HEAD_AT, VEHICLE_AT, VENUE_AT, EVENT_AT, CHANNELS_AT = 0, 1762, 5078, 8180, 11336
+VEHICLE_AT, VENUE_AT, EVENT_AT, CHANNELS_AT = 1762, 5078, 8180, 11336
 CHANNEL_BYTES = 124
 CHANNEL = struct.Struct("<4I4H4h32s8s12s40x")
 FIRST_CHANNEL_ID = 0x2EE1

@@ -1,6 +1,6 @@
 """The rows of trajectory.csv in blocks, so that a session of any length takes the same memory.
 
-A block is a `Rows`: columns by name, those of the file and, after `derived`, those every format needs (see there).
+A block is a `Rows`: columns by name, those of the file and, after `with_motion`, those every format needs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

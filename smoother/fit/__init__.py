@@ -1,1 +1,1 @@
-"""Estimations that calib/ and estimate/ share: standstill, gyro bias, ellipsoid, levelling."""
+"""Estimations that calib/, estimate/ and laps/ share: of sensors at rest and turned, standstill, spectra, filters."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, frozen
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, frozen
 from smoother.errors import SmootherError
 from smoother.fit import quadric
 
@@ -29,7 +29,6 @@ MIN_THICKNESS = 0.05  # of the largest extent; below this it is a plane
 MAX_RELATIVE_SIGMA = 0.2  # of a semi-axis; above this the points do not say how long it is
 MAX_RELATIVE_SIZE = 10.0  # of half the points' extent; a larger ellipsoid is a plane with a name
 MAX_RELATIVE_RMS = 0.25  # of the shortest semi-axis; a cloud of noise gives 0.4 and more
-MAD_TO_SIGMA = 1.4826
 COVERAGE_BANDS, COVERAGE_SECTORS = 6, 10  # 60 cells of equal area, 0.21 sr each
 CONVERGED = 1e-4  # last step, in standard deviations of the result
 ROWS, COLUMNS = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # the upper triangle, row by row

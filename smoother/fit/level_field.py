@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import MAD_TO_SIGMA, Array
 from smoother.fit.ellipsoid import FitError
 
 FEWEST_READINGS = 100
@@ -101,7 +101,7 @@ def fit_level_field(t: Array, field: Array, up: Array, inclination: float) -> Le
         raise FitError("the laps do not show all headings to the magnetometer; drive some circles in both directions")
     off = np.linalg.norm(unit, axis=1) - 1.0
     rms = _slow_rms(t, off)
-    if 1.4826 * float(np.median(np.abs(off))) > LARGEST_SCATTER or rms > LARGEST_RMS:
+    if MAD_TO_SIGMA * float(np.median(np.abs(off))) > LARGEST_SCATTER or rms > LARGEST_RMS:
         raise FitError("the readings do not lie near an ellipse: engine or iron outweigh the Earth's field")
     covariance = _covariance(t, across, parameters)
     slope, height = _plane(across - centre, along)
@@ -126,7 +126,7 @@ def _slow_rms(t: Array, residual: Array) -> float:
     """Robust rms of the residuals (N,) over means of AVERAGED seconds."""
     block = np.unique(np.floor((t - t[0]) / AVERAGED).astype(np.int64), return_inverse=True)[1]
     mean = np.bincount(block, residual) / np.bincount(block)
-    return 1.4826 * float(np.median(np.abs(mean - np.median(mean))))
+    return MAD_TO_SIGMA * float(np.median(np.abs(mean - np.median(mean))))
 
 
 def _frame_with(up: Array) -> Array:
@@ -177,7 +177,7 @@ def _covariance(t: Array, points: Array, parameters: Array) -> Array:
     J = so3.numerical_jacobian(lambda x: _distance(x, points), parameters, 1e-6 * float(np.max(np.abs(parameters))))
     residual = _distance(parameters, points)
     exact = 1e-6 / float(np.max(parameters[2:]))  # of the radius; data without noise have no scatter to go by
-    limit = 4.0 * 1.4826 * max(float(np.median(np.abs(residual))), exact)
+    limit = 4.0 * MAD_TO_SIGMA * max(float(np.median(np.abs(residual))), exact)
     weight = 1.0 / (1.0 + (2.0 * residual / limit) ** 2)
     block = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     score = np.stack([np.bincount(block, J[:, i] * weight * residual) for i in range(5)], axis=1)

@@ -8,7 +8,7 @@ Errata of the thesis, each checked by a test:
     2.28  west component +cos(dip) sin(declination)   minus that, declination being positive towards east
     2.32  yaw = atan2(..)                             minus that, and minus the declination
 
-Signs: `R_n_s = Rz(yaw) Ry(pitch) Rx(roll)`, yaw anticlockwise from north; at rest the specific force points up.
+Signs: `R_ns = Rz(yaw) Ry(pitch) Rx(roll)`, yaw anticlockwise from north; at rest the specific force points up.
 """
 
 import numpy as np
@@ -47,13 +47,3 @@ def yaw_from_field(field: Array, specific_force: Array, declination: float = 0.0
         raise FitError("the magnetic field has no horizontal part, so nothing says where north is")
     # Level axes see the field at the angle atan2(west, north) = -declination - yaw.
     return float(wrap_angle(-declination - np.arctan2(level[1], level[0])))
-
-
-def attitude_at_rest(specific_force: Array, field: Array, declination: float = 0.0) -> Array:
-    """R_n_s (3, 3) of a box at rest from mean specific force (3,), calibrated field (3,) and declination. Eq. 2.18.
-
-    Raises FitError as :func:`level_angles` and :func:`yaw_from_field`.
-    """
-    roll, pitch = level_angles(specific_force)
-    yaw = yaw_from_field(field, specific_force, declination)
-    return rotation_from_euler(np.asarray(roll), np.asarray(pitch), np.asarray(yaw))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray
 from smoother.disc import pieces, release, thinned
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Session
@@ -158,7 +158,7 @@ def _white_noise(position: Array) -> float:
     if len(position) < 3:
         return float("inf")
     bend = position[1:-1] - 0.5 * (position[:-2] + position[2:])
-    return float(1.4826 * np.median(np.abs(bend)) / np.sqrt(1.5))
+    return float(MAD_TO_SIGMA * np.median(np.abs(bend)) / np.sqrt(1.5))
 
 
 def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options: StandstillOptions) -> BoolArray:

@@ -1,6 +1,6 @@
 """Every lap over track distance: when and how fast it was where, its delta by position, its line, each with sigma.
 
-Delta compares times at the same place of the track, not after the same distance driven, which drifts by seconds of a
+Delta compares times at the same place of the track, not after the same distance driven, which drifts by tenths of a
 second over a lap as lines differ.
 """
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.fit.running import local_polynomial
+from smoother.frames import to_left
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
 from smoother.laps.path import PlanPath, level_acceleration
@@ -158,8 +159,7 @@ def make_traces(
 
 def _lateral(curve: Curve, position: Array, distance: Array) -> Array:
     """Offset (L, M) to the left of the reference line, at its own places."""
-    away, tangent = position - curve.position(distance), curve.tangent(distance)
-    return np.asarray(tangent[:, 0] * away[..., 1] - tangent[:, 1] * away[..., 0])
+    return to_left(curve.tangent(distance), position - curve.position(distance))
 
 
 def sigma_places(distance: Array) -> IntArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.fit.running import running_maximum
+from smoother.frames import to_left
 from smoother.laps.reference import Curve
 from smoother.laps.results import Line
 
@@ -46,8 +47,7 @@ def meeting_places(curve: Curve, ends: Array) -> Array:
 def oriented(name: str, ends: Array, forward: Array, source: str, distance: float = float("nan")) -> Line:
     """Return the line with its ends named left and right as seen by someone who passes it in direction forward (2,)."""
     span = ends[0] - ends[1]
-    is_left = forward[0] * span[1] - forward[1] * span[0] > 0.0
-    left, right = (ends[0], ends[1]) if is_left else (ends[1], ends[0])
+    left, right = (ends[0], ends[1]) if to_left(forward, span) > 0.0 else (ends[1], ends[0])
     return Line(name, left, right, source, distance)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray, frozen
 from smoother.disc import pieces, release
 from smoother.fit.running import local_polynomial
+from smoother.frames import to_left
 from smoother.laps.results import FixPath
 from smoother.trajectory import Trajectory
 
@@ -95,7 +96,7 @@ def level_acceleration(trajectory: Trajectory, path: PlanPath | None = None) -> 
         acceleration_n[unknown] = _from_velocity(path)[unknown]
     forward = path.velocity_n / np.maximum(path.speed, 1e-9)[:, None]
     along = np.sum(acceleration_n * forward, axis=1)
-    left = forward[:, 0] * acceleration_n[:, 1] - forward[:, 1] * acceleration_n[:, 0]
+    left = to_left(forward, acceleration_n)
     return np.stack([along, left], axis=1)
 
 

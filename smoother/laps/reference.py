@@ -11,6 +11,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.fit.running import gaussian_mean
 from smoother.fit.spline import CubicSpline
+from smoother.frames import to_left
 from smoother.laps.path import PlanPath
 from smoother.laps.results import ReferenceLine
 
@@ -68,11 +69,11 @@ class Curve:
             within = self.wrapped(distance)
             there, tangent = self._place_within(within)
             away = position_n - there
-            stretch = 1.0 - np.clip(_left(tangent, away) * np.interp(within, *self._bends), -BENT, BENT)
+            stretch = 1.0 - np.clip(to_left(tangent, away) * np.interp(within, *self._bends), -BENT, BENT)
             along = tangent[:, 0] * away[:, 0] + tangent[:, 1] * away[:, 1]
             distance = distance + np.clip(along / stretch, -5.0, 5.0)
         there, tangent = self.place(distance)
-        return distance, _left(tangent, position_n - there)
+        return distance, to_left(tangent, position_n - there)
 
     def _place_within(self, within: Array) -> tuple[Array, Array]:
         """Position and unit tangent at distances within the lap."""
@@ -94,10 +95,6 @@ class Curve:
             return CubicSpline(line.distance, line.position_n)
         ends = np.append(line.distance, line.length)
         return CubicSpline(ends, np.concatenate([line.position_n, line.position_n[:1]]), is_closed=True)
-
-
-def _left(tangent: Array, away: Array) -> Array:
-    return np.asarray(tangent[:, 0] * away[:, 1] - tangent[:, 1] * away[:, 0])
 
 
 def line_through(points: Array, up: Array, is_closed: bool = True) -> ReferenceLine:

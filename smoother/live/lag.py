@@ -9,6 +9,7 @@ motion, so the biases here are those felt in the interval that follows their key
 Between keyframes and now the inertial samples alone carry the state on.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -329,13 +330,7 @@ class FixedLag:
     def _between(self, start: float, end: float) -> ImuSamples:
         parts = [part for part in self._imu if part.t[-1] > start - 0.1 and part.t[0] < end + 0.1]
         parts = parts or self._imu[-1:]
-        return ImuSamples(
-            np.concatenate([part.t for part in parts]),
-            np.concatenate([part.specific_force_s for part in parts]),
-            np.concatenate([part.angular_rate_s for part in parts]),
-            parts[-1].accel_full_scale,
-            parts[-1].gyro_full_scale,
-        )
+        return joined(parts)
 
     def _forget(self, before: float) -> None:
         self._imu = [part for part in self._imu if part.t[-1] > before - 0.2]
@@ -359,3 +354,14 @@ def _parameters() -> gtsam.ISAM2Params:
     parameters.relinearizeSkip = 1
     parameters.findUnusedFactorSlots = True  # else the list of factors grows as long as the stream goes on
     return parameters
+
+
+def joined(parts: Sequence[ImuSamples]) -> ImuSamples:
+    """Return samples that came in parts, one after the other, as one."""
+    return ImuSamples(
+        np.concatenate([part.t for part in parts]),
+        np.concatenate([part.specific_force_s for part in parts]),
+        np.concatenate([part.angular_rate_s for part in parts]),
+        parts[-1].accel_full_scale,
+        parts[-1].gyro_full_scale,
+    )

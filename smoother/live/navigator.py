@@ -18,7 +18,7 @@ from smoother.frames import Origin
 from smoother.laps.results import GivenLines, Line
 from smoother.laps.tracks import TrackFile, layout_on
 from smoother.live.identify import MOVED, Job, Window
-from smoother.live.lag import FixedLag, LagOptions, LagStart, LagState
+from smoother.live.lag import FixedLag, LagOptions, LagStart, LagState, joined
 from smoother.live.laptimes import LapClock, LapTimes
 from smoother.prepare import choose_origin
 from smoother.samples import GnssFixes, ImuSamples
@@ -189,7 +189,7 @@ class Navigator:
             found, self._identification = self._identification.result(), None
             self._begin_again(found)
         if self._should_identify() and self._origin is not None:
-            window = Window(_all_imu(self._imu), _all_fixes(self._fixes), self._origin)
+            window = Window(joined(self._imu), _all_fixes(self._fixes), self._origin)
             later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
             self._identify_at = later[0] if later else float("inf")
             self._identification, self._identified_from = self._worker.identify(window), float(window.imu.t[0])
@@ -328,16 +328,6 @@ def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:
 def speed_of(fix: GnssFixes) -> float:
     """Horizontal speed of the last row, m/s; NaN where the receiver says none."""
     return float(np.hypot(fix.velocity_n[-1, 0], fix.velocity_n[-1, 1]))
-
-
-def _all_imu(parts: deque[ImuSamples]) -> ImuSamples:
-    return ImuSamples(
-        np.concatenate([part.t for part in parts]),
-        np.concatenate([part.specific_force_s for part in parts]),
-        np.concatenate([part.angular_rate_s for part in parts]),
-        parts[-1].accel_full_scale,
-        parts[-1].gyro_full_scale,
-    )
 
 
 def _all_fixes(parts: deque[GnssFixes]) -> GnssFixes:

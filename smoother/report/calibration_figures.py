@@ -166,7 +166,7 @@ def allan(curves: Mapping[str, AllanDeviation], figures: Mapping[str, NoiseFigur
     return figure
 
 
-def spectrum(spectra: Mapping[str, Spectrum], line: EngineLine, rate: float, is_driven: bool) -> Figure:
+def spectrum(spectra: Mapping[str, Spectrum], line: EngineLine, rate: float) -> Figure:
     """Amplitude density of both sensors, and the strongest line over time."""
     figure = style.new_figure("Vibration", 12.0, 8.0)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.2, 1.0))

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from smoother.arrays import Array
+from smoother.frames import to_left
 from smoother.report import style
 from smoother.report.files import replacing
 from smoother.report.summary import fastest_row
@@ -411,7 +412,7 @@ def _tightest(trajectory: Trajectory) -> int:
 
 def _turn(a: Array, b: Array) -> tuple[Array, Array]:
     """Sine and cosine, times both lengths, of the angle from a to b, each (N, 2)."""
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)
+    return to_left(a, b), np.sum(a * b, axis=1)
 
 
 def _limit_of_most(values: Array) -> float:

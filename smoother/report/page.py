@@ -13,6 +13,7 @@ from smoother.estimate.check import USELESS, Check, check
 from smoother.estimate.quality import Quality
 from smoother.laps.results import LapAnalysis
 from smoother.report import page_sections as words
+from smoother.report import page_trust
 from smoother.report.files import replacing
 from smoother.report.page_charts import figure, grip, linked, picker, styled
 from smoother.report.page_data import MOST_DRAWN, Document, Numbers, drawn_laps, lap_name, page_data, stretches
@@ -135,11 +136,11 @@ def _compared_words(told: words.Told) -> str:
 
 
 def _quality(told: words.Told) -> list[Element]:
-    tables = [words.recording_table(told), words.residual_table(told)]
+    tables = [page_trust.recording_table(told), page_trust.residual_table(told)]
     return [
         element("h2", "Can I trust this?", id="quality"),
-        *words.trust(told),
+        *page_trust.trust(told),
         figure("quality-time", "Sigma, residuals and gaps over time"),
         element("div", *tables, class_="pair"),
-        words.identified_table(told),
+        page_trust.identified_table(told),
     ]

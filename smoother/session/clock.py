@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, is_increasing, median
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
 from smoother.units import MICROSECOND
@@ -211,7 +211,7 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
     height = (total[2 * window :] - 2.0 * total[window:-window] + total[: -2 * window]) / window
     if height.max() <= SMALLEST_STEP * period:
         return []
-    noise = 1.4826 * median(np.abs(height - median(height)))
+    noise = MAD_TO_SIGMA * median(np.abs(height - median(height)))
     high = height > max(SMALLEST_STEP * period, STEP_SIGMAS * noise)
     if window == 1:
         starts = np.flatnonzero(high)  # neighbours are steps of their own

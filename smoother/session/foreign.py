@@ -28,20 +28,6 @@ RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
-class TimingLine:
-    """A timing line a file brings along: "start", "finish" or "split", its name, two points (lat, lon) in degrees.
-
-    As written: RaceBox and this program give the ends of the line, RaceChrono a point on the track and one some 30 m
-    along it.
-    """
-
-    kind: str
-    name: str
-    first_deg: tuple[float, float]
-    second_deg: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
 class ForeignReading:
     """What a file of another program holds. `imu` only where it has all six inertial channels.
 
@@ -51,7 +37,6 @@ class ForeignReading:
     gnss: GnssFixes
     problems: list[Problem] = field(default_factory=list)
     imu: RawImu | None = None
-    timing_lines: tuple[TimingLine, ...] = ()
     unix_at_zero: float | None = None
 
 

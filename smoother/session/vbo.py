@@ -23,7 +23,6 @@ from smoother.session.foreign import (
     RATE_UNITS,
     SPEED_UNITS,
     ForeignReading,
-    TimingLine,
     axes_note,
     date_note,
     factor,
@@ -81,6 +80,20 @@ LINE = re.compile(r"^(start|finish|split)\s+" + r"([-+]?\d+(?:\.\d*)?)[\s,]+" * 
 
 
 @dataclass(frozen=True)
+class TimingLine:
+    """A timing line that a file brings along: "start", "finish" or "split", its name, two points (lat, lon) in degrees.
+
+    As written: RaceBox and this program give the ends of the line, RaceChrono a point on the track and one some 30 m
+    along it.
+    """
+
+    kind: str
+    name: str
+    first_deg: tuple[float, float]
+    second_deg: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class _Head:
     """The sections before the data: lines by section, lower case; "" holds what stands before the first."""
 
@@ -124,9 +137,8 @@ def read_vbo(path: Path) -> ForeignReading:
     imu, imu_problems = _imu(path.name, head, records, t, inertial)
     if not inertial:
         imu_problems = _unused_imu(path.name, names)
-    timing = _timing_lines(head, gnss)
     problems = [*records.problems(path.name), *time_problems, *imu_problems, *problems]
-    return ForeignReading(gnss, problems, imu, timing)
+    return ForeignReading(gnss, problems, imu)
 
 
 def _sections(lines: Iterable[str]) -> dict[str, list[str]]:
@@ -273,28 +285,7 @@ def own_lines(path: Path) -> tuple[tuple[TimingLine, TimingLine], ...]:
     return tuple((_line_of(match, True), _line_of(match, False)) for match in found)
 
 
-def _timing_lines(head: _Head, gnss: GnssFixes) -> tuple[TimingLine, ...]:
-    """The lines of [laptiming], each in the order of coordinates that puts it nearest to the fixes."""
-    lines = [match for text in head.sections.get("laptiming", []) if (match := LINE.match(text))]
-    if not lines or len(gnss) == 0:
-        return ()
-    return tuple(_timing_line(match, gnss) for match in lines)
-
-
-def _timing_line(match: re.Match[str], gnss: GnssFixes) -> TimingLine:
-    orders = (_line_of(match, True), _line_of(match, False))
-    return min(orders, key=lambda line: _distance_deg((line.first_deg, line.second_deg), gnss))
-
-
 def _line_of(match: re.Match[str], is_longitude_first: bool) -> TimingLine:
     a, b, c, d = (float(match[i]) * MINUTES for i in range(2, 6))
     first, second = ((b, -a), (d, -c)) if is_longitude_first else ((a, -b), (c, -d))
     return TimingLine(match[1].lower(), match[6].strip(" \t¬Â\ufffd"), first, second)
-
-
-def _distance_deg(ends: tuple[tuple[float, float], tuple[float, float]], gnss: GnssFixes) -> float:
-    """Distance of the middle of a line from the nearest fix, in degrees; far where it cannot be on Earth."""
-    lat, lon = 0.5 * (ends[0][0] + ends[1][0]), 0.5 * (ends[0][1] + ends[1][1])
-    east = np.mod(gnss.lon_deg - lon + 180.0, 360.0) - 180.0
-    off = np.hypot(gnss.lat_deg - lat, east * np.cos(np.radians(gnss.lat_deg)))
-    return float(np.min(off)) if abs(lat) <= 90.0 else float("inf")

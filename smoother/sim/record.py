@@ -1,4 +1,4 @@
-"""Simulations as files: the CSV form, NMEA sentences and the thesis' two files, each with the truth beside it.
+"""Simulations as files: the CSV form and the thesis' two files, each with the truth beside it; NMEA sentences.
 
 Values are rounded where a file would round them anyway (microseconds, 0.1 mm), never to hide a difference.
 """
@@ -61,14 +61,6 @@ def write_thesis(
         rows = [thesis.RECORD_START + triple for triple in _mag_triples(raw.mag_calibration_field)]
         (directory / "magcalib.txt").write_bytes(b"".join(rows))
     write_truth(simulation, directory, truth_rate)
-
-
-def write_nmea(simulation: Simulation, path: Path, sentences: Sequence[str] = ("RMC", "GGA")) -> None:
-    """Write the fixes as NMEA sentences, each line with its receive time: `t_s,$GPRMC,...`."""
-    fixes = simulation.raw.gnss
-    blocks = [nmea_sentences(fixes, sentences, i) for i in range(len(fixes))]
-    lines = [f"{t:.6f},{sentence}\r\n" for t, block in zip(fixes.t, blocks, strict=True) for sentence in block]
-    path.write_text("".join(lines), encoding="ascii", newline="")
 
 
 def write_truth(simulation: Simulation, directory: Path, rate: float = 50.0) -> None:

@@ -1,4 +1,4 @@
-"""Scenario: every figure of a simulated session, each separately settable, and the three presets that draw them.
+"""Scenario: every figure of a simulated session, each separately settable; presets.py draws them.
 
 A Scenario holds the true values that an estimator has to find (biases, latencies, lever arm, mounting); what is left
 to chance when it is simulated is noise. Nothing here computes a sample.

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from smoother.arrays import Array
+from smoother.frames import to_left
 from smoother.samples import RawSession
 from smoother.sim.motion import MARGIN, Motion, drive, wander
 from smoother.sim.presets import draw_scenario
@@ -104,7 +105,7 @@ def _curvature(truth: Truth, t: Array) -> Array:
     """1/m (N,) of the path at session times t (N,) s, positive to the left; less below the speed of a walk."""
     states = truth.at(np.clip(t, truth.first, truth.last))
     velocity, change = states.velocity_n, states.acceleration_n
-    across = velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]
+    across = to_left(velocity, change)
     return np.asarray(across / np.maximum(np.hypot(velocity[:, 0], velocity[:, 1]), SLOW) ** 3)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
 
 from smoother.arrays import Array, frozen
-from smoother.frames import Origin, nwu_to_geodetic
+from smoother.frames import Origin, nwu_to_geodetic, to_left
 from smoother.units import DEG
 
 _DEGREE = 5
@@ -66,8 +66,7 @@ class Track:
         """Curvature of the centre line in plan, (N,) 1/m, positive to the left."""
         u = self._parameter(distance)
         first, second = self._spline(u, nu=1), self._spline(u, nu=2)
-        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        return np.asarray(cross / np.linalg.norm(first, axis=1) ** 3)
+        return np.asarray(to_left(first, second) / np.linalg.norm(first, axis=1) ** 3)
 
     def slope(self, distance: Array) -> Array:
         """Rise of the centre line per metre, (N,)."""

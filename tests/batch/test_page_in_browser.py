@@ -1,11 +1,6 @@
-"""sessions.html in a real headless browser: from disk, sorted and searched, light and dark, on a phone and on paper.
-
-Needs Debian's chromium and chromium-driver (`make test` installs them where it may); skipped loudly elsewhere.
-"""
+"""sessions.html in a browser: from disk, sorted and searched, light and dark, on a phone and on paper."""
 
 import base64
-import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,13 +12,9 @@ from smoother.batch.index import PAGE, write_index
 from smoother.batch.outcome import Facts, Outcome
 from smoother.batch.task import Task
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None or DRIVER is None, reason="needs system package chromium and chromium-driver"
-)
-NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>"
-ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,900")
+from ..chromium import NASTY, chromium, needs_chromium, opened_alone
+
+pytestmark = needs_chromium
 
 
 def written(directory: Path) -> Path:
@@ -54,30 +45,13 @@ def written(directory: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for argument in ARGUMENTS:
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    yield driver
-    driver.quit()
+    with chromium() as driver:
+        yield driver
 
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
-    """The browser with the page open; afterwards its console must be empty and nothing else been asked for."""
-    path = written(tmp_path)
-    browser.get_log("browser"), browser.get_log("performance")
-    browser.get(path.as_uri())
-    yield browser
-    assert browser.get_log("browser") == []
-    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    urls = {m["params"]["request"]["url"].split("#")[0] for m in asked if m["method"] == "Network.requestWillBeSent"}
-    assert all(url.startswith(tmp_path.as_uri()) for url in urls)
+    yield from opened_alone(browser, written(tmp_path), tmp_path)
 
 
 def rows(browser: Any) -> list[list[str]]:

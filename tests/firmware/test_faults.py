@@ -80,7 +80,7 @@ def blink(folder, period_s, flash_s, flashes, seconds=20.0):
     starts = [n * period_s + i * 2 * flash_s for n in range(int(seconds / period_s)) for i in range(flashes)]
     rows = [f"{(start + 0.123 + off) * 1e6:.0f} {on}" for start in starts for off, on in ((0, 1), (flash_s, 0))]
     (folder / "led.txt").write_text("\n".join(rows) + "\n")
-    return evidence.Evidence(emulation.Outcome(folder, {}, 0.0, 0.0))
+    return evidence.Evidence(emulation.Outcome(folder, {}, 0.0))
 
 
 @pytest.mark.parametrize("name", [name for name in evidence.LED_PATTERNS if name not in ("on", "dark")])

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from smoother import so3
 from smoother.fit.ellipsoid import FitError
-from smoother.fit.levelling import attitude_at_rest, level_angles, levelled, yaw_from_field
+from smoother.fit.levelling import level_angles, levelled, yaw_from_field
 from smoother.fit.magnetic_model import field_n
 from smoother.frames import GRAVITY_N, euler_from_rotation, rotation_from_euler
 from smoother.units import DEG
@@ -26,7 +26,7 @@ def readings(R_ns, declination, inclination):
 def test_attitude_at_rest_comes_back_for_any_attitude_declination_and_inclination(roll, pitch, yaw, declination, dip):
     R_ns = attitude(roll, pitch, yaw)
     force, field = readings(R_ns, declination, dip)
-    found = attitude_at_rest(force, field, declination)
+    found = attitude(*level_angles(force), yaw_from_field(field, force, declination))  # eq. 2.18
     assert np.linalg.norm(so3.log(found.T @ R_ns)) < 1e-6
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from smoother.sim.record import write_csv, write_nmea, write_settings, write_thesis
+from smoother.sim.record import nmea_sentences, write_csv, write_settings, write_thesis
 from smoother.sim.record_log import write_klg
 from smoother.sim.simulation import Simulation, simulate_preset
 
@@ -77,7 +77,9 @@ def _sentences() -> Files:
     def write(directory: Path) -> None:
         write_csv(simulation(), directory)
         (directory / "gps.csv").unlink()
-        write_nmea(simulation(), directory / "gps.nmea", ("RMC", "GGA", "VTG", "GST"))
+        fixes, kinds = simulation().raw.gnss, ("RMC", "GGA", "VTG", "GST")
+        lines = [f"{t:.6f},{s}\r\n" for i, t in enumerate(fixes.t) for s in nmea_sentences(fixes, kinds, i)]
+        (directory / "gps.nmea").write_text("".join(lines), encoding="ascii", newline="")
         write_settings(simulation(), directory / "session.toml")
 
     return _written(write)

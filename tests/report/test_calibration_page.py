@@ -1,9 +1,7 @@
 """calibration.html as text and in a browser, and what its figure of noise draws."""
 
 import re
-import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +11,9 @@ from smoother.report import style
 from smoother.report.calibration_figures import allan, draw
 from smoother.report.calibration_page import Section, write_page
 
+from ..chromium import chromium, needs_chromium
+
 NASTY = "<script>alert(1)</script>"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
 
 
 def noise(walk_is_seen: bool) -> NoiseFigures:
@@ -63,19 +61,11 @@ def test_it_has_the_looks_of_the_other_pages_and_asks_for_nothing(page: Path) ->
     assert policy is not None and policy[1].startswith("default-src 'none'") and "unsafe" not in policy[1]
 
 
-@pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs system package chromium and chromium-driver")
+@needs_chromium
 def test_it_fits_a_telephone_shows_its_figures_and_follows_the_theme(page: Path) -> None:
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
     from selenium.webdriver.support.select import Select
 
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    browser: Any = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    try:
+    with chromium() as browser:
         phone = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
         browser.get(page.as_uri())
@@ -91,8 +81,6 @@ def test_it_fits_a_telephone_shows_its_figures_and_follows_the_theme(page: Path)
         browser.refresh()
         assert browser.execute_script("return getComputedStyle(document.body).backgroundColor") == looks[-1]
         assert browser.get_log("browser") == []
-    finally:
-        browser.quit()
 
 
 @pytest.mark.parametrize("walk_is_seen", [True, False])

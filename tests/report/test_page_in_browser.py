@@ -1,13 +1,8 @@
-"""report.html in a real headless browser: it opens from disk, answers to mouse and keys, prints, and asks for nothing.
-
-Needs Debian's chromium and chromium-driver (`make test` installs them where it may); skipped loudly elsewhere.
-"""
+"""report.html in a browser: it opens from disk, answers to mouse and keys, prints, and asks for nothing."""
 
 import base64
 import io
 import itertools
-import json
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,12 +24,9 @@ from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import Trajectory
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None or DRIVER is None, reason="needs system package chromium and chromium-driver"
-)
-NASTY = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+from ..chromium import NASTY, chromium, needs_chromium, opened_alone
+
+pytestmark = needs_chromium
 PAINTED_OUTSIDE = """
 const found = [];
 for (const svg of document.querySelectorAll("svg.chart")) {
@@ -57,7 +49,6 @@ for (const svg of document.querySelectorAll("svg.chart")) {
   }
 }
 return found;"""
-ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1280,900")
 
 
 def written(session: Session, directory: Path, path: Path) -> Path:
@@ -85,18 +76,9 @@ def adria_page(tmp_path_factory: pytest.TempPathFactory, data_directory: Path) -
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for argument in ARGUMENTS:
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    driver.execute_cdp_cmd("Network.setBypassServiceWorker", {"bypass": True})
-    yield driver
-    driver.quit()
+    with chromium() as driver:
+        driver.execute_cdp_cmd("Network.setBypassServiceWorker", {"bypass": True})
+        yield driver
 
 
 @pytest.fixture(scope="module")
@@ -133,23 +115,12 @@ def spiked_page(tmp_path_factory: pytest.TempPathFactory, session: Session, traj
 
 @pytest.fixture(params=["simulated_page", "adria_page"])
 def opened(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
-    yield from watched(browser, request.getfixturevalue(request.param))
+    yield from opened_alone(browser, request.getfixturevalue(request.param))
 
 
 @pytest.fixture
 def opened_comparison(compared_page: Path, browser: Any) -> Iterator[Any]:
-    yield from watched(browser, compared_page)
-
-
-def watched(browser: Any, path: Path) -> Iterator[Any]:
-    """The browser with the page open; afterwards its console must be empty and nothing else been asked for."""
-    browser.get_log("browser"), browser.get_log("performance")
-    browser.get(path.as_uri())
-    yield browser
-    assert browser.get_log("browser") == []
-    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    urls = {m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"}
-    assert {url.split("#")[0] for url in urls} == {path.as_uri()}
+    yield from opened_alone(browser, compared_page)
 
 
 def shown_laps(browser: Any) -> list[str]:

@@ -1,9 +1,13 @@
 """What the tests of readers share: recordings of the logger, some seconds of every kind of record."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from smoother.session.log_format import Event, Gap, LogRecords, SelfTest, Setup, Stop
+
+from .folders import Folder
 
 SENTENCES = {
     "RMC": "GPRMC,{clock},A,4502.{place:05d},N,01208.94000,E,10.0,45.0,310524,,,A",
@@ -21,6 +25,13 @@ def sentence(kind: str, fix: int) -> bytes:
     for byte in body.encode():
         checksum ^= byte
     return f"${body}*{checksum:02X}\r\n".encode()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    directory = tmp_path / "heat2"
+    directory.mkdir()
+    return Folder(directory)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """AiM CSV: units, separators, repeated names, other channels, and what is damaged."""
 
 import datetime as dt
-import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.cli.main import run
-from smoother.errors import SessionError
 from smoother.session.aim import read_aim
 from smoother.session.load import load_raw
+
+from .readers import assert_outlives_damage, assert_refused
 
 PREAMBLE = (
     ("Format", "AiM CSV File"),
@@ -165,23 +164,9 @@ def test_a_folder_with_the_file_is_a_session_of_fixes(tmp_path: Path) -> None:
 def test_an_unusable_file_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    with pytest.raises(SessionError, match=re.escape(message)):
-        read(tmp_path, text)
-    assert run([str(tmp_path), "--no-figures"]) == 2
-    output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/aim.csv: ")
+    assert_refused(read_aim, tmp_path / "aim.csv", text, message, capsys)
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    data = np.frombuffer(table([values(k) for k in range(40)]).encode(), np.uint8).copy()
-    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
-    path = tmp_path / "aim.csv"
-    path.write_bytes(data[: rng.integers(1, data.size + 1)].tobytes())
-    try:
-        gnss = read_aim(path).gnss
-    except SessionError as error:
-        assert "\n" not in str(error)
-    else:
-        assert np.all(np.diff(gnss.t) > 0.0)
+    assert_outlives_damage(read_aim, tmp_path / "aim.csv", table([values(k) for k in range(40)]), seed)

@@ -1,15 +1,15 @@
 """RaceChrono CSV of version 3: repeated names, units, sensors in rows of their own, and what is damaged."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from smoother.cli.main import run
 from smoother.errors import SessionError
 from smoother.session.load import load_raw
 from smoother.session.racechrono import read_racechrono
+
+from .readers import assert_outlives_damage, assert_refused
 
 PREAMBLE = """This file is created using RaceChrono v9.1.3 ( http://racechrono.com/ ).
 Format,3
@@ -179,13 +179,7 @@ def test_gps_csv_wins_over_a_recording_of_another_program(tmp_path: Path) -> Non
 def test_an_unusable_file_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    with pytest.raises(SessionError, match=re.escape(message)):
-        read(tmp_path, text)
-    assert run([str(tmp_path), "--no-figures"]) == 2
-    output = capsys.readouterr()
-    assert (
-        output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/session.csv: ")
-    )
+    assert_refused(read_racechrono, tmp_path / "session.csv", text, message, capsys)
 
 
 def test_an_endless_line_ends_the_reading(tmp_path: Path) -> None:
@@ -200,14 +194,6 @@ def test_an_endless_line_ends_the_reading(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    data = np.frombuffer(csv([fix_row(k) for k in range(40)] + [imu_row(9)]).encode(), np.uint8).copy()
-    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
-    path = tmp_path / "session.csv"
-    path.write_bytes(data[: rng.integers(1, data.size + 1)].tobytes())
-    try:
-        gnss = read_racechrono(path).gnss
-    except SessionError as error:
-        assert "\n" not in str(error)
-    else:
-        assert np.all(np.diff(gnss.t) > 0.0)
+    assert_outlives_damage(
+        read_racechrono, tmp_path / "session.csv", csv([fix_row(k) for k in range(40)] + [imu_row(9)]), seed
+    )

@@ -8,12 +8,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from smoother.cli.main import run
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes
-from smoother.session.foreign import ForeignReading, TimingLine
+from smoother.session.foreign import ForeignReading
 from smoother.session.load import load_raw
-from smoother.session.vbo import read_vbo
+from smoother.session.vbo import TimingLine, own_lines, read_vbo
+
+from .readers import assert_outlives_damage, assert_refused
 
 HEADER = ("satellites", "time", "latitude", "longitude", "velocity kmh", "heading", "height")
 COLUMNS = ("sats", "time", "lat", "long", "velocity", "heading", "height")
@@ -61,9 +62,8 @@ def crossings(gnss: GnssFixes, line: TimingLine) -> np.ndarray:
 
 
 def test_the_laps_of_a_real_recording_come_out_with_its_own_line(data_directory: Path) -> None:
-    reading = read_vbo(data_directory / LIGNANO)
+    reading, ((_, start),) = read_vbo(data_directory / LIGNANO), own_lines(data_directory / LIGNANO)
     wanted = pl.read_csv(data_directory / Path(LIGNANO).parent / "laps_from_gps.csv")["lap_time_s"].to_numpy()
-    (start,) = reading.timing_lines
     assert start.kind == "start"
     found = np.diff(crossings(reading.gnss, start))
     np.testing.assert_allclose(found, wanted, atol=0.02)
@@ -208,14 +208,17 @@ def test_without_column_names_the_header_names_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("line", "order"),
     [
-        "Start   -000784.380000 +02743.975000 -000784.390000 +02743.975000 ¬ Start / Finish",
-        "Start   +02743.975000 -000784.380000 +02743.975000 -000784.390000 ¬   Start / Finish",
+        ("Start   -000784.380000 +02743.975000 -000784.390000 +02743.975000 ¬ Start / Finish", 0),
+        ("Start   +02743.975000 -000784.380000 +02743.975000 -000784.390000 ¬   Start / Finish", 1),
     ],
 )
-def test_both_orders_of_coordinates_in_laptiming_give_the_line_on_the_path(tmp_path: Path, line: str) -> None:
-    (found,) = read(tmp_path, vbo([row(k) for k in range(50)], f"[laptiming]\r\n{line}\r\n")).timing_lines
+def test_laptiming_is_read_with_longitude_first_and_with_latitude_first(tmp_path: Path, line: str, order: int) -> None:
+    path = tmp_path / "x.vbo"
+    path.write_bytes(vbo([row(k) for k in range(50)], f"[laptiming]\r\n{line}\r\n").encode())
+    (orders,) = own_lines(path)
+    found = orders[order]
     assert found.kind == "start" and found.name == "Start / Finish"
     assert found.first_deg == pytest.approx((45.7329166667, 13.073))
     assert found.second_deg == pytest.approx((45.7329166667, 13.0731666667))
@@ -282,11 +285,7 @@ def test_rows_with_too_many_or_too_few_values_are_dropped_and_counted(tmp_path: 
 def test_an_unusable_file_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
 ) -> None:
-    with pytest.raises(SessionError, match=re.escape(message)):
-        read(tmp_path, text)
-    assert run([str(tmp_path), "--no-figures"]) == 2
-    output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and output.err.startswith(f"smooth: {tmp_path}/x.vbo: ")
+    assert_refused(read_vbo, tmp_path / "x.vbo", text, message, capsys)
 
 
 @pytest.mark.parametrize("start", [vbo([]), vbo([row(k) for k in range(9)]), "File created on 11/04/2026", ""])
@@ -306,14 +305,5 @@ def test_an_endless_line_ends_the_reading_with_little_memory(tmp_path: Path, sta
 
 @pytest.mark.parametrize("seed", range(30))
 def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    data = np.frombuffer(
-        vbo([row(k) for k in range(60)], "[laptiming]\r\nStart 1 2 3 4 ¬ x\r\n").encode(), np.uint8
-    ).copy()
-    data[rng.integers(0, data.size, rng.integers(1, 200))] = rng.integers(0, 256)
-    try:
-        gnss = read(tmp_path, data[: rng.integers(1, data.size + 1)].tobytes()).gnss
-    except SessionError as error:
-        assert "\n" not in str(error)
-    else:
-        assert np.all(np.diff(gnss.t) > 0.0)
+    text = vbo([row(k) for k in range(60)], "[laptiming]\r\nStart 1 2 3 4 ¬ x\r\n")
+    assert_outlives_damage(read_vbo, tmp_path / "x.vbo", text, seed)

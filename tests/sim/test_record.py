@@ -11,7 +11,7 @@ from smoother.session.load import load_raw
 from smoother.session.nmea import read_nmea
 from smoother.session.settings import load_settings
 from smoother.session.thesis import read_magcalib, read_out
-from smoother.sim.record import nmea_sentences, write_csv, write_nmea, write_settings, write_thesis
+from smoother.sim.record import nmea_sentences, write_csv, write_settings, write_thesis
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
 
@@ -135,10 +135,10 @@ def test_settings_state_the_true_values(simulation, tmp_path):
 
 
 def test_fixes_come_back_from_sentences(simulation, tmp_path):
-    path = tmp_path / "gps.nmea"
-    write_nmea(simulation, path)
+    path, fixes = tmp_path / "gps.nmea", simulation.raw.gnss
+    lines = [f"{t:.6f},{s}\r\n" for i, t in enumerate(fixes.t) for s in nmea_sentences(fixes, ("RMC", "GGA"), i)]
+    path.write_text("".join(lines), encoding="ascii", newline="")
     reading = read_nmea(path)
-    fixes = simulation.raw.gnss
     assert len(reading.gnss) == len(fixes)
     np.testing.assert_allclose(reading.gnss.t, fixes.t, atol=1e-6)
     np.testing.assert_allclose(reading.gnss.lat_deg, fixes.lat_deg, atol=1e-9)  # the fixes were rounded already

@@ -11,6 +11,7 @@ from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.gnss_coasting import coasting, coasting_problems
+from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
@@ -83,7 +84,7 @@ def _at_one_pace(given: Session, options: GraphOptions, cut_out: Callable[[Sessi
     assert given.imu is not None
     if not begun.start.alignment.is_level_only:
         driven = PathMotion(given.gnss.t, begun.start.driven.velocity_n)  # pauses are not closed in which clocks drift
-        has_doppler = bool(np.mean(np.isfinite(given.gnss.velocity_n[:, 0])) > 0.5)
+        has_doppler = most_say_velocity(given.gnss.velocity_n)
         with suppress(np.linalg.LinAlgError):  # then nothing is known of a drift, and that is all
             drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
     if drift.is_found:

@@ -15,7 +15,7 @@ from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
-from smoother.estimate.graph.imu import BinnedImu, Shape, interval_noise
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, interval_noise
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
 from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
@@ -98,12 +98,8 @@ def update_noise(
     """
     state, solution = solved.state, solved.solution
     now = noise.inertial
-    good, driven = binned.missing == 0.0, np.ones(binned.missing.size, dtype=np.bool_)
-    if "standstill" in solved.rows:  # would say most about the noise, but of a box that neither engine nor road shakes,
-        driven[solved.rows["standstill"].interval] = False  # and of a receiver that may hold its last place and speed
-    if np.count_nonzero(driven) < FEWEST_DRIVEN:
-        driven[:] = True  # then there is nothing else that tells
-    good &= driven
+    driven = _driven(solved, binned.missing.size)
+    good = (binned.missing == 0.0) & driven
     some = np.zeros_like(good)
     some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
     density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
@@ -116,27 +112,43 @@ def update_noise(
     else:
         together = not force_is_stated
         velocity[:2], accel = _velocity_and_force(velocities, force, noise, scatter, doppler, together=together)
-    new = replace(
-        now,
-        accel=accel,
-        gyro=_density(rate, now.gyro, scatter.gyro),
-        accel_shape=_shape(force, now.accel_shape),
-        gyro_shape=_shape(rate, now.gyro_shape),
-    )
-    if binned.rough is not None:
-        rough = binned.rough[some]
-        new = replace(
-            new,
-            accel_share=_share(force, rough[:, 0], now.accel_share),
-            gyro_share=_share(rate, rough[:, 1], now.gyro_share),
-        )
+    gyro = _density(rate, now.gyro, scatter.gyro)
+    rough = None if binned.rough is None else binned.rough[some]
     return replace(
         noise,
-        inertial=new,
+        inertial=_spread_out(replace(now, accel=accel, gyro=gyro), force, rate, rough),
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
         offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
+    )
+
+
+def _driven(solved: Solved, n_intervals: int) -> BoolArray:
+    """Mask (K-1,) of the intervals whose residuals say how noisy driving is; all where hardly any was driven.
+
+    Standstills would say most about the noise, but of a box that neither engine nor road shakes, and of a receiver that
+    may hold its last place and speed.
+    """
+    driven = np.ones(n_intervals, dtype=np.bool_)
+    if "standstill" in solved.rows:
+        driven[solved.rows["standstill"].interval] = False
+    if np.count_nonzero(driven) < FEWEST_DRIVEN:
+        driven[:] = True  # then there is nothing else that tells
+    return driven
+
+
+def _spread_out(
+    noise: InertialNoise, force: VarianceComponent, rate: VarianceComponent, rough: Array | None
+) -> InertialNoise:
+    """The noise spread anew over directions, and over intervals of roughness (N, 2) where that is known."""
+    new = replace(noise, accel_shape=_shape(force, noise.accel_shape), gyro_shape=_shape(rate, noise.gyro_shape))
+    if rough is None:
+        return new
+    return replace(
+        new,
+        accel_share=_share(force, rough[:, 0], noise.accel_share),
+        gyro_share=_share(rate, rough[:, 1], noise.gyro_share),
     )
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, IntArray
+from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.graph.batch import Batch, Noise, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.coarse import EVERY, NEAR, thinned
@@ -71,7 +72,7 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int, *, with_d
         t = part.data.t
         known = np.flatnonzero(np.isfinite(part.data.position_n[:, 0]))
         beside = [known[fixes] for fixes in beside_outages(t[known])]
-        beside = [fixes for fixes in beside if with_doppler or not _have_doppler(part, fixes)]
+        beside = [fixes for fixes in beside if with_doppler or not most_say_velocity(part.data.velocity_n[fixes])]
         if beside:
             try:
                 solved = _predicted(thinned(part, EVERY), np.concatenate(beside), noise, iterations)
@@ -79,11 +80,6 @@ def jumped_beside_outages(start: Start, noise: Noise, iterations: int, *, with_d
                 continue
             found += [t[fixes[jumped(t[fixes], _innovations(solved, fixes))]] for fixes in beside]
     return np.unique(np.concatenate(found))
-
-
-def _have_doppler(start: Start, fixes: IntArray) -> bool:
-    """Whether most of the fixes say how fast they move."""
-    return bool(np.mean(np.isfinite(start.data.velocity_n[fixes, 0])) > 0.5)
 
 
 def _windows(start: Start) -> Iterator[Start]:

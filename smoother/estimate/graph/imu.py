@@ -469,20 +469,6 @@ def _behind(values: Array) -> Array:
     return np.asarray(values.transpose(last, *range(last)).reshape(-1, *values.shape[1:last]))
 
 
-JERK_RATE = 50.0  # m/s^4 rms: how sharply a kart's acceleration bends
-
-
-def averaged(path: DensePath, values: Array, density: float) -> Array:
-    """Average accelerations of the bins (M-1, c) against white noise of `density`. Returns them at the edges, (M, c).
-
-    A Gaussian of width s leaves q^2 / (2 sqrt(pi) s) of white noise of density q and adds a bias of half s^2 times the
-    second derivative, whose rms is JERK_RATE; the width that balances both is (q^2 / (3.54 JERK_RATE^2))^(1/5).
-    """
-    width = (density**2 / (3.54 * JERK_RATE**2)) ** 0.2
-    smooth = gaussian_mean(values, width / (path.t[1] - path.t[0]))
-    return np.concatenate([smooth[:1], 0.5 * (smooth[1:] + smooth[:-1]), smooth[-1:]])
-
-
 def at_times(path: DensePath, values: Array, t: Array) -> Array:
     """Interpolate values (M, c) given at the edges of the path at t (N,). Returns (N, c)."""
     return np.stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])], axis=1)

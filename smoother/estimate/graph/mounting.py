@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.ground import variance_of_places
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
 from smoother.fit.running import gaussian_mean
-from smoother.frames import wrap_angle
+from smoother.frames import to_left, wrap_angle
 from smoother.trajectory import Keyframes
 from smoother.units import ANY_ANGLE, DEG, STANDARD_GRAVITY
 
@@ -212,7 +212,7 @@ def _push(keyframes: Keyframes) -> Array:
     """Acceleration to the left of the path (K,), in g."""
     velocity = keyframes.velocity_n[:, :2]
     change = np.gradient(velocity, keyframes.t, axis=0)
-    across = velocity[:, 0] * change[:, 1] - velocity[:, 1] * change[:, 0]
+    across = to_left(velocity, change)
     return np.asarray(across / np.maximum(np.hypot(*velocity.T), MIN_SPEED) / STANDARD_GRAVITY)
 
 
@@ -236,7 +236,7 @@ def _robust_line(design: Array, angle: Array) -> tuple[Array, Array, Array]:
         normal = (design * weight[:, None]).T @ design
         line = np.linalg.solve(normal, (design * weight[:, None]).T @ angle)
         residual = angle - design @ line
-        scale = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        scale = MAD_TO_SIGMA * np.median(np.abs(residual)) + 1e-9
         weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
     return np.asarray(line), residual, weight
 

@@ -1,8 +1,8 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    one clock, force in step with rate -> fixes alone -> align -> first guess -> jumps beside outages
+    one clock, force in step with rate, without pauses -> fixes alone -> align -> first guess -> jumps beside outages
     -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
-    -> solve and identify, in turns -> magnetometer -> mounting -> output
+    -> magnetometer -> solve and identify, in turns -> wheels -> mounting -> output
 
 Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
 the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
@@ -20,7 +20,7 @@ from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
-from smoother.estimate.graph.begin import begin
+from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
@@ -148,57 +148,23 @@ class GraphSmoother:
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             raise _FixesAlone((*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
-            doubted = _jumped(session, start, start.noise, options, with_doppler=False)
-            if doubted.any():
-                start = make_start(session, options, options.identification_span, doubted, pauses)
-            constants, biases, noise = identify(start, options, watch.say)
-            if (slow := for_slow_receiver(start, constants)) is not None:
-                start = slow
-                constants, biases, noise = identify(start, options, watch.say)
-            start = informed(session, start, options, constants, biases, doubted)
-            again = _jumped(session, start, noise, options)  # in all of it, and with its noise
-            if np.any(again != doubted):
-                start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
-            found, solution = _solve(session, start, noise, options, watch.say)
+            start, found, solution = _identify_and_solve(session, start, options, watch.say)
         if session.config.mounting.lever_arm_b is None and (arm := _level_arm(found)) > LONGEST_ARM:
             raise _FixesAlone((*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm))))
         with watch("output"):
-            mounting = _mounting(session, found, solution.noise, start)
             trajectory = build_trajectory(
                 session,
                 found,
                 solution.noise,
-                mounting,
+                _mounting(session, found, solution.noise, start),
                 start.fine,
                 solution.priors,
                 options.rate,
                 np.array(options.offset_sigma) * start.receiver,
                 pauses,
             )
-        told = trajectory.report
-        report: EstimateReport = replace(
-            told,
-            identified={
-                **told.identified,
-                "accel_delay": identified_delay(begun.delay),
-                "imu_clock_drift": identified_drift(begun.drift),
-            },
-            timings=watch.seconds,
-            left_out=begun.left_out,
-            problems=(
-                *start.alignment.problems,
-                *told.problems,
-                *solution.problems,
-                *_shaken(session, solution.noise),
-                *_unsteady(session, solution.noise),
-                *_early(told.identified),
-                *leaning_problems(trajectory),
-                *offset_problems(begun.offset),
-                *begun.problems,
-                *drift_problems(begun.drift, given),
-            ),
-        )
-        trajectory = replace(trajectory, report=report)
+        report = _completed_report(given, begun, start, solution, trajectory)
+        trajectory = replace(trajectory, report=replace(report, timings=watch.seconds))
         if not len(pauses):
             return trajectory
         return opened_up(trajectory, pauses, row_times(given.gnss.t[0], given.gnss.t[-1], self.options.rate))
@@ -324,6 +290,24 @@ class Stopwatch:
             self._progress(self._stage, fraction)
 
 
+def _identify_and_solve(
+    session: Session, start: Start, options: GraphOptions, say: Say
+) -> tuple[Start, Estimated, Solution | WindowsSolution]:
+    """Identify constants and noise on a part, then solve all of the session; also the start that this went out from."""
+    doubted = _jumped(session, start, start.noise, options, with_doppler=False)
+    if doubted.any():
+        start = make_start(session, options, options.identification_span, doubted, start.pauses)
+    constants, biases, noise = identify(start, options, say)
+    if (slow := for_slow_receiver(start, constants)) is not None:
+        start = slow
+        constants, biases, noise = identify(start, options, say)
+    start = informed(session, start, options, constants, biases, doubted)
+    again = _jumped(session, start, noise, options)  # in all of it, and with its noise
+    if np.any(again != doubted):
+        start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
+    return start, *_solve(session, start, noise, options, say)
+
+
 def _solve(
     session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
 ) -> tuple[Estimated, Solution | WindowsSolution]:
@@ -333,6 +317,34 @@ def _solve(
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
     return estimated(whole.solved, nose_variance(session, whole.noise)), whole
+
+
+def _completed_report(
+    given: Session, begun: Begun, start: Start, solution: Solution | WindowsSolution, trajectory: Trajectory
+) -> EstimateReport:
+    """Report of the trajectory, with what was found out before there was one, and what speaks against it."""
+    told, session = trajectory.report, begun.session
+    return replace(
+        told,
+        identified={
+            **told.identified,
+            "accel_delay": identified_delay(begun.delay),
+            "imu_clock_drift": identified_drift(begun.drift),
+        },
+        left_out=begun.left_out,
+        problems=(
+            *start.alignment.problems,
+            *told.problems,
+            *solution.problems,
+            *_shaken(session, solution.noise),
+            *_unsteady(session, solution.noise),
+            *_early(told.identified),
+            *leaning_problems(trajectory),
+            *offset_problems(begun.offset),
+            *begun.problems,
+            *drift_problems(begun.drift, given),
+        ),
+    )
 
 
 def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, median
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
 from smoother.estimate.gnss_offset import OffsetModel, follows_positions, has_doppler, offset_model
@@ -360,7 +360,7 @@ def _density(binned: BinnedImu, bins: Array, floor: float) -> float:
     else:
         flat = bins.reshape(-1, 3)
         second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
-    sigma = 1.4826 * median(np.abs(second).ravel())
+    sigma = MAD_TO_SIGMA * median(np.abs(second).ravel())
     return max(floor, sigma * math.sqrt(binned.dt / 6.0))
 
 

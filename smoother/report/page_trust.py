@@ -1,0 +1,183 @@
+"""Whether a session can be trusted, as report.html says it: verdict, recording, residuals, what was identified."""
+
+from collections.abc import Iterator, Mapping
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.laps.results import LapAnalysis
+from smoother.laps.sigma import least_real
+from smoother.report.page_html import Child, element, row, table
+from smoother.report.page_sections import Told, speed_span, speed_unit
+from smoother.report.page_words import DASH, number
+from smoother.report.summary import is_told, known_axes, mounting_angles, smoothing_time, told_problems
+from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, Identified
+from smoother.units import DEG
+from smoother.words import measured, repeated
+
+# what a user can do about problems that are lived with, beside what the check of the recording says
+_REMEDIES: Mapping[str, str] = {
+    IMU_SHAKEN: "IMU: damp the box against the engine's vibration (rubber, foam), or sample faster with the sensor's "
+    "low-pass filter on",
+    BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
+    "kart's",
+}
+
+
+def trust(told: Told) -> list[Element]:
+    """The verdict and the sentences behind it."""
+    quality = told.quality
+    if quality.passed:
+        verdict = element("p", element("strong", "Yes: it passed its own quality gate.", class_="good"))
+    else:
+        reasons = "; ".join(quality.reasons)
+        verdict = element("p", element("strong", f"No, not as it stands: {reasons}.", class_="bad"))
+    sentences = [element("li", text) for text in _trust_sentences(told)]
+    findings = [f for f in told.check.findings if f.level != "ok"]
+    warned = [element("li", f"{f.topic}: {f.text}") for f in findings]
+    problems = told_problems(told.session, told.smoothed.report)
+    codes = {problem.code for problem in problems}
+    warned += [element("li", text) for code, text in _REMEDIES.items() if code in codes]
+    said = [element("li", repeated(p.text, p.count)) for p in problems]
+    made = [verdict, element("ul", *sentences)]
+    if said:
+        made += [element("h3", "What was lived with"), element("ul", *said)]
+    if warned:
+        made += [element("h3", "What would make it better"), element("ul", *warned)]
+    return made
+
+
+def _trust_sentences(told: Told) -> Iterator[Child]:
+    sigmas, said = told.smoothed.sigmas, told.statistics
+    if sigmas is not None:
+        across = float(np.nanmedian(np.hypot(sigmas.position_n[:, 0], sigmas.position_n[:, 1])))
+        yield f"The place on the earth is sure to ± {number(across, 1)} m (one sigma), with the slow wander of the GPS."
+        track = sigmas.track[np.isfinite(sigmas.track)]
+        if track.size:
+            yield f"The shape of the line on the track is sure to ± {number(float(np.median(track)), 2)} m."
+        typical = speed_span(float(np.nanmedian(sigmas.speed)), 2)
+        yield element("span", "Speed is sure to ± ", typical, " ", speed_unit(), ".")
+    if said is not None and np.isfinite(said.best_sigma):
+        alike = _alike(told.laps)
+        enough = f"; two laps that differ by less than {number(alike, 2)} s may be equally fast" if alike > 0.0 else ""
+        yield f"The best lap is sure to ± {number(said.best_sigma, 3)} s{enough}."
+    measures = told.quality.measures
+    if "far_fix_share" in measures:
+        yield f"{number(100.0 * measures['far_fix_share'], 1)} % of the fixes lie far from the path."
+    fixes = told.smoothed.report.fixes
+    if fixes is not None and len(fixes.index):
+        doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
+        unused = len(told.session.gnss) - used
+        yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {doubted} given little weight."
+
+
+def _alike(laps: LapAnalysis | None) -> float:
+    """Difference (s) of a lap from the best up to which both may be equally fast; 0 where none other counts."""
+    if laps is None or laps.statistics is None or laps.statistics.best_lap is None:
+        return 0.0
+    best = laps.laps[laps.statistics.best_lap]
+    others = [lap.sigma for lap in laps.laps if lap.is_valid and lap is not best and np.isfinite(lap.sigma)]
+    return max(0.01, float(least_real(np.hypot(best.sigma, np.median(others))))) if others else 0.0
+
+
+_MEASURES: Mapping[str, tuple[str, str, int]] = {
+    "fix_rate_hz": ("fixes a second", "", 1),
+    "fix_gaps": ("gaps in the fixes", "", 0),
+    "fix_gap_longest_s": ("longest gap in the fixes", "s", 2),
+    "accuracy_median_m": ("accuracy the receiver reports", "m", 1),
+    "satellites_median": ("satellites", "", 0),
+    "imu_rate_hz": ("motion sensor samples a second", "", 1),
+    "imu_gaps": ("gaps in the motion sensor", "", 0),
+    "imu_gap_longest_s": ("longest gap in the motion sensor", "s", 3),
+    "accel_vibration_mps2": ("vibration, acceleration rms", "m/s²", 1),
+    "gyro_vibration_dps": ("vibration, turn rate rms", "deg/s", 0),
+    "accel_clipped_share": ("clipped acceleration samples", "%", 2),
+    "gyro_clipped_share": ("clipped turn rate samples", "%", 2),
+    "mag_rate_hz": ("compass samples a second", "", 1),
+}
+
+
+def recording_table(told: Told) -> Element:
+    """Rates, gaps, vibration, clipping as the sensors delivered them."""
+    rows = []
+    for key, (name, unit, digits) in _MEASURES.items():
+        value = told.check.measures.get(key, np.nan)
+        is_of_none = key.endswith("_gap_longest_s") and value == 0.0
+        if np.isfinite(value) and not is_of_none:
+            rows.append(row(name, number(100.0 * value if unit == "%" else value, digits), unit))
+    return table(["", "", ""], rows, "The recording", "words")
+
+
+def residual_table(told: Told) -> Element:
+    """What was left over of each kind of measurement."""
+    rows = [
+        row(
+            name.replace("_", " ").replace("gps", "GPS"),
+            str(r.count),
+            f"{number(r.rms, 3)} {r.unit}",
+            number(r.normalised_rms, 2),
+            str(r.rejected),
+        )
+        for name, r in told.smoothed.report.residuals.items()
+    ]
+    caption = (
+        "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
+        "noise was taken too small"
+    )
+    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption)
+
+
+_NAMES = {
+    "gps_position_latency": "GPS position delay",
+    "gps_velocity_latency": "GPS speed delay",
+    "gps_velocity_response": "time over which the receiver smooths its speed",
+    "lever_arm_b": "antenna from the box: forward, left, up",
+    "R_bs": "box in the kart: roll, pitch, yaw",
+    "slip_sigma": "slide of the kart, how it differs between hard corners",
+    "accel_noise": "accelerometer noise",
+    "gyro_noise": "gyroscope noise",
+    "accel_delay": "accelerometer behind gyroscope",
+    "imu_clock_drift": "samples' clock against that of the fixes",
+    "gps_position_noise": "GPS position noise: north, west, up",
+    "gps_velocity_noise": "GPS velocity noise: north, west, up",
+    "gps_offset_sigma": "GPS wander: north, west, up",
+    "gps_offset_tau": "GPS wander time",
+    "accel_rectification": "false acceleration by vibration, on each axis of the box",
+    "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
+}
+
+
+def identified_table(told: Told) -> Element:
+    """What was found out of the session, each with its sigma."""
+    report = told.smoothed.report
+    rows = [_identified(name, value) for name, value in report.identified.items() if is_told(name, value, report.mode)]
+    return table(["", "value", "± one sigma", "unit", "from"], rows, "What was identified", "words")
+
+
+def _identified(name: str, found: Identified) -> Element:
+    unit, factor, told = found.unit, 1.0, known_axes(name, found)
+    if unit.startswith("rad"):
+        unit, factor = unit.replace("rad", "deg", 1), 1.0 / DEG
+    if name == "gps_velocity_response" and (time := smoothing_time(found)) is not None:
+        unit, (values, errors) = "s", ([time[0]], [time[1]])
+    elif name == "R_bs":
+        unit, (values, errors) = "deg", mounting_angles(found)
+    else:
+        values, errors = (_flat(numbers, factor)[told] for numbers in (found.value, found.sigma))
+    shown = measured(values, errors, _digits(np.array(values)))
+    called = _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS"))
+    if told != slice(None):
+        called = called.replace(", up", " (up is not known)")
+    return row(called, shown[0], shown[1] or DASH, unit, found.source)
+
+
+def _flat(numbers: object, factor: float) -> list[float]:
+    """One number or many, scaled; empty for None."""
+    return [] if numbers is None else (np.ravel(np.asarray(numbers, dtype=np.float64)) * factor).tolist()
+
+
+def _digits(values: Array) -> int:
+    """Digits behind the point of values (N,) that have no sigma."""
+    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    return 1 if largest >= 10.0 else 2 if largest >= 1.0 else 3 if largest >= 0.1 else 4
