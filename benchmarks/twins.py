@@ -14,7 +14,6 @@ of the two modules, how far their velocities and attitudes are apart, beside the
 import argparse
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -227,8 +226,8 @@ def _rows(path: Trajectory, values: Array, t: Array) -> Array:
     return np.column_stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])])
 
 
-def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander]]:
-    """Fixes and smoothed path of the car against RTK, at the epochs of RTK."""
+def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander], list[Apart]]:
+    """Fixes and smoothed path of the car against RTK, at the epochs of RTK, which knows nothing of motions."""
     session = prepare(load_raw(data / BESIDE_RTK))
     truth = load_truth(data / BESIDE_RTK, session.origin)
     rows = pl.read_csv(data / BESIDE_RTK / "truth.csv", columns=["t_s", "fix"])
@@ -236,7 +235,7 @@ def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander]]:
     t = common_times([session.gnss.t, truth.t], fixed)
     smoothed = GraphSmoother().estimate(session)
     found = differ("smoothed", smoothed, truth, t)
-    return differ("fixes", fixes_as_trajectory(session), truth, t), found, wander(smoothed, truth, t)
+    return differ("fixes", fixes_as_trajectory(session), truth, t), found, wander(smoothed, truth, t), []
 
 
 def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
@@ -265,7 +264,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def table(pair: tuple[Difference, Difference], wanders: list[Wander], apart: Sequence[Apart]) -> str:
+def table(pair: tuple[Difference, Difference], wanders: list[Wander], apart: list[Apart]) -> str:
     """Return both differences, how the smoothed path wanders, and motions apart, as Markdown tables."""
     lines = [
         "| | lag taken out, s | horizontal, m | moving: along, m | across, m | over 1 s, m |",
@@ -298,11 +297,11 @@ def main() -> None:
         parser.exit(0, f"no real recordings at {DATA}; set SMOOTH_DATA\n")
     for heading, comparison in (("against RTK", beside_rtk), ("two modules in one car", between_twins)):
         since = time.process_time()
-        fixes, smoothed, wanders, *motion = comparison(DATA)
+        fixes, smoothed, wanders, apart = comparison(DATA)
         spent = time.process_time() - since
         print(
             f"\n{heading}: {fixes.count} times ({spent:.0f} s of one core)\n\n"
-            f"{table((fixes, smoothed), wanders, *(motion or [()]))}",
+            f"{table((fixes, smoothed), wanders, apart)}",
             flush=True,
         )
 

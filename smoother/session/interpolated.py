@@ -13,6 +13,7 @@ DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the
 MANTISSA = 1e-15  # share; as finely as a float is written
 FARTHEST = 1e9  # roundings; more is nonsense, and would not add up
 MILLISECOND, MICROSECOND = 1e-3, 1e-6  # s
+EVEN = 1.1  # of a digit: stamps that are rounded to it lie no farther apart about the line through them
 FEWEST_KNOTS = 20  # that show how often they come
 SHORT_STEP = 10.0  # per cent of the steps between knots, that are no longer than to the next one
 REGULAR = 0.2  # of the period, by which a knot may be early or late
@@ -20,6 +21,7 @@ ROUNDING = 1e-3  # likewise, by the digits of stamps
 MOSTLY = 0.9  # of the knots come regularly; what bends by chance does not
 MORE_ROWS = 1.04  # rows for every knot; fewer are those of a receiver that missed some
 SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row bends the next one a little, too
+CLEARLY = 2.0  # roundings that most knots are off their chord; in a bend that hardly shows, every third row may be
 LONGEST_RUN = 2  # rows beside a knot that are off their chord; measured ones follow one another
 FEW_RUNS = 0.05  # share that may be longer
 FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
@@ -34,8 +36,8 @@ def off_chord(t: Array, channels: Sequence[Array]) -> Array:
     off = np.zeros(t.size)
     if t.size < 3:
         return off
+    t, stamp = _moments(t)
     before, after = np.diff(t)[:-1], np.diff(t)[1:]
-    stamp = _stamp_error(t)
     for values in channels:
         if (digit := _digit(values)) > 0.0:
             rise, next_rise = np.diff(values)[:-1], np.diff(values)[1:]
@@ -45,14 +47,19 @@ def off_chord(t: Array, channels: Sequence[Array]) -> Array:
     return off
 
 
-def _stamp_error(t: Array) -> float:
-    """How far, s, times t (N,) may be off those that rows were interpolated for: rounded to milliseconds, or finer.
+def _moments(t: Array) -> tuple[Array, float]:
+    """Return when rows stamped t (N,) s, rounded to milliseconds or finer, were made for, (N,) s, and how far off, s.
 
-    Even ones are not rounded.
+    Of rows that come evenly the rounding is known, and taken out: at 7.5 Hz it comes back every third row, as fixes
+    between interpolated rows do.
     """
-    early, late = np.percentile(np.diff(t), (5.0, 95.0))
     in_milliseconds = np.max(np.abs(t / MILLISECOND - np.round(t / MILLISECOND))) < 2.0 * MICROSECOND / MILLISECOND
-    return 0.5 * MILLISECOND if in_milliseconds and late - early > 2.0 * MICROSECOND else MICROSECOND
+    row = np.arange(t.size) - 0.5 * (t.size - 1)
+    even = np.mean(t) + row * (row @ t) / (row @ row)
+    if in_milliseconds and np.ptp(t - even) < EVEN * MILLISECOND:
+        return even, MICROSECOND
+    early, late = np.percentile(np.diff(t), (5.0, 95.0))
+    return t, 0.5 * MILLISECOND if in_milliseconds and late - early > 2.0 * MICROSECOND else MICROSECOND
 
 
 def _digit(values: Array) -> float:
@@ -78,6 +85,8 @@ def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], off > 0.0, [False]]).astype(np.int8)))
     first, end = edges[0::2], edges[1::2]
     if first.size < FEWEST_KNOTS or np.mean(end - first > LONGEST_RUN) > FEW_RUNS:
+        return None
+    if np.median(np.maximum.reduceat(off, first)) < CLEARLY:
         return None
     weight, moment = (np.add.reduceat(values, first) for values in (off, off * t))
     return rows_at_knots(t, moment / weight)

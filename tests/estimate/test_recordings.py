@@ -21,7 +21,7 @@ def twins() -> Iterator[ModuleType]:
 def test_beside_rtk_the_path_is_no_worse_than_its_fixes_and_better_across_the_track(
     twins: ModuleType, data_directory: Path
 ) -> None:
-    fixes, smoothed, wanders = twins.beside_rtk(data_directory)
+    fixes, smoothed, wanders, _ = twins.beside_rtk(data_directory)
     assert fixes.count == smoothed.count > 500
     assert smoothed.horizontal <= fixes.horizontal
     assert smoothed.across < fixes.across

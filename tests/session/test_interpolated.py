@@ -76,6 +76,18 @@ def test_a_gentle_bend_without_any_noise_is_no_row_of_lines() -> None:
     assert measured_rows(np.arange(81) / 10.0, [np.round(lat, 9), np.round(lon, 9)]) is None
 
 
+@pytest.mark.parametrize("rate", [7.5, 50.0])
+def test_nor_are_those_of_any_bend_at_stamps_in_milliseconds(rate: float) -> None:
+    """At 7.5 Hz their rounding comes back every third row; and a bend may be off its chord by hardly a digit."""
+    rng = np.random.default_rng(3)
+    for _ in range(500):
+        begin, radius, speed = rng.uniform([0.0, 60.0, 3.0], [1.0, 400.0, 20.0])
+        exact = begin + np.arange(rng.integers(60, 120)) / rate
+        lat = rng.uniform(-1.0, 1.0) + radius * np.sin(exact * speed / radius) / 110_575
+        lon = rng.uniform(-180.0, 180.0) - radius * (1.0 - np.cos(exact * speed / radius)) / 111_319.7
+        assert measured_rows(np.round(exact, 3), [np.round(lat, 9), np.round(lon, 9)]) is None
+
+
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 25.0])
 @pytest.mark.parametrize("digits", [5, 6, 7, 9])
 def test_measured_rows_stay_whatever_their_digits(rate: float, digits: int) -> None:
