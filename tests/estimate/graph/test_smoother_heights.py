@@ -78,6 +78,19 @@ def test_where_nothing_tells_of_heights_a_road_may_climb() -> None:
     assert np.sqrt(np.mean((off / found.sigmas.velocity_n[:, 2]) ** 2)) < 1.5
 
 
+def test_vertical_velocities_of_receivers_err_slowly() -> None:
+    """By 0.02 m/s, as recorded ones do: nothing in a session shows it, and fixes are no judges of minutes."""
+    road = country_road()
+    gnss = road.session.gnss
+    slow = 0.02 * np.sqrt(2.0) * np.sin(2.0 * np.pi * gnss.t / 60.0)
+    drifting = replace(gnss, velocity_n=gnss.velocity_n + slow[:, None] * [0.0, 0.0, 1.0])
+    found = GraphSmoother().estimate(replace(road.session, gnss=drifting))
+    assert found.sigmas is not None
+    off = found.velocity_n[:, 2] - np.interp(found.t, road.t, road.velocity_n[:, 2])
+    inside = (found.t > 5.0) & (found.t < road.t[-1] - 5.0)
+    assert 0.7 < np.sqrt(np.mean((off / found.sigmas.velocity_n[:, 2])[inside] ** 2)) < 1.3
+
+
 @pytest.mark.parametrize("height", [0.0, 0.7])
 def test_a_car_that_rocks_swings_its_antenna_by_a_height_that_nobody_knows(height: float) -> None:
     road = country_road(rocking=0.03, height=height)
