@@ -59,8 +59,8 @@ SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or f
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 TOGETHER = 1 << 15  # rows or keyframes that are worked on together
 SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have less
-# m/s, forgotten in half a minute or later: two modules in one car have 0.020 each beside what their sigmas hold, another
-# one beside the heights of RTK 0.018; of the level velocities of both it is 0.003 to 0.013
+# m/s, forgotten in half a minute or later: two modules in one car have 0.020 each beside what their sigmas hold, one
+# beside the heights of RTK 0.018; of the level velocities of both it is 0.003 to 0.013
 SLOW_UPWARDS = 0.02
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 ON_WHEEL = (
