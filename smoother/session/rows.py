@@ -29,6 +29,7 @@ ENOUGH = 100_000  # rows that show how all are read out
 UNEVEN = 0.6  # share by which time from reading to reading may differ from what its rows take: two in place of three
 MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
+RESTLESS = 0.3  # share of steps that fall: no clock starts again as often, but rows are in no order at all
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
 STRAY_GAP = 600.0  # s; see _stray_ends
@@ -302,6 +303,9 @@ def _resolve_disorder(
     if back >= (1.0 - GLITCH_SHARE) * (t.size - 1):
         rows.say("blocks_moved", "rows written from the newest to the oldest; sorted by time", back)
         return index[order], t[order]
+    if back > RESTLESS * t.size and _is_even(t[order]):
+        rows.say("reordered", f"{counted(t.size, 'row')} in no order; sorted by time", t.size)
+        return index[order], t[order]
     calm = _is_calm(t)
     if _are_moved_blocks(t[calm], [value[index[calm]] for value in values]):
         falls = int(np.count_nonzero(np.diff(t[calm]) < 0.0))
@@ -316,6 +320,13 @@ def _resolve_disorder(
             rows.drop(_mask(rows, index[copies]), "written_again", "that stand elsewhere too, in place of others")
             return index[~copies], t[~copies]
     return _longest_piece(rows, index, t)
+
+
+def _is_even(t: Array) -> bool:
+    """Whether times (N,) s, sorted, mostly go on by one step, as those of one recording do and of two mixed do not."""
+    step = np.diff(t)
+    usual = float(np.median(step))
+    return bool(usual > 0.0 and np.mean(np.abs(step - usual) < UNEVEN * usual) >= MOSTLY)
 
 
 def _is_calm(t: Array) -> BoolArray:

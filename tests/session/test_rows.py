@@ -123,6 +123,20 @@ def test_after_a_restart_of_the_clock_the_longest_part_is_kept_and_never_a_mixtu
     assert codes(rows) == {"imu_clock_restart": 600}
 
 
+def test_rows_in_no_order_at_all_are_sorted_and_not_cut_where_their_times_fall() -> None:
+    t = np.random.default_rng(1).permutation(np.arange(900) * 0.1)
+    time, index, rows = order(t)
+    np.testing.assert_array_equal(time, np.sort(t))
+    np.testing.assert_array_equal(index, np.argsort(t))
+    assert codes(rows) == {"imu_reordered": 900}
+
+
+def test_two_recordings_whose_rows_were_mixed_are_not_sorted_into_one() -> None:
+    t = np.stack([np.arange(300) * 0.1, 0.02 + np.arange(300)[::-1] * 0.1], axis=-1).ravel()
+    _, index, _ = order(t)
+    assert index.size < 600
+
+
 def test_a_restart_is_found_among_stray_stamps() -> None:
     t = np.concatenate([np.arange(600) * 0.1, np.arange(900) * 0.1])
     t[[50, 700, 1200]] = [1e7, 1e7, -1e7]
