@@ -1,5 +1,6 @@
 """The CSV form of a session: imu.csv, gps.csv and mag.csv to their types, with what was unusable counted."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from smoother.session.inertial import screen_imu
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
-from smoother.session.tables import Table, head_lines, names_of, read_table
+from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
@@ -50,7 +51,7 @@ def read_imu_and_unit(
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     cut = _cut_row(table, "imu")
-    _require_numbers(path, t)
+    _require_numbers(path, "t_s", t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
@@ -126,7 +127,8 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     """
     table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
-    _require_numbers(path, t)
+    for name in FIX_COLUMNS:
+        _require_numbers(path, name, table.column(name))
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
     t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
@@ -152,18 +154,21 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_cut_row(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_times(table)]
+    return fixes, [*_cut_row(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_cells(table)]
 
 
-def _require_numbers(path: Path, t: Array) -> None:
-    """Raise SessionError with the first cell of t_s where no time (N,) is a number: of day, or ISO 8601."""
-    if np.isfinite(t[:1]).any() or np.isfinite(t).any():
+def _require_numbers(path: Path, column: str, values: Array) -> None:
+    """Raise SessionError with the first cell of a column (N,) in which none is a number: a time of day, or 52.1N."""
+    if np.isfinite(values[:1]).any() or np.isfinite(values).any():
         return
     names, *rows = (names_of(line) for line in head_lines(path, 2))
-    place = [name.lower() for name in names].index("t_s")
+    place = [name.lower() for name in names].index(column)
     cell = rows[0][place] if rows and len(rows[0]) > place else ""
-    if cell:
-        raise SessionError(f"{path.name}: t_s is {listed([cell], longest=40)}; it has to be in seconds, as a number")
+    if cell and not NOTHING.match(cell):
+        unit = "seconds" if column == "t_s" else "degrees"
+        raise SessionError(
+            f"{path.name}: {column} is {listed([cell], longest=40)}; it has to be in {unit}, as a number"
+        )
 
 
 def _cut_row(table: Table, prefix: str) -> list[Problem]:
@@ -172,13 +177,14 @@ def _cut_row(table: Table, prefix: str) -> list[Problem]:
     return [Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")]
 
 
-def _unread_times(table: Table) -> list[Problem]:
-    """What to say where times of day were written in a way that is not understood."""
-    count = table.unread.get("utc", 0)
-    if not count:
-        return []
-    text = f"{table.file}: utc of {counted(count, 'row')} is no ISO 8601 time (2026-05-16T10:00:00.2Z); not used"
-    return [Problem("gps_utc_unread", text, count)]
+def _unread_cells(table: Table) -> Iterator[Problem]:
+    """What to say of columns that were written in a way that is not understood: a unit in each cell, or words."""
+    for name, count in table.unread.items():
+        is_time = name == "utc"
+        what = "ISO 8601 time (2026-05-16T10:00:00.2Z)" if is_time else "number"
+        text = f"{table.file}: {name} of {counted(count, 'row')} is no {what}; not used"
+        if count:
+            yield Problem("gps_utc_unread" if is_time else "gps_unread", text, count)
 
 
 def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:

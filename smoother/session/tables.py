@@ -41,6 +41,7 @@ _QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a pa
 ENOUGH_LINES = 20  # to know how many cells a row has
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
+NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
 
@@ -59,8 +60,13 @@ class _Wanted:
 
     @property
     def flags(self) -> list[str]:
-        """The columns of true and false: required cells that hold nothing, times that are not understood."""
-        return [*(f"empty {name}" for name in self.required), *(f"unread {name}" for name in self.times)]
+        """The columns of true and false: required cells that hold nothing, others that are not understood."""
+        return [*(f"empty {name}" for name in self.required), *(f"unread {name}" for name in self.others)]
+
+    @property
+    def others(self) -> list[str]:
+        """The columns that may be empty."""
+        return [*(name for name in self.numbers if name not in self.required), *self.times]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +74,7 @@ class Table:
     """Numbers of a CSV file: `columns` maps lower-case names to (N,) float64, NaN where a cell is no number.
 
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
-    `unread` counts, for each column of times, the cells that hold something which is no time.
+    `unread` counts, for each optional column, the cells that hold something which is no number, or no time.
     `cut` : the last row was cut short, as by a loss of power, and is left out.
     """
 
@@ -147,7 +153,8 @@ def read_table(
     if length == 0:
         raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
     empty = {name: flags[f"empty {name}"] for name in required}
-    return Table(path.name, columns, empty, length, {name: int(flags[f"unread {name}"].sum()) for name in times}, cut)
+    unread = {name: int(flags[f"unread {name}"].sum()) for name in (*numbers, *times) if name not in required}
+    return Table(path.name, columns, empty, length, unread, cut)
 
 
 def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
@@ -161,7 +168,15 @@ def _require_columns(file: str, header: Sequence[str], required: Sequence[str], 
             f"{file}: the first line is numbers, and no header; put a line with the column names above it ({first})"
         )
     if missing:
-        raise SessionError(f"{file}: no column {missing[0]}; has {listed(header)}")
+        raise SessionError(f"{file}: no column {missing[0]}; has {listed(header)}{_remedy(missing[0], header)}")
+
+
+def _remedy(missing: str, header: Sequence[str]) -> str:
+    """What to do about a column that is missing where the header shows it in another form; else nothing."""
+    if len(header) == 1 and missing in re.split(r"\W+", header[0]):
+        return "; write commas between the columns"
+    with_more = next((name for name in header if re.match(rf"{missing}\W", name)), None)
+    return "" if with_more is None else f"; write names alone, as {missing}"
 
 
 def _is_binary(head: str) -> bool:
@@ -283,7 +298,8 @@ def _length_cut(tail: bytes, separator: bytes) -> int:
 
 def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
     """The columns and flags of a table: as numbers throughout, or else cell by cell."""
-    nothing = [pl.lit(value=False).alias(f"empty {name}") for name in wanted.required]
+    of_times = [f"unread {name}" for name in wanted.times]
+    nothing = [pl.lit(value=False).alias(flag) for flag in wanted.flags if flag not in of_times]
     clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
     frame = clean.collect(engine="streaming")
     if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
@@ -313,6 +329,7 @@ def _lenient(source: Path | bytes, wanted: _Wanted) -> pl.LazyFrame:
         *(_number(name).alias(name) for name in wanted.numbers),
         *_times(wanted),
         *(blank[name].alias(f"empty {name}") for name in wanted.required),
+        *(_is_unread(name).alias(f"unread {name}") for name in wanted.others if name not in wanted.times),
     ]
     return _scan(source, wanted).filter(~pl.all_horizontal(blank.values())).select(chosen)
 
@@ -328,6 +345,11 @@ def _number(name: str) -> pl.Expr:
 
 def _is_blank(name: str) -> pl.Expr:
     return _cell(name).is_null() | (_cell(name) == "")
+
+
+def _is_unread(name: str) -> pl.Expr:
+    """Whether a cell holds something that is no number, and no word for nothing either."""
+    return _number(name).is_null() & ~_is_blank(name) & ~_cell(name).str.contains(NOTHING.pattern)
 
 
 def _times(wanted: _Wanted) -> Iterator[pl.Expr]:

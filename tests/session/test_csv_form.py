@@ -89,7 +89,9 @@ def test_gzip_is_read_and_a_cut_archive_gives_what_is_whole(tmp_path: Path, kept
         (IMU_HEADER, r"^imu.csv: a header line, but no rows"),
         (IMU_HEADER + "\n\n", r"^imu.csv: a header line, but no rows"),
         ("t_s,ax,ay,az,gx,gy\n0,1,2,3,4,5\n", r"^imu.csv: no column gz; has t_s, ax, ay, az, gx, gy$"),
-        ("t_s|ax|ay\n0|1|2\n", r"^imu.csv: no column t_s; has t_s\|ax\|ay$"),
+        ("t_s|ax|ay\n0|1|2\n", r"^imu.csv: no column t_s; has t_s\|ax\|ay; write commas between the columns$"),
+        (IMU_HEADER.replace(",", " ") + "\n0 1 2 3 4 5 6\n", "; write commas between the columns$"),
+        ("t_s [s],ax [m/s^2]\n0,1\n", r"has t_s \[s\], ax \[m/s\^2\]; write names alone, as t_s$"),
         (b"\x00\x01\xff" * 300, r"^imu.csv: not a text table, but a file of another kind; wanted t_s, ax, "),
     ],
 )
@@ -217,6 +219,31 @@ def test_times_of_day_that_are_not_understood_are_said_and_empty_ones_are_not(tm
     _, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,utc\n" + "\n".join(rows) + "\n", "gps.csv"))
     assert [(problem.code, problem.count) for problem in problems] == [("gps_utc_unread", 1)]
     assert "utc of 1 row is no ISO 8601 time" in problems[0].text
+
+
+def test_a_column_with_a_unit_in_each_cell_or_words_is_said_to_be_unread(tmp_path: Path) -> None:
+    rows = [f"{0.2 * k:.1f},45,12,{h},{speed},3D" for k, (h, speed) in enumerate([("99 m", 3), ("n/a", ""), ("-", 4)])]
+    fixes, problems = read_fixes(
+        save(tmp_path, "t_s,lat_deg,lon_deg,alt_m,speed_mps,fix\n" + "\n".join(rows) + "\n", "gps.csv")
+    )
+    assert [(problem.code, problem.text) for problem in problems if problem.code == "gps_unread"] == [
+        ("gps_unread", "gps.csv: alt_m of 1 row is no number; not used"),
+        ("gps_unread", "gps.csv: fix of 3 rows is no number; not used"),
+    ]
+    assert np.all(np.isnan(fixes.alt_m))
+
+
+@pytest.mark.parametrize("cell", ["52.1177N", "52.1177°", "52° 7' 3"])
+def test_positions_that_are_no_numbers_are_shown(tmp_path: Path, cell: str) -> None:
+    table = save(tmp_path, f"t_s,lat_deg,lon_deg\n0,{cell},12\n1,{cell},12\n", "gps.csv")
+    with pytest.raises(SessionError, match=f"^gps.csv: lat_deg is {cell}; it has to be in degrees, as a number$"):
+        read_fixes(table)
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "--"])
+def test_positions_that_were_never_there_are_only_counted(tmp_path: Path, cell: str) -> None:
+    fixes, problems = read_fixes(save(tmp_path, f"t_s,lat_deg,lon_deg\n0,{cell},{cell}\n", "gps.csv"))
+    assert len(fixes) == 0 and sum(problem.count for problem in problems) == 1
 
 
 def test_what_a_file_does_not_say_is_unknown(tmp_path: Path) -> None:
