@@ -1,5 +1,6 @@
 """The entry point: which command is meant, and the one place where errors become a line and an exit code."""
 
+import errno
 import gc
 import io
 import os
@@ -14,8 +15,9 @@ from smoother.cli.arguments import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE
 from smoother.cli.commands import COMMAND_NAMES, named_command
 from smoother.cli.output import warn
 from smoother.cli.smoothing import smooth
-from smoother.errors import SmootherError
+from smoother.errors import SmootherError, UsageError
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # what a system says where nothing more goes into a file
 GARBAGE_EVERY = 300_000  # objects made and not freed, thrice those of libraries; Python's own 700 suits small programs
 
 
@@ -39,6 +41,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code; only bugs leave as exceptions, with their traceback."""
     command, rest, name = choose(list(arguments) or ["--help"])
     try:
+        _require_words(arguments)
         return int(command.main(args=rest, prog_name=name, standalone_mode=False) or EXIT_DONE)
     except SmootherError as error:
         warn(str(error))
@@ -51,7 +54,17 @@ def run(arguments: Sequence[str]) -> int:
         # the reader of our stdout has gone (`smooth ... | head`); keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
+    except OSError as error:
+        if error.errno not in FULL or error.filename is not None:  # of files with names, their writers tell
+            raise
+        warn(f"what is printed cannot be written ({error.strerror})")
     return EXIT_UNUSABLE
+
+
+def _require_words(arguments: Sequence[str]) -> None:
+    """Raise UsageError for an empty argument: a path that is none would be the folder one stands in."""
+    if "" in arguments:
+        raise UsageError("an argument is empty; is a variable not set that should hold a name?")
 
 
 def choose(arguments: list[str]) -> tuple[click.Command, list[str], str]:

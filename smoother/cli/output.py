@@ -113,7 +113,7 @@ def _console() -> Console:
 @contextlib.contextmanager
 def progress_on_terminal(wanted: bool = True) -> Iterator[Progress]:
     """Give a function that draws a progress line on stderr, if that is a terminal, and removes it at the end."""
-    if not wanted or not sys.stderr.isatty():
+    if not wanted or sys.stderr is None or not sys.stderr.isatty():  # None: closed (`2>&-`)
         yield no_progress
         return
     from rich.console import Console

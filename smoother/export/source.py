@@ -233,7 +233,7 @@ def read_laps(path: Path) -> tuple[LapRow, ...]:
     if not path.is_file():
         return ()
     try:
-        frame = pl.read_csv(path, infer_schema=False, truncate_ragged_lines=True)
+        frame = pl.read_csv(path.read_bytes(), infer_schema=False, truncate_ragged_lines=True)
     except pl.exceptions.NoDataError:
         return ()
     except pl.exceptions.PolarsError as error:

@@ -48,9 +48,9 @@ def read_stored(directory: Path, origin: Origin | None = None) -> Stored:
         place = document["origin"]
         own = Origin(float(place["lat_deg"]), float(place["lon_deg"]), float(place["alt_m"]))
         rows, fixes = (_columns(directory / name) for name in ("trajectory.csv", "gps.csv"))
-        utc = pl.read_csv(
-            directory / "trajectory.csv", columns=["t_s", "utc"], n_rows=1, schema_overrides={"utc": pl.String}
-        )
+        with (directory / "trajectory.csv").open("rb") as file:
+            head = file.readline() + file.readline()
+        utc = pl.read_csv(head, columns=["t_s", "utc"], schema_overrides={"utc": pl.String})
         trajectory = _trajectory(rows, document, own, origin or own)
         path = _fixes(fixes, origin or own)
     except (OSError, ValueError, KeyError, TypeError, pl.exceptions.PolarsError) as error:
@@ -67,7 +67,8 @@ def stored_drift(document: dict[str, Any]) -> Drift | None:
 
 
 def _columns(path: Path) -> dict[str, Array]:
-    table = pl.read_csv(path, infer_schema=False)
+    with path.open("rb") as file:  # polars takes no path that is not UTF-8
+        table = pl.read_csv(file, infer_schema=False)
     return {
         name: table[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         for name in table.columns

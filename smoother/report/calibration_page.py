@@ -33,7 +33,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], refusals: Se
         element("main", *(part for section in sections for part in _section(section)), *_refused(refusals)),
     ]
     with replacing(path) as temporary:
-        temporary.write_text(styled_alike(title, body), encoding="utf-8")
+        temporary.write_text(styled_alike(title, body), encoding="utf-8", errors="replace")
 
 
 def _section(section: Section) -> list[Element]:

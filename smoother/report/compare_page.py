@@ -78,7 +78,7 @@ class Compared:
 def write_comparison(path: Path, compared: Sequence[Compared]) -> None:
     """Write the page of sessions that were analysed on the reference line of the first."""
     with replacing(path) as temporary:
-        temporary.write_text(comparison(compared), encoding="utf-8")
+        temporary.write_text(comparison(compared), encoding="utf-8", errors="replace")
 
 
 def comparison(compared: Sequence[Compared]) -> str:

@@ -54,7 +54,7 @@ def write_fixes(path: Path, session: Session, residuals: FixResiduals | None) ->
 def write_json(path: Path, document: object) -> None:
     """Write strict JSON: what is not a finite number is null."""
     with replacing(path) as temporary:
-        temporary.write_text(to_json(document), encoding="utf-8")
+        temporary.write_text(to_json(document), encoding="utf-8", errors="replace")  # names of files may be none
 
 
 def to_json(document: object) -> str:
@@ -165,8 +165,8 @@ def _no_sigmas(n: int) -> Sigmas:
 
 def write_csv(path: Path, table: pl.DataFrame) -> None:
     """Write a table."""
-    with replacing(path) as temporary:
-        table.write_csv(temporary)
+    with replacing(path) as temporary, temporary.open("wb") as file:  # polars takes no path that is not UTF-8
+        table.write_csv(file)
 
 
 def _plain(value: object) -> object:

@@ -36,7 +36,7 @@ class Report:
 def write_page(path: Path, report: Report) -> None:
     """Write report.html."""
     with replacing(path) as temporary:
-        temporary.write_text(page(report), encoding="utf-8")
+        temporary.write_text(page(report), encoding="utf-8", errors="replace")
 
 
 def page(report: Report) -> str:

@@ -389,10 +389,19 @@ def _source(path: Path) -> Path | bytes:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
-    plain = plain and wide_encoding(head) is None and not _starts_with_comment(head)
+    plain = plain and wide_encoding(head) is None and not _starts_with_comment(head) and _is_utf8(path)
     if plain:
         _require_lines(path)
     return path if plain else _plain_bytes(_whole(path), path.name)
+
+
+def _is_utf8(path: Path) -> bool:
+    """Whether a path is text, as polars wants it; names out of an archive of another system are mostly not."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _require_lines(path: Path) -> None:

@@ -394,3 +394,42 @@ def test_a_reader_that_closes_the_pipe_is_no_error() -> None:
     command = f"set -o pipefail; {console_script()} --help | head -c 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_output_that_has_no_room_is_one_line() -> None:
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("needs a device that is full")
+    with full.open("w") as out:
+        done = subprocess.run([console_script(), "--help"], stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    said = "smooth: what is printed cannot be written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, said)
+
+
+def test_errors_may_have_nowhere_to_go(monday: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("needs system package bash")
+    command = f"{console_script()} {monday} --no-figures --no-baseline 2>&-"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.endswith("trajectory.csv\n")
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="its file system knows no names that are not UTF-8")
+def test_a_folder_whose_name_is_not_utf8_is_a_session(monday: Path, capsys: Captured) -> None:
+    folder = monday.rename(monday.with_name(os.fsdecode(b"M\xfcller")))
+    name = str(folder)
+    for words in ([name], ["laps", name], ["evaluate", name], ["export", name, "tum"], ["check", name]):
+        assert run(words) in {0, 3}, words  # 3: half a minute is too short for a check
+    assert capsys.readouterr().err == ""
+    assert json.loads((folder / "smoothed" / "summary.json").read_text())["session"]["name"] == "M?ller"
+    assert {"report.html", "laps.csv", "trajectory.csv"} <= {path.name for path in (folder / "smoothed").iterdir()}
+
+
+@pytest.mark.parametrize("words", [[""], ["{monday}", "--out", ""], ["laps", ""]])
+def test_an_empty_argument_is_not_taken_for_the_folder_one_stands_in(
+    words: list[str], monday: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(monday)
+    assert run([word.format(monday=monday) for word in words]) == 2
+    assert capsys.readouterr().err == ("smooth: an argument is empty; is a variable not set that should hold a name?\n")
+    assert not (monday / "smoothed").exists()
