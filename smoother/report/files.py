@@ -66,7 +66,8 @@ def trajectory_table(
     trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
 ) -> pl.DataFrame:
     """Return one row per time of the trajectory; units are in the column names, NaN where there is no estimate."""
-    lat_deg, lon_deg, alt_m = nwu_to_geodetic(trajectory.position_n, origin)
+    lat_deg, lon_deg, alt_m = nwu_to_geodetic(_at_height(trajectory.position_n), origin)
+    alt_m = np.where(np.isfinite(trajectory.position_n[:, 2]), alt_m, np.nan)
     roll_pitch_yaw_deg = _rounded(trajectory.euler / DEG, DIGITS)
     roll_pitch_yaw_deg[roll_pitch_yaw_deg[:, 2] == -180.0, 2] = 180.0  # rounding must not leave (-180, 180]
     motion: Columns = {
@@ -88,6 +89,11 @@ def trajectory_table(
         n = len(trajectory)
         laps = pl.Series("lap", [None] * n, dtype=pl.Int64), np.full(n, np.nan)
     return table.with_columns(laps[0].alias("lap"), pl.Series("lap_distance_m", _rounded(laps[1], DIGITS)))
+
+
+def _at_height(position_n: Array) -> Array:
+    """Positions (N, 3), those without a height at that of the origin: a hundred metres of it move none by 2e-5."""
+    return np.column_stack([position_n[:, :2], np.nan_to_num(position_n[:, 2])])
 
 
 def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:

@@ -89,6 +89,16 @@ def test_what_the_estimator_does_not_know_is_nan(tmp_path: Path, trajectory: Tra
     assert np.isfinite(column(path, "north_m")).all()
 
 
+def test_a_place_without_a_height_has_its_latitude_and_longitude(tmp_path: Path, trajectory: Trajectory) -> None:
+    whole, flat = tmp_path / "trajectory.csv", tmp_path / "baseline.csv"
+    position_n = trajectory.position_n * [1.0, 1.0, np.nan]
+    write_trajectory(whole, trajectory, ORIGIN, None)
+    write_trajectory(flat, Trajectory(**{**vars(trajectory), "position_n": position_n}), ORIGIN, None)
+    for name in ("lat_deg", "lon_deg"):
+        np.testing.assert_allclose(column(flat, name), column(whole, name), atol=2e-8)
+    assert np.isnan(column(flat, "alt_m")).all() and np.isnan(column(flat, "up_m")).all()
+
+
 def test_yaw_stays_within_its_half_open_turn_after_rounding(tmp_path: Path) -> None:
     yaw = np.array([-np.pi + 1e-7, np.pi, 0.0])
     zero = np.zeros(3)
