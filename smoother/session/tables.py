@@ -42,6 +42,7 @@ ENOUGH_LINES = 20  # to know how many cells a row has
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
+_LONE_RETURN = re.compile(rb"(?<=[^\r\n])\r(?=[^\r\n])")  # ends a line like those of old Macs, among others
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
 
@@ -389,6 +390,7 @@ def _source(path: Path) -> Path | bytes:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
+    plain = plain and _LONE_RETURN.search(head) is None
     plain = plain and wide_encoding(head) is None and not _starts_with_comment(head) and _is_utf8(path)
     if plain:
         _require_lines(path)
@@ -459,7 +461,7 @@ def _plain_bytes(data: bytes, file: str) -> bytes:
         data = _gunzip(data, file)
     if (encoding := wide_encoding(data)) is not None:
         data = data.decode(encoding, errors="replace").encode()
-    data = data if b"\n" in data else data.replace(b"\r", b"\n")
+    data = _LONE_RETURN.sub(b"\n", data) if b"\n" in data else data.replace(b"\r", b"\n")
     return _without_comments(data) if _starts_with_comment(data) else data
 
 

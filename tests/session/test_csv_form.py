@@ -68,6 +68,15 @@ def test_byte_order_mark_spaces_capitals_line_ends_and_extra_columns_are_tolerat
         np.testing.assert_array_equal(imu.gyro, plain.gyro)
 
 
+@pytest.mark.parametrize("begins_with_returns", [True, False])
+def test_lines_that_end_in_different_ways_are_all_lines(tmp_path: Path, begins_with_returns: bool) -> None:
+    lines = imu_table(imu_rows(30)).splitlines()
+    ends = ["\r"] * 12 + ["\n"] * 19 if begins_with_returns else ["\n", "\r\n", "\r"] * 11
+    mixed = "".join(line + end for line, end in zip(lines, ends, strict=False))
+    imu, problems = read_imu(save(tmp_path, mixed, "imu.csv"))
+    assert problems == [] and imu.t.size == 30
+
+
 def test_columns_may_stand_in_any_order(tmp_path: Path) -> None:
     imu, _ = read_imu(save(tmp_path, "gz,gy,gx,az,ay,ax,t_s\n6,5,4,3,2,1,0.5\n6,5,4,3,2,1,0.6\n", "imu.csv"))
     np.testing.assert_array_equal(imu.accel[0], [1, 2, 3])
