@@ -93,7 +93,8 @@ def trajectory_table(
 
 def _at_height(position_n: Array) -> Array:
     """Positions (N, 3), those without a height at that of the origin: a hundred metres of it move none by 2e-5."""
-    return np.column_stack([position_n[:, :2], np.nan_to_num(position_n[:, 2])])
+    up = position_n[:, 2]
+    return np.column_stack([position_n[:, :2], np.nan_to_num(up)]) if np.any(np.isnan(up)) else position_n
 
 
 def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFrame:
