@@ -12,6 +12,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
+from smoother.session.plausible import turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
@@ -50,7 +51,7 @@ def read_imu_and_unit(
     """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    cut = _cut_row(table, "imu")
+    cut = [*_cut_row(table, "imu"), *turned_to_radians(gyro, path.name)]
     _require_numbers(path, "t_s", t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")

@@ -80,6 +80,21 @@ def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
     )
 
 
+def turned_to_radians(gyro: Array, file: str) -> list[Problem]:
+    """Turn rates (N, 3), which the caller gives away, into rad/s where they are as large as of a kart in deg/s only.
+
+    Where they are not deg/s after all, the course of the fixes tells. Says what it did; `file` is the name for that.
+    """
+    some = np.linalg.norm(thinned(gyro, max(1, len(gyro) // ENOUGH_SAMPLES)), axis=1)
+    known = some[np.isfinite(some)]
+    size, most = median(known) if known.size else 0.0, PLAUSIBLE_RATE[1]
+    if known.size < FEWEST_LEFT or not most < size <= most / DEG:
+        return []
+    gyro *= DEG
+    text = f"{file}: typically {size:.0f} rad/s, which no kart turns, as with deg/s where rad/s belong; taken so"
+    return [Problem("imu_gyro_unit", text)]
+
+
 def implausible_units(imu: RawImu) -> Iterator[str]:
     """Yield what speaks against the units of samples, one or more, as a whole."""
     step = max(1, imu.t.size // ENOUGH_SAMPLES)

@@ -5,7 +5,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.samples import Problem, RawImu
-from smoother.session.plausible import SHORTEST_UNIT, implausible_units, without_other_units
+from smoother.session.plausible import SHORTEST_UNIT, implausible_units, turned_to_radians, without_other_units
 from smoother.units import DEG, STANDARD_GRAVITY
 
 RATE, LASTS = 100, 120  # Hz, s
@@ -26,6 +26,15 @@ def judged(force: Array, rate: Array, scale: float = 1.0) -> tuple[RawImu, list[
     problems: list[Problem] = []
     imu = RawImu(np.arange(len(force)) / RATE, force / scale, rate / scale, scale, scale)
     return without_other_units(imu, "imu.csv", problems), problems
+
+
+@pytest.mark.parametrize(("factor", "is_taken"), [(1.0, False), (1.0 / DEG, True), (131.0 / DEG, False)])
+def test_rates_as_large_as_of_a_kart_in_degrees_are_taken_for_such(factor: float, is_taken: bool) -> None:
+    rate = samples()[1]
+    given = factor * rate
+    said = turned_to_radians(given, "imu.csv")
+    np.testing.assert_allclose(given, rate if is_taken else factor * rate)
+    assert [problem.code for problem in said] == ["imu_gyro_unit"] * is_taken
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
