@@ -204,7 +204,7 @@ def _raw_upwards(path: DensePath, *arguments: Any) -> ExpectedMotion:
 def _upwards_as_felt(motion: Motion, path: DensePath) -> Motion:
     velocity_n, acceleration_n = motion.velocity_n.copy(), motion.acceleration_n.copy()
     velocity_n[:, 2], acceleration_n[:, 2] = path.velocity_n[:, 2], expected.at_edges(path.acceleration_n)[:, 2]
-    return Motion(velocity_n, acceleration_n)
+    return Motion(velocity_n, acceleration_n, motion.turn_rate)
 
 
 def _averaged_rates(path: DensePath, *_: Any) -> Felt:

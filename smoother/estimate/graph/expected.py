@@ -28,7 +28,9 @@ the keyframes, and so are the predictions: of a motion that is too quick for tha
 times a second, both are made of the same few samples, by which the prediction is then off. Slope and error go together,
 by as much as the hop has at the time from keyframe to fix, which looks like a latency: in a car that drives straight,
 where little else accelerates, one of 30 ms, this way or that by where in their intervals the fixes fall. So slopes are
-made of what samples T s apart can follow (Nyquist). The expected motion itself keeps the rest: it was there.
+made of what samples T s apart can follow (Nyquist). The expected motion itself keeps the rest: it was there. The slope
+by the arm, which is the turn rate, is made alike: an arm and a latency are told apart by where turn and acceleration
+differ, and what one slope has and the other lacks, most of it noise, would pass for that.
 """
 
 import math
@@ -56,24 +58,28 @@ TURNING = slice(TURN, TURN + 1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """velocity_n (M, 3) m/s and acceleration_n (M, 3) m/s^2 at the edges of a path."""
+    """velocity_n (M, 3) m/s, acceleration_n (M, 3) m/s^2 and turn_rate (M,) rad/s about up, at the edges of a path."""
 
     velocity_n: Array
     acceleration_n: Array
+    turn_rate: Array
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMotion(Motion):
-    """Motion, and turn_rate (M,) rad/s about up, at the edges of a path.
+    """Motion whose velocity is the path's, less what the noise in the acceleration has added to it.
 
-    The velocity is the path's, less what the noise in the acceleration has added to it. turn_variance, (rad/s)^2: of
-    the errors of turn_rate. followed: the motion without what is too quick for keyframes to follow; None where that is
-    all of it.
+    turn_variance, (rad/s)^2: of the errors of turn_rate. followed: the motion without what is too quick for keyframes
+    to follow; None where that is all of it.
     """
 
-    turn_rate: Array
     turn_variance: float = 0.0
     followed: Motion | None = None
+
+    @property
+    def slow(self) -> Motion:
+        """What of the motion slopes are made of."""
+        return self if self.followed is None else self.followed
 
     def means(self, n_bins: int) -> Array:
         """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
@@ -125,22 +131,22 @@ def expected_motion(
     lead = np.array([0.0, 0.0, turning_lead(felt.channels(slice(1, 3)))])
     level = most_probable(felt.channels(LEVEL_AND_TURNING).later(lead), sigma[:, LEVEL_AND_TURNING], LEVEL)
     up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
-    found = level.signal, up.signal
+    found = [level.signal, up.signal, turn.signal]
     motion = _motion_along(path, R_nb, found)
     followed = _motion_along(path, R_nb, [signal.slower_than(0.5 / interval) for signal in found])
-    turn_rate = at_edges(turn.signal.values()[:, 0])
-    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, turn_rate, float(turn.variance[0]), followed)
+    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
 
 
-def _motion_along(path: DensePath, R_nb: Array, accelerations: Sequence[Transform]) -> Motion:
-    """Motion with the accelerations, m/s^2 ahead, left and up, of the bins of `path`, whose axes are R_nb (M-1, 3, 3).
+def _motion_along(path: DensePath, R_nb: Array, found: Sequence[Transform]) -> Motion:
+    """Motion with accelerations, m/s^2 ahead, left and up, and turn, rad/s, of the bins of `path`.
 
-    Velocities are the path's but for what its accelerations have beyond that.
+    R_nb (M-1, 3, 3) are the axes of the bins. Velocities are the path's but for what its accelerations have beyond.
     """
-    acceleration_b = np.hstack([signal.values() for signal in accelerations])
+    *accelerations, turn = (signal.values() for signal in found)
+    acceleration_b = np.hstack(accelerations)
     acceleration_n = np.einsum("kij,kj->ki", R_nb, acceleration_b)
     beyond_n = integrated(path.acceleration_n - acceleration_n, float(path.t[1] - path.t[0]))
-    return Motion(path.velocity_n - beyond_n, at_edges(acceleration_n))
+    return Motion(path.velocity_n - beyond_n, at_edges(acceleration_n), at_edges(turn[:, 0]))
 
 
 def _expected_turn(level: Array, rate: Array, speed: Array, scatter: Array, dt: float) -> MostProbable:

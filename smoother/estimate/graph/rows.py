@@ -15,7 +15,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.chain import ChainSystem
-from smoother.estimate.graph.expected import ExpectedMotion
+from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.state import (
@@ -132,7 +132,7 @@ def position_rows(
     stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
     stamp = Bracket(b.interval, stamp_share, b.length)
     arm_n = np.einsum("nij,j->ni", R_ns, state.constants.lever_arm_s)
-    swing_n = np.cross(_about_up(path, felt, at), arm_n)
+    swing_n = np.cross(_about_up(path, felt.slow, at), arm_n)
     weights = hermite_position(b)
     residual = _on_curve(state, b, weights) + arm_n + _between(stamp, state.offset_n) - measured_n
     left, right, constants = empty_jacobians(len(t), 3)
@@ -186,8 +186,10 @@ def velocity_rows(
     left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
     acceleration_n = _along(state, path, felt, b, weights)
-    constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + np.cross(rate_n, swing_n))[:, :2, None]
-    constants[:, :, LEVER_ARM] = turning @ R_ns
+    slow_n = _about_up(path, felt.slow, at)
+    swinging_n = np.cross(slow_n, np.cross(slow_n, arm_n))
+    constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + swinging_n)[:, :2, None]
+    constants[:, :, LEVER_ARM] = so3.skew(slow_n) @ R_ns
     constants[:, :, VELOCITY_RESPONSE] = answer.slope_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)
 
@@ -416,9 +418,9 @@ def _between(b: Bracket, values: Array) -> Array:
     return np.asarray((1.0 - share) * values[b.interval] + share * values[b.interval + 1])
 
 
-def _about_up(path: DensePath, felt: ExpectedMotion, t: Array) -> Array:
+def _about_up(path: DensePath, motion: Motion, t: Array) -> Array:
     """Angular rate (N, 3) rad/s in n at times t (N,): about up alone."""
-    return np.asarray(np.interp(t, path.t, felt.turn_rate)[:, None] * UP_N)
+    return np.asarray(np.interp(t, path.t, motion.turn_rate)[:, None] * UP_N)
 
 
 def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket, weights: tuple[Array, ...]) -> Array:
@@ -431,8 +433,7 @@ def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket,
 
     Without what is too quick for keyframes to follow: taken at these, it goes with what the curve misses between them.
     """
-    motion = felt if felt.followed is None else felt.followed
-    of_motion = motion.velocity_n, motion.acceleration_n
+    of_motion = felt.slow.velocity_n, felt.slow.acceleration_n
     velocity_n, acceleration_n = (at_times(path, values, state.t) for values in of_motion)
     return _weighed(b, weights, velocity_n, acceleration_n)
 
@@ -454,8 +455,7 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
     """
     dt, response = float(path.t[1] - path.t[0]), session.velocity_response
     jerk_n = np.gradient(felt.acceleration_n[:, :2], dt, axis=0)
-    slow = felt if felt.followed is None else felt.followed
-    slope = at_times(path, _level(np.gradient(slow.acceleration_n[:, :2], dt, axis=0)), t)
+    slope = at_times(path, _level(np.gradient(felt.slow.acceleration_n[:, :2], dt, axis=0)), t)
     simple = _Response(response * slope, slope)
     u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
     share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
