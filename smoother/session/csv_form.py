@@ -12,7 +12,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import turned_to_radians
+from smoother.session.plausible import turned_to_metres, turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
@@ -57,6 +57,7 @@ def read_imu_and_unit(
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
+    said += turned_to_metres(accel, t, path.name)
     if shifts is not None:
         t, used = over_restarts(t, shifts)
         t, accel, gyro = t[used], accel[used], gyro[used]
