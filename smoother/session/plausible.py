@@ -140,7 +140,7 @@ def _has_no_gravity(imu: RawImu, some: Array) -> bool:
 
 
 def _steady(some: Array, lasts: float) -> float:
-    """Size of what stays of forces (N, 3), evenly taken from a recording that lasts so many s: gravity, if it is there."""
+    """Size of what stays of forces (N, 3), evenly taken from a recording that lasts so many s: gravity, if any."""
     return median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in _parts(some, lasts)]))
 
 
