@@ -1,5 +1,5 @@
 """`python -m smoother`: the command line, for the interpreter at hand."""
 
-from smoother.cli.main import main
+from smoother.cli import main
 
 main()

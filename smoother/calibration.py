@@ -14,6 +14,7 @@ from smoother.documents import load_toml, replacing
 from smoother.errors import ConfigError
 from smoother.frames import Origin
 from smoother.samples import AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
+from smoother.words import did_you_mean
 
 FILE_NAME = "calibration.toml"
 WILD = 1e9  # in any unit: no calibration has such a number, and products of them overflow
@@ -148,6 +149,14 @@ _TABLES = {
     "gyroscope": {"bias": "gyro_bias", "bias_per_kelvin": "gyro_bias_slope", "matrix": "gyro_matrix"},
     "magnetometer": {"hard_iron": "hard_iron", "soft_iron": "soft_iron"},
 }
+_TEMPERATURES = ("temperature", "temperature_span")  # of the gyroscope
+_NOTES = {  # what `smooth calibrate` writes beside them, for people
+    "accelerometer": ("positions",),
+    "gyroscope": ("noise_covariance", "rest_s", "turns"),
+    "magnetometer": ("coverage", "semi_axes", "axes_turned", "axes_turned_sigma", "assumed", "level_hard_iron_sigma"),
+}
+_NOT_USED = "magnetometer_in_kart"  # its table says so
+_ALIKE = 0.7  # of names that are meant for one another, as difflib counts
 
 
 def find_calibration(directory: Path) -> Path | None:
@@ -164,9 +173,10 @@ def find_calibration(directory: Path) -> Path | None:
 def load_calibration(path: Path) -> Calibration:
     """Read calibration.toml; tables and keys that are only for people are passed over.
 
-    Raises ConfigError with file, key and remedy.
+    Raises ConfigError with file, key and remedy, also for what seems to be meant for a sensor and is not known.
     """
     document = _document(path)
+    _require_known(document, path)
     values: dict[str, Array] = {}
     sigmas: dict[str, Array] = {}
     for table, keys in _TABLES.items():
@@ -190,6 +200,31 @@ def load_calibration(path: Path) -> Calibration:
         raise ConfigError(f"{path.name}: [gyroscope] temperature_span must be two numbers, lowest and highest")
     at = float(_numbers(gyro["temperature"], (), path, "gyroscope", "temperature"))
     return replace(found, gyro_temperature=at, gyro_temperature_span=(float(span[0]), float(span[1])))
+
+
+def _require_known(document: Mapping[str, object], path: Path) -> None:
+    """Raise ConfigError for a slip of the pen, which would leave a sensor uncalibrated.
+
+    Texts are notes, and so are tables that are neither called nearly as a sensor's nor hold keys of one.
+    """
+    for name, section in document.items():
+        if name in _TABLES and isinstance(section, dict):
+            _require_known_keys(name, section, path)
+        elif name not in (*_TABLES, _NOT_USED) and not isinstance(section, str):
+            near = did_you_mean(name, _TABLES, _ALIKE)
+            inside = section if isinstance(section, dict) else {name}
+            if near or any(key in keys for key in inside for keys in _TABLES.values()):
+                raise ConfigError(f"{path.name}: {name} is unknown{near}; known tables: {', '.join(_TABLES)}")
+
+
+def _require_known_keys(table: str, section: Mapping[str, object], path: Path) -> None:
+    """The same for the keys of a sensor's table."""
+    values = [name for key in _TABLES[table] for name in (key, f"{key}_sigma")]
+    values += _TEMPERATURES if table == "gyroscope" else ()
+    for key, value in section.items():
+        if key not in (*values, *_NOTES[table]) and not isinstance(value, str):
+            near = did_you_mean(key, values)
+            raise ConfigError(f"{path.name}: [{table}] {key} is unknown{near}; known: {', '.join(values)}")
 
 
 def _is_span(span: object) -> TypeGuard[list[float]]:
@@ -238,7 +273,7 @@ def load_notes(path: Path, newer: Calibration) -> dict[str, dict[str, object]]:
         if any(name in changed for name in _TABLES.get(table, {}).values()):
             continue
         own = {key for name in _TABLES.get(table, {}) for key in (name, f"{name}_sigma")}
-        own |= {"temperature", "temperature_span"} if table == "gyroscope" else set()
+        own |= set(_TEMPERATURES) if table == "gyroscope" else set()
         kept = {key: value for key, value in section.items() if key not in own}
         if kept:
             notes[table] = kept

@@ -20,6 +20,8 @@ def load_toml(path: Path, remedy: str = "mend that line") -> dict[str, Any]:
 
     try:
         return tomllib.loads(_text(path))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path.name}: {_not_utf8(error)}") from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path.name}: not valid TOML ({_reason(error)}); {remedy}") from error
 
@@ -28,6 +30,8 @@ def load_json(path: Path) -> Any:
     """Read a JSON file. Raises ConfigError, one line, where it is too large, too deep, unreadable, or none."""
     try:
         return json.loads(_text(path))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: {_not_utf8(error)}") from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid JSON ({_reason(error)})") from error
 
@@ -41,6 +45,12 @@ def _text(path: Path) -> str:
     if len(data) > LARGEST:
         raise ConfigError(f"{path.name}: larger than {LARGEST >> 20} MB; this is no file of settings")
     return data.decode("utf-8-sig")
+
+
+def _not_utf8(error: UnicodeDecodeError) -> str:
+    """What to say of a text of another encoding, as older editors of Windows write their umlauts."""
+    line = error.object.count(b"\n", 0, error.start) + 1
+    return f"line {line} is not in UTF-8; save it as UTF-8"
 
 
 def _reason(error: Exception) -> str:

@@ -1,9 +1,10 @@
 """Counts and lengths of time as people read them, the same on the terminal, on pages and in problems. Imports nothing
 of this project."""
 
+import difflib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 UNREADABLE = "\ufffd"  # what a decoder leaves of bytes that are no character
 SLOWER_WHERE = {"entry": "into it", "minimum": "at its slowest", "exit": "out of it"}  # of a corner
@@ -20,6 +21,13 @@ def listed(names: Sequence[str], most: int = 12, longest: int = 24) -> str:
     shown = ("".join(c if c.isprintable() and c != UNREADABLE else "?" for c in name) for name in names[:most])
     parts = [name if len(name) <= longest else name[: longest - 2] + ".." for name in shown]
     return ", ".join([*parts, ".."] if len(names) > most else parts)
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.5) -> str:
+    """Return ' (did you mean bias?)' with the known word that is most like one that is none of them; '' without any."""
+    by_lower = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=cutoff)
+    return f" (did you mean {by_lower[close[0]]}?)" if close else ""
 
 
 def duration(seconds: float) -> str:

@@ -132,6 +132,22 @@ def test_an_empty_file_changes_nothing(tmp_path: Path) -> None:
         ("[accelerometer]\nmatrix = [[1.0], [2.0]]", r"\[accelerometer\] matrix must be 3 x 3 finite numbers"),
         ("[accelerometer]\nmatrix = [[1, 0, 0], [0, 1], [0, 0, 1]]", r"matrix must be 3 x 3 finite numbers"),
         ("[magnetometer]\nhard_iron = [1.0, 2.0, 3.0]", "needs both hard_iron and soft_iron"),
+        (
+            "[gyroscope]\nbais = [1.0, 2.0, 3.0]",
+            r"\[gyroscope\] bais is unknown \(did you mean bias\?\); known: bias",
+        ),
+        (
+            "[accelerometer]\nbias = [1, 2, 3]",
+            r"\[accelerometer\] bias is unknown; known: offset, offset_sigma, ",
+        ),
+        ("[gyroscope.old]\nbias = [1, 2, 3]", r"\[gyroscope\] old is unknown"),
+        (
+            "[Gyroscope]\n",
+            r"Gyroscope is unknown \(did you mean gyroscope\?\); known tables: accelerometer",
+        ),
+        ("[acelerometer]\nscale = 2", r"acelerometer is unknown \(did you mean accelerometer\?\)"),
+        ("[gyro]\nbias = [1, 2, 3]", r"gyro is unknown; known tables"),
+        ("bias = [1, 2, 3]", r"bias is unknown; known tables"),
     ],
 )
 def test_a_flawed_file_is_named_with_the_key_and_the_remedy(tmp_path: Path, text: str, message: str) -> None:
@@ -139,10 +155,16 @@ def test_a_flawed_file_is_named_with_the_key_and_the_remedy(tmp_path: Path, text
         load_calibration(written(tmp_path, text))
 
 
+def test_what_is_for_people_is_passed_over(tmp_path: Path) -> None:
+    notes = "[gyroscope]\nnote = 'of May'\nrest_s = 60.0\nturns = 6\n[mine]\nbox = 7\n[imu]\ngyro_noise = 1e-4\n"
+    unused = "[magnetometer_in_kart]\nhard_iron = [1.0, 2.0, 3.0]\nassumed = ['up']\n[allan.gyroscope]\nturns = 1\n"
+    assert not load_calibration(written(tmp_path, f"title = 'box'\nyear = 2026\n{notes}{unused}")).applied()
+
+
 def test_a_file_that_is_not_text_is_not_valid(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="not valid TOML"):
+    path.write_bytes(b"# box\n# J\xfcrgen\n")
+    with pytest.raises(ConfigError, match=r"^calibration.toml: line 2 is not in UTF-8; save it as UTF-8$"):
         load_calibration(path)
 
 

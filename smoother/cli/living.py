@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from smoother.cli.arguments import EXIT_DONE, Number, Whole
+from smoother.cli.arguments import EXIT_DONE, EXIT_UNUSABLE, Number, Whole
 from smoother.cli.output import Progress, progress_on_terminal, say_json, warn
 from smoother.errors import UsageError
 from smoother.words import counted
@@ -83,9 +83,7 @@ def live(
             f"{_bytes(came)} came, and nothing in them was in the format of the logger's line; "
             "is the speed right (--baud)? A file of a card is named itself: smooth live FILE"
         )
-    if recorder is not None:
-        _say_recorded(recorder, came > 0)
-    return EXIT_DONE
+    return EXIT_DONE if recorder is None or _say_recorded(recorder, came > 0) else EXIT_UNUSABLE
 
 
 def _bytes(count: int) -> str:
@@ -94,11 +92,16 @@ def _bytes(count: int) -> str:
     return f"{count / 1e3:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
-def _say_recorded(recorder: Recorder, has_come: bool) -> None:
-    if recorder.status.flaw:
-        warn(f"recording failed: {recorder.status.flaw}")
+def _say_recorded(recorder: Recorder, has_come: bool) -> bool:
+    """Say what was written down; return whether that is all that came."""
+    status, path = recorder.status, recorder.path
+    if status.flaw:
+        kept = f"{path} holds the first {_bytes(status.bytes_written)}" if status.bytes_written else "nothing is kept"
+        warn(f"recording failed: {status.flaw}; {kept}")
+        return False
     nothing = "nothing was recorded" if has_come else "nothing came, so nothing was recorded"
-    warn(nothing if recorder.path is None else f"recorded {recorder.path}")
+    warn(nothing if path is None else f"recorded {path}")
+    return True
 
 
 def _speed(text: str) -> float:

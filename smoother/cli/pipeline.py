@@ -6,6 +6,7 @@ Heavy imports happen inside the functions, so that `smooth --help` does not wait
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -277,9 +278,10 @@ def output_directory(path: Path, out: Path | None, name: str) -> Path:
         return _created(out)
     try:
         return _created(usual_output(path))
-    except UsageError:
+    except UsageError as error:
         instead = Path(OUTPUT_DIRECTORY) / (name or "session")
-        warn(f"{source} cannot be written to; the results go to {instead}")
+        is_taken = _in_the_way(usual_output(path)) is not None
+        warn(f"{error if is_taken else f'{source} cannot be written to'}; the results go to {instead}")
         return _created(instead)
 
 
@@ -372,9 +374,19 @@ def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[s
 
 def unwritable(directory: Path, error: OSError) -> SmootherError:
     """Return the error that says where results could not be written, and what to do."""
+    if isinstance(error, FileExistsError | NotADirectoryError) and (file := _in_the_way(directory)) is not None:
+        return SessionError(
+            f"{file}: a file, where a folder for the results is wanted; move it, or name another place with --out DIR"
+        )
     return SessionError(
         f"{directory}: cannot be written ({error.strerror or error}); name another place with --out DIR"
     )
+
+
+def _in_the_way(directory: Path) -> Path | None:
+    """What has the name of a directory, or of one above it, and is none."""
+    places = (directory, *directory.parents)
+    return next((place for place in places if os.path.lexists(place) and not place.is_dir()), None)
 
 
 def _created(directory: Path) -> Path:

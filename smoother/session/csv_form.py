@@ -12,7 +12,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import turned_to_radians
+from smoother.session.plausible import turned_to_metres, turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
@@ -51,12 +51,14 @@ def read_imu_and_unit(
     """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    cut = [*_cut_row(table, "imu"), *turned_to_radians(gyro, path.name)]
+    cut = [*_of_table(table, "imu"), *turned_to_radians(gyro, path.name)]
     _require_numbers(path, "t_s", t)
+    _require_clock(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
+    said += turned_to_metres(accel, t, path.name)
     if shifts is not None:
         t, used = over_restarts(t, shifts)
         t, accel, gyro = t[used], accel[used], gyro[used]
@@ -83,6 +85,7 @@ def read_mag(
     """
     table = read_table(path, ("t_s", *FIELD_COLUMNS))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
+    _require_clock(path, t)
     unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
     t, said = in_seconds(t, unit, "mag", path.name)
     if restarts is not None and np.isfinite(t).any():
@@ -98,7 +101,7 @@ def read_mag(
     with np.errstate(invalid="ignore"):
         rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
     time, index = put_in_time_order(rows, t, field)
-    return RawMag(time, field[index]), [*_cut_row(table, "mag"), *said, *joined, *rows.problems]
+    return RawMag(time, field[index]), [*_of_table(table, "mag"), *said, *joined, *rows.problems]
 
 
 def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:
@@ -130,6 +133,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
+    _require_clock(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
     t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
@@ -155,7 +159,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_cut_row(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_cells(table)]
+    return fixes, [*_of_table(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_cells(table)]
 
 
 def _require_numbers(path: Path, column: str, values: Array) -> None:
@@ -172,10 +176,27 @@ def _require_numbers(path: Path, column: str, values: Array) -> None:
         )
 
 
-def _cut_row(table: Table, prefix: str) -> list[Problem]:
-    if not table.cut:
-        return []
-    return [Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")]
+def _require_clock(path: Path, t: Array) -> None:
+    """Raise SessionError where all rows have one and the same time, t (N,) as written: of the start, or of no clock."""
+    if t.size and abs(t[-1] - t[0]) > 0.0:  # a long recording is not copied to see it
+        return
+    known = t[np.isfinite(t)]
+    if known.size > 1 and not np.any(known != known[0]):
+        raise SessionError(
+            f"{path.name}: t_s is {known[0]:.10g} in all {known.size} rows; write when each was taken, in seconds"
+        )
+
+
+def _of_table(table: Table, prefix: str) -> Iterator[Problem]:
+    """What to say of the table as a whole: columns that are there twice, and a last row that is cut."""
+    if table.repeated:
+        what, count = listed(table.repeated), len(table.repeated)
+        text = f"{what}: more than one column of that name; the first is used"
+        if count > 1:
+            text = f"{what}: more than one column of each of these names; the first is used"
+        yield Problem(f"{prefix}_repeated_column", f"{table.file}: {text}", count)
+    if table.cut:
+        yield Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")
 
 
 def _unread_cells(table: Table) -> Iterator[Problem]:

@@ -9,7 +9,7 @@ from smoother.arrays import Array, BoolArray, median
 from smoother.disc import PIECE, pieces, release, thinned
 from smoother.samples import Problem, RawImu
 from smoother.session.frozen import without_rows
-from smoother.units import DEG
+from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
 ENOUGH_SAMPLES = 20_000  # evenly taken, to know the usual size of force and rate
@@ -24,6 +24,7 @@ FEWEST_LEFT = 100  # samples
 SHORTEST_UNIT = 20.0  # s; a box is spun in the hand, or a kart round itself, for less
 LEAST_TURN = 0.1  # of the fastest usual rates, that rates in deg/s are once they are converted
 FASTEST = 90.0  # per cent of the windows
+GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,27 @@ def turned_to_radians(gyro: Array, file: str) -> list[Problem]:
     return [Problem("imu_gyro_unit", text)]
 
 
+def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
+    """Turn accelerations (N, 3), which the caller gives away, into m/s^2 where what stays of them is gravity in g.
+
+    t (N,) s, as written. In m/s^2 forces as small are those without gravity, which change with every bend, and stay as
+    they are. Says what it did; `file` is the name for that.
+    """
+    step = max(1, len(accel) // ENOUGH_SAMPLES)
+    some = thinned(accel, step)
+    known = np.isfinite(some).all(axis=1) & np.isfinite(thinned(t, step))
+    some, times = some[known], thinned(t, step)[known]
+    if len(some) < FEWEST_LEFT:
+        return []
+    low, high = GRAVITY_IN_G
+    size, steady = median(np.linalg.norm(some, axis=1)), _steady(some, times[-1] - times[0])
+    if not (size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size):
+        return []
+    accel *= STANDARD_GRAVITY
+    text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with g where m/s^2 belong; taken so"
+    return [Problem("imu_accel_unit", f"{file}: {text}")]
+
+
 def implausible_units(imu: RawImu) -> Iterator[str]:
     """Yield what speaks against the units of samples, one or more, as a whole."""
     step = max(1, imu.t.size // ENOUGH_SAMPLES)
@@ -105,7 +127,7 @@ def implausible_units(imu: RawImu) -> Iterator[str]:
         some = thinned(sensor.values, step)
         size = median(sensor.sizes(some))
         if size > sensor.usual[1]:  # it may be vibration
-            size = median(np.concatenate([sensor.typical(part[None]) for part in _parts(imu, some)]))
+            size = median(np.concatenate([sensor.typical(part[None]) for part in _parts(some, imu.t[-1] - imu.t[0])]))
         if sensor.is_off(size):
             yield sensor.reason(size)
 
@@ -113,14 +135,18 @@ def implausible_units(imu: RawImu) -> Iterator[str]:
 def _has_no_gravity(imu: RawImu, some: Array) -> bool:
     """Whether samples move without a force that stays; some (N, 3) : of `imu.accel`, evenly taken."""
     force = median(np.linalg.norm(some, axis=1)) * imu.accel_scale
-    steady = median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in _parts(imu, some)])) * imu.accel_scale
+    steady = _steady(some, imu.t[-1] - imu.t[0]) * imu.accel_scale
     return bool(steady < min(LEAST_STEADY_SHARE * force, LEAST_STEADY) and force > LEAST_MOTION)
 
 
-def _parts(imu: RawImu, some: Array) -> list[Array]:
+def _steady(some: Array, lasts: float) -> float:
+    """Size of what stays of forces (N, 3), evenly taken from a recording that lasts so many s: gravity, if any."""
+    return median(np.array([np.linalg.norm(np.mean(part, axis=0)) for part in _parts(some, lasts)]))
+
+
+def _parts(some: Array, lasts: float) -> list[Array]:
     """Some (N, 3) of the samples in a few parts: a box that turns over in one of them has gravity in all others."""
-    count = int(np.clip((imu.t[-1] - imu.t[0]) / STEADY_TIME, 1, STEADY_PARTS))
-    return np.array_split(some, count)
+    return np.array_split(some, int(np.clip(lasts / STEADY_TIME, 1, STEADY_PARTS)))
 
 
 def without_other_units(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:

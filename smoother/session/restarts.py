@@ -90,7 +90,7 @@ def _said(samples: list[_Part], used: list[int], shifts: list[float], lost: int,
     if len(used) > 1:
         at = listed([f"{samples[i].end + shift:.0f} s" for i, shift in zip(used[:-1], shifts[:-1], strict=True)])
         rest = f"; {counted(lost, 'row')} left out, of parts that only one file has" if lost else ""
-        return Problem("clock_joined", f"{files}: the clock started again at {at}; joined by UTC{rest}", lost)
+        return Problem("clock_joined", f"{files}: the clock started again at {at}; joined by UTC{rest}", len(used) - 1)
     part = samples[used[0]]
     text = (
         f"{files}: the clock started again; of {len(samples)} parts number {used[0] + 1} is used ({part.begin:.0f} to "

@@ -1,8 +1,7 @@
 """session.toml to SessionConfig: every key checked, a slip of the pen answered with the nearest known name."""
 
 import datetime
-import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from smoother.arrays import Array
 from smoother.config import GnssTiming, ImuNoise, MagnetometerUse, Mounting, SessionConfig
 from smoother.documents import load_toml
 from smoother.errors import ConfigError
+from smoother.words import did_you_mean
 
 ROTATION_TOLERANCE = 0.02  # largest error of R R^T: a matrix typed with two decimals is still meant as a rotation
 LONGEST_LEVER_ARM = 20.0  # m; beyond, millimetres were written for metres
@@ -42,7 +42,7 @@ def rotation_from_axes(axes: str) -> Array:
     words = [word for word in words if word]
     for word in words:
         if word not in DIRECTIONS:
-            raise ValueError(f"{word!r} is no direction{_nearest(word, DIRECTIONS)}; use {', '.join(DIRECTIONS)}")
+            raise ValueError(f"{word!r} is no direction{did_you_mean(word, DIRECTIONS)}; use {', '.join(DIRECTIONS)}")
     if len(words) != 3:
         raise ValueError(f"has {len(words)} directions; name where x, y and z point, as in forward-left-up")
     R_bs = np.array([DIRECTIONS[word] for word in words]).T
@@ -84,7 +84,7 @@ class _Reader:
     def finish(self) -> None:
         for key in self.values:
             if key not in self.known:
-                raise self.fail(key, f"is unknown{_nearest(key, self.known)}; known: {', '.join(self.known)}")
+                raise self.fail(key, f"is unknown{did_you_mean(key, self.known)}; known: {', '.join(self.known)}")
 
 
 def _settings(document: _Reader) -> SessionConfig:
@@ -123,12 +123,6 @@ def _mounting(table: _Reader) -> Mounting:
     if matrix is not None and from_axes is not None:
         raise table.fail("R_bs", "and axes say the same thing twice; keep one")
     return Mounting(lever_arm_b=lever_arm_b, R_bs=matrix if matrix is not None else from_axes)
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    by_lower = {name.lower(): name for name in known}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=0.5)
-    return f" (did you mean {by_lower[close[0]]}?)" if close else ""
 
 
 def _text(value: Any) -> str:

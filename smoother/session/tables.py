@@ -76,7 +76,8 @@ class Table:
 
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
     `unread` counts, for each optional column, the cells that hold something which is no number, or no time.
-    `cut` : the last row was cut short, as by a loss of power, and is left out.
+    `cut` : the last row was cut short, as by a loss of power, and is left out. `repeated` : names of columns that are
+    there more than once; the first of each is in `columns`.
     """
 
     file: str
@@ -85,6 +86,7 @@ class Table:
     length: int
     unread: dict[str, int]
     cut: bool = False
+    repeated: tuple[str, ...] = ()
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -155,7 +157,8 @@ def read_table(
         raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
     empty = {name: flags[f"empty {name}"] for name in required}
     unread = {name: int(flags[f"unread {name}"].sum()) for name in (*numbers, *times) if name not in required}
-    return Table(path.name, columns, empty, length, unread, cut)
+    repeated = tuple(name for name in (*numbers, *times) if _repeated(name) in header)
+    return Table(path.name, columns, empty, length, unread, cut, repeated)
 
 
 def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
@@ -381,8 +384,13 @@ def _unique_names(names: Sequence[str]) -> list[str]:
     for name in names:
         plain = name.strip("\ufeff\x00 \t\r\n\"'").lower()
         seen[plain] = seen.get(plain, 0) + 1
-        unique.append(plain if plain and seen[plain] == 1 else f"{plain} #{seen[plain]}")
+        unique.append(plain if plain and seen[plain] == 1 else _repeated(plain, seen[plain]))
     return unique
+
+
+def _repeated(name: str, number: int = 2) -> str:
+    """What the column of a name is called that is the second of it, or of any other number."""
+    return f"{name} #{number}"
 
 
 def _source(path: Path) -> Path | bytes:

@@ -176,3 +176,21 @@ def test_help_does_not_wait_for_the_heavy_libraries() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize("stopped", ["KeyboardInterrupt", "ImportError from KeyboardInterrupt()"])
+@pytest.mark.parametrize("module", ["click", "numpy"])
+def test_to_be_stopped_while_libraries_load_is_one_line(tmp_path: Path, module: str, stopped: str) -> None:
+    code = f"""
+import sys
+class Stopping:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            raise {stopped}
+sys.meta_path.insert(0, Stopping())
+from smoother.cli import main
+main()
+"""
+    (tmp_path / "gps.csv").write_text("t_s,lat_deg,lon_deg\n")
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.strip()) == (130, "smooth: stopped")

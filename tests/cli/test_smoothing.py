@@ -212,14 +212,36 @@ def test_a_place_that_cannot_be_written_is_one_line(monday: Path, tmp_path: Path
     assert run([str(monday), "--out", str(tmp_path / "taken")]) == 2
     output = capsys.readouterr()
     assert output.err.count("\n") == 1
+    assert f"{tmp_path / 'taken'}: a file, where a folder for the results is wanted; move it, or" in output.err
     assert "--out DIR" in output.err
+
+
+def test_a_file_called_as_the_folder_for_the_results_is_named(
+    monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    (monday / "smoothed").write_text("")
+    said = "a file, where a folder for the results is wanted; move it, or name another place with --out DIR"
+    monkeypatch.chdir(tmp_path)
+    assert run([str(monday), *TABLES_ONLY]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"smooth: {monday / 'smoothed'}: {said}; the results go to smoothed/monday"
+    monkeypatch.chdir(monday)
+    assert run([".", *TABLES_ONLY]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == f"smooth: smoothed: {said}"
 
 
 def test_a_locked_card_sends_its_results_to_the_working_directory(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (monday / "smoothed").write_text("a file stands where the folder would be made")
+    made = Path.mkdir
+
+    def mkdir(path: Path, *mode: int, **asked: bool) -> None:
+        if monday in path.parents:
+            raise PermissionError(13, "Permission denied")
+        made(path, *mode, **asked)
+
+    monkeypatch.setattr(Path, "mkdir", mkdir)
     assert run([str(monday), *TABLES_ONLY]) == 0
     output = capsys.readouterr()
     assert output.out.rstrip("\n").splitlines()[-1] == "smoothed/monday/trajectory.csv"

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,26 @@ def test_a_full_disc_is_said_and_what_came_meanwhile_is_written_when_there_is_ro
     np.testing.assert_array_equal(records.imu_t, drive_records(drive.simulation).imu_t[: len(records.imu_t)])
     assert (losses.blocks, losses.samples) == (0, 0)
     assert len(records.imu_t) > 900  # of 28,000 bytes
+
+
+@pytest.mark.parametrize(("written", "kept"), [(0, "nothing is kept"), (1, "LIVE0001.KLG holds the first ")])
+def test_the_command_does_not_call_recorded_what_the_disc_did_not_take(
+    drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], written: int, kept: str
+) -> None:
+    write, calls = recording._write_all, itertools.count()
+
+    def until_full(file: FileIO, data: bytes, at: int) -> None:
+        if next(calls) >= written:
+            raise OSError(28, "No space left on device")
+        write(file, data, at)
+
+    monkeypatch.setattr(recording, "_write_all", until_full)
+    capture = tmp_path / "capture.bin"
+    capture.write_bytes(drive.stream[:60_000])
+    asked = ["live", str(capture), "--speed", "max", "--headless", "--record", str(tmp_path / "new")]
+    assert run_command(asked) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("smooth: recording failed: No space left on device; ") and kept in said
 
 
 def test_a_program_that_is_killed_leaves_what_it_received(drive, tmp_path: Path) -> None:

@@ -53,6 +53,19 @@ def test_a_clean_table_is_read_as_it_stands(tmp_path: Path) -> None:
     assert (imu.accel_scale, imu.gyro_scale) == (1.0, 1.0)
 
 
+def test_columns_of_one_name_are_said_where_the_first_of_them_is_used(tmp_path: Path) -> None:
+    header = IMU_HEADER.replace("gz", "gz,AX, ax ,note,note")
+    _, problems = read_imu(save(tmp_path, "\n".join([header, *(f"{row},1,2,x,y" for row in imu_rows(300))]), "imu.csv"))
+    assert [problem.text for problem in problems] == [
+        "imu.csv: ax: more than one column of that name; the first is used"
+    ]
+    header = GPS_HEADER.replace("fix", "fix,alt_m,utc,utc")
+    rows = [f"{row},99,," for row in gps_rows(30)]
+    fixes, problems = read_fixes(save(tmp_path, "\n".join([header, *rows]), "gps.csv"))
+    assert codes(problems) == {"gps_repeated_column": 2} and fixes.alt_m[0] == 8.5
+    assert problems[0].text.startswith("gps.csv: alt_m, utc: more than one column of each of these names; ")
+
+
 def test_byte_order_mark_spaces_capitals_line_ends_and_extra_columns_are_tolerated(tmp_path: Path) -> None:
     lines = ['T_S , AX,"ay",az,GX,gy,gz,note,', *(f" {row} ,x,y" for row in imu_rows(20))]
     plain, _ = read_imu(save(tmp_path, imu_table(imu_rows(20)), "plain.csv"))

@@ -21,6 +21,12 @@ from .folders import Folder, codes, gps_csv, imu_csv, nmea_epochs, out_txt
 DATA = Path(__file__).parents[1] / "data"
 
 
+def stopped(table: str) -> str:
+    """The same with a clock that stands at 7 s."""
+    header, *rows = table.splitlines()
+    return "\n".join([header, *(f"7.0,{row.partition(',')[2]}" for row in rows)]) + "\n"
+
+
 def test_columns_make_a_session_without_a_word(folder: Folder) -> None:
     session = folder.write(imu__csv=imu_csv(), gps__csv=gps_csv(), mag__csv="t_s,mx,my,mz\n0,1,2,3\n1,1,2,4\n").load()
     assert session.name == "heat2" and session.problems == ()
@@ -207,6 +213,14 @@ def test_a_magnetometer_file_that_cannot_be_read_does_not_stop_the_session(folde
             lambda f: f.write(gps__csv=gps_csv(start=1000.0), imu__csv=imu_csv()),
             r"^imu.csv \(0.0 to 10.0 s\) and gps.csv \(1000.0 to 1009.8 s\) do not overlap in time",
         ),
+        (
+            lambda f: f.write(gps__csv=gps_csv(), imu__csv=stopped(imu_csv())),
+            r"^imu.csv: t_s is 7 in all 1000 rows; write when each was taken, in seconds$",
+        ),
+        (
+            lambda f: f.write(gps__csv=stopped(gps_csv()), imu__csv=imu_csv()),
+            r"^gps.csv: t_s is 7 in all 50 rows; write when each was taken, in seconds$",
+        ),
         (lambda f: f.write(out__txt=b"nothing"), r"^out.txt: no record"),
         (lambda f: f.write(x__nmea=b"nothing"), r"^x.nmea: no NMEA sentence"),
     ],
@@ -218,6 +232,13 @@ def test_what_cannot_be_used_ends_in_one_line_with_file_and_remedy(
     with pytest.raises(SessionError, match=message) as error:
         folder.load()
     assert "\n" not in str(error.value)
+
+
+def test_a_compass_without_a_clock_is_left_out(folder: Folder) -> None:
+    mag = "\n".join(["t_s,mx,my,mz", *(f"7.0,20.{k % 5},3.{k % 7},40.{k % 3}" for k in range(500))])
+    session = folder.write(gps__csv=gps_csv(), imu__csv=imu_csv(), mag__csv=mag + "\n").load()
+    (said,) = [problem.text for problem in session.problems if problem.code == "mag_unusable"]
+    assert session.mag is None and said.startswith("mag.csv: t_s is 7 in all 500 rows; ")
 
 
 @pytest.mark.parametrize("name", ["missing", "notes.pdf"])

@@ -12,6 +12,7 @@ from smoother.frames import Origin
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_imu
 from smoother.session.load import load_raw
+from smoother.units import STANDARD_GRAVITY
 
 from .folders import Folder, codes, gps_csv, imu_csv
 
@@ -40,7 +41,8 @@ def test_axes_that_never_change_while_others_do_are_named(folder: Folder, column
         (None, "imu_missing"),
         (imu_csv(99), "imu_missing"),
         (imu_csv(150, rate=19.0), "imu_too_slow"),
-        (imu_csv().replace(",9.8", ",1.0"), "imu_implausible"),
+        (imu_csv().replace(",9.8", ",100."), "imu_implausible"),
+        (imu_csv().replace(",9.8", ",0.001").replace(",0.1", ",0.0"), "imu_implausible"),
         (re.sub(r",9\.8\d,", ",nan,", imu_csv()), "imu_missing"),
     ],
 )
@@ -55,6 +57,16 @@ def test_turn_rates_of_a_kart_in_degrees_are_taken_for_such(folder: Folder) -> N
     raw = folder.write(gps__csv=gps_csv(), imu__csv=imu_csv().replace(",0.002", ",40.0")).load()
     assert raw.imu is not None and np.median(raw.imu.gyro[:, 1]) == pytest.approx(np.radians(40.0), rel=0.01)
     assert [problem.count for problem in raw.problems if problem.code == "imu_gyro_unit"] == [1]
+
+
+@pytest.mark.parametrize("rate", ["0.002", "40.0"])
+def test_accelerations_in_g_are_taken_for_such_whatever_the_rates_are_in(folder: Folder, rate: str) -> None:
+    table = imu_csv().replace(",9.8", ",1.0").replace(",0.002", f",{rate}")
+    raw = folder.write(gps__csv=gps_csv(), imu__csv=table).load()
+    assert raw.imu is not None and np.median(raw.imu.accel[:, 2]) == pytest.approx(1.01 * STANDARD_GRAVITY, abs=0.1)
+    told = {problem.code: problem.text for problem in raw.problems}
+    assert list(told) == ["imu_gyro_unit", "imu_accel_unit"][rate != "40.0" :]
+    assert told["imu_accel_unit"].startswith("imu.csv: typically 1 m/s^2, where gravity alone gives 9.8, as with g ")
 
 
 @pytest.mark.parametrize("form", ["10:00:{:06.3f}", "2026-05-16T10:00:{:06.3f}Z"])

@@ -5,7 +5,13 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.samples import Problem, RawImu
-from smoother.session.plausible import SHORTEST_UNIT, implausible_units, turned_to_radians, without_other_units
+from smoother.session.plausible import (
+    SHORTEST_UNIT,
+    implausible_units,
+    turned_to_metres,
+    turned_to_radians,
+    without_other_units,
+)
 from smoother.units import DEG, STANDARD_GRAVITY
 
 RATE, LASTS = 100, 120  # Hz, s
@@ -35,6 +41,26 @@ def test_rates_as_large_as_of_a_kart_in_degrees_are_taken_for_such(factor: float
     said = turned_to_radians(given, "imu.csv")
     np.testing.assert_allclose(given, rate if is_taken else factor * rate)
     assert [problem.code for problem in said] == ["imu_gyro_unit"] * is_taken
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1.0 / STANDARD_GRAVITY, 100.0 / STANDARD_GRAVITY, 1e-3])
+@pytest.mark.parametrize("rest", [0.0, 40.0, 100.0])
+def test_forces_as_small_as_gravity_in_g_are_taken_for_such(unit: float, rest: float) -> None:
+    force = samples(rest)[0]
+    given, t = unit * force, np.arange(len(force)) / RATE
+    said = turned_to_metres(given, t, "imu.csv")
+    is_taken = unit == 1.0 / STANDARD_GRAVITY
+    np.testing.assert_allclose(given, force if is_taken else unit * force)
+    assert [problem.code for problem in said] == ["imu_accel_unit"] * is_taken
+
+
+@pytest.mark.parametrize("size", [0.5, 1.0, 2.0, 4.0])
+def test_forces_without_gravity_are_not_taken_for_g(size: float) -> None:
+    t = np.arange(RATE * LASTS) / RATE
+    bends = np.column_stack([np.sin(0.7 * t), 0.2 + np.cos(0.9 * t), np.zeros(t.size)])
+    force = size * bends + 0.1 * np.random.default_rng(4).standard_normal(bends.shape)
+    assert turned_to_metres(force, t, "imu.csv") == []
+    assert len(list(implausible_units(RawImu(t, force, 0.1 * bends)))) == 1
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])

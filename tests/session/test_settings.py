@@ -132,6 +132,6 @@ def test_every_mistake_is_one_line_with_file_and_key(tmp_path: Path, text: str, 
 
 def test_bytes_that_are_no_text_are_one_clear_error(tmp_path: Path) -> None:
     path = tmp_path / "session.toml"
-    path.write_bytes(b"\xff\x00\x80")
-    with pytest.raises(ConfigError, match="not valid TOML"):
+    path.write_bytes(b"[session]\n\ndriver = 'J\xfcrgen'\n")
+    with pytest.raises(ConfigError, match=r"^session.toml: line 3 is not in UTF-8; save it as UTF-8$"):
         load_settings(path)
