@@ -135,10 +135,12 @@ def sigmas(values: object) -> gtsam.noiseModel.Diagonal:
     return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(values, dtype=float))
 
 
-def doppler_factor(k: int, measured: np.ndarray, rate: float, gyro_bias: np.ndarray, model: object) -> object:
+def doppler_factor(
+    k: int, measured: np.ndarray, rate: float, slow: float, gyro_bias: np.ndarray, model: object
+) -> object:
     """Velocity of the antenna: v + r up x R l, with r the gyro's turn about up. Keys X V B L.
 
-    rate rad/s is that turn with `gyro_bias` removed.
+    rate rad/s is that turn with `gyro_bias` removed; slow is what of it keyframes follow, the slope by the arm.
     """
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, H: list[np.ndarray] | None) -> np.ndarray:
@@ -151,7 +153,7 @@ def doppler_factor(k: int, measured: np.ndarray, rate: float, gyro_bias: np.ndar
             H[1] = np.eye(3, order="F")
             H[2] = np.zeros((3, 6), order="F")
             H[2][:, 3:] = -np.outer(np.cross(up, arm_n), up_s)
-            H[3] = np.asfortranarray(turn * so3.skew(up) @ R)
+            H[3] = np.asfortranarray(slow * so3.skew(up) @ R)
         return values.atVector(V(k)) + turn * np.cross(up, arm_n) - measured
 
     return gtsam.CustomFactor(model, [X(k), V(k), B(k), L(0)], error)
@@ -162,11 +164,12 @@ def reference_graph(p: Problem, batch: Batch, solved: Solved, factors: gtsam.Non
     state, graph = solved.state, gtsam.NonlinearFactorGraph(factors)
     path = batch.path(state)
     level = state.constants.level_axes_s
-    rates = expected_motion(path, level, p.noise.inertial, None, state.interval).turn_rate[::N_BINS]
+    felt = expected_motion(path, level, p.noise.inertial, None, state.interval)
+    rates, slow = felt.turn_rate[::N_BINS], felt.slow.turn_rate[::N_BINS]
     for t, fix, doppler in zip(p.data.t, p.data.position_n, p.data.velocity_n, strict=True):
         k = round((t - state.t[0]) / T)
         graph.add(gtsam.GPSFactorArmCalib(X(k), L(0), fix, sigmas(p.noise.position)))
-        graph.add(doppler_factor(k, doppler, rates[k], state.gyro_bias_s[k], sigmas(p.noise.velocity)))
+        graph.add(doppler_factor(k, doppler, rates[k], slow[k], state.gyro_bias_s[k], sigmas(p.noise.velocity)))
     for k in p.data.still:
         graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), sigmas(np.full(3, 0.02))))
         no_turn = sigmas([3e-4] * 3 + [1e8] * 3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.expected import ExpectedMotion, expected_motion
+from smoother.estimate.graph.expected import ExpectedMotion, Motion, expected_motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise, dense_path
 from smoother.estimate.graph.inertial import empty_system
@@ -32,6 +32,7 @@ from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
     GYRO_BIAS,
     KEYFRAME_SIZE,
+    LEVER_ARM,
     OFFSET,
     POSITION_LATENCY,
     ROTATION,
@@ -544,3 +545,26 @@ class TestNormalEquations:
         make = position_maker(binned, state.gyro_bias_s[0])
         predicted = after_step(make(state), step, constants)
         np.testing.assert_allclose(make(state.retract(step, constants)).residual, predicted.residual, atol=5e-6)
+
+
+def test_slopes_by_arm_and_latency_are_of_one_motion() -> None:
+    """What turns faster than keyframes follow swings the antenna, but tells no arm that a latency could not take."""
+    constants = Constants(0.01, 0.02, np.array([0.4, -0.2, 0.1]))
+    state, path, motion, _ = swinging(constants)
+    quick = np.cos(2.0 * np.pi * 6.0 * path.t)
+    slow = 0.5 * np.cos(2.0 * np.pi * 0.5 * path.t)
+    followed = Motion(motion.velocity_n, motion.acceleration_n, slow)
+    both = replace(motion, turn_rate=slow + quick, followed=followed)
+    shape = (len(TIMES), 3)
+
+    def rows(felt: ExpectedMotion) -> Rows:
+        return velocity_rows(state, path, felt, TIMES, np.zeros(shape), np.ones(shape))
+
+    alone = rows(replace(motion, turn_rate=slow))
+    np.testing.assert_allclose(rows(both).constants[:, :, LEVER_ARM], alone.constants[:, :, LEVER_ARM], atol=1e-12)
+    np.testing.assert_allclose(
+        rows(both).constants[:, :2, VELOCITY_LATENCY], alone.constants[:, :2, VELOCITY_LATENCY], atol=1e-12
+    )
+    turn = np.interp(TIMES - constants.velocity_latency, path.t, quick)
+    swing = np.cross(turn[:, None] * [0.0, 0.0, 1.0], constants.lever_arm_s)
+    np.testing.assert_allclose(rows(both).residual - alone.residual, swing, atol=1e-9)
