@@ -39,6 +39,7 @@ DRIFTS = 0.75  # of the step, that a drift beside it may make up over the sessio
 SMALLEST = 0.06  # s
 # s, of fixes more than QUICK s apart, or whose velocities are those of positions: the path is less well known
 SMALLEST_OF_FEW, QUICK = 0.3, 0.3
+UNSURE_OF_FEW = 0.1  # s likewise, by which sizes were off, by more than their sigmas
 EVIDENCE = 4.0  # of the cost of independent fixes, by which a moment is as good as the best
 LASTS = (8.0, 16.0, 32.0, 64.0, 128.0)  # s, for which a delay may change that does not step
 UNPLACED = (
@@ -88,7 +89,8 @@ def clock_steps(
     seams, lags = _segments(felt, path.t[rows], axes[rows])
     if not len(seams):
         return ()
-    smallest = SMALLEST if has_doppler and median(np.diff(path.t)) <= QUICK else SMALLEST_OF_FEW
+    tells_much = has_doppler and median(np.diff(path.t)) <= QUICK
+    smallest, unsure = (SMALLEST, 0.0) if tells_much else (SMALLEST_OF_FEW, UNSURE_OF_FEW)
     ends = np.concatenate([[-np.inf], seams, [np.inf]])
     found = []
     for k, seam in enumerate(seams):
@@ -96,7 +98,7 @@ def clock_steps(
         step = _judged(_Sides(felt, path.t[beside], axes[beside], seam, lags[k], lags[k + 1]), smallest)
         if step is None:  # what else changes the delay may be what the others are, too
             return ()
-        found.append(_traced(step, imu_t, fixes_t))
+        found.append(_traced(replace(step, sigma=max(step.sigma, unsure)), imu_t, fixes_t))
     return tuple(found)
 
 

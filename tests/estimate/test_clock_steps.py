@@ -97,6 +97,14 @@ def test_two_steps_are_two(session: Session) -> None:
     assert (first.size, second.size) == (pytest.approx(0.4, abs=0.03), pytest.approx(-0.6, abs=0.03))
 
 
+def test_of_few_fixes_large_steps_alone_are_found_and_not_known_well(session: Session) -> None:
+    slow = replace(session, gnss=session.gnss.select(np.arange(len(session.gnss)) % 5 == 0))
+    assert found_in(fixes_stepped(slow, 0.2)) == ()
+    (step,) = found_in(fixes_stepped(slow, 1.0))
+    assert step.size == pytest.approx(1.0, abs=0.15)
+    assert step.sigma >= 0.1
+
+
 @pytest.mark.parametrize("preset", ["kart", "kart_harsh", "white"])
 def test_what_does_not_step_does_not(preset: str) -> None:
     for seed in (11, 12):
