@@ -107,6 +107,15 @@ MIRRORED_AXES, UNLIKE_AXES = "imu_mirrored", "imu_axes_disagree"  # problems of 
 MIRRORED_PLACES = "gps_mirrored"  # likewise, explained by places of which one coordinate has the wrong sign
 
 
+@dataclass(frozen=True)
+class ClockMove:
+    """Times after `at` s, of the fixes or else of the samples, are changed by `by` s: stamps had stepped there."""
+
+    moves_fixes: bool
+    at: float
+    by: float
+
+
 @dataclass(frozen=True, eq=False)
 class EstimateReport:
     """What an estimator found out besides the trajectory, for summary.json and the figures."""
@@ -117,6 +126,7 @@ class EstimateReport:
     keyframes: Keyframes | None = None
     problems: tuple[Problem, ...] = ()
     left_out: BoolArray | None = None  # (F,) fixes of which no position was used, as `problems` say; None: all were
+    clock_moves: tuple[ClockMove, ...] = ()  # all times are those of the session with them
     timings: dict[str, float] = field(default_factory=dict)  # s per stage
     mode: str = "full"  # "full" or "gps-only"
 

@@ -95,6 +95,7 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     if truth is not told:
         warn(f"{path}: the velocity in truth.csv contradicts its positions, so it is not used")
     estimates = estimate(session, options, Stopwatch(), progress)
+    session = estimates.session
     trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
     if estimates.baseline is not None:
         trajectories["baseline"] = estimates.baseline

@@ -164,15 +164,17 @@ def calibrated(raw: RawSession, directory: Path) -> Session:
 
 
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
-    """Run smoother and baseline, and judge the result."""
+    """Run smoother and baseline, and judge the result; its session has the times that were found."""
     from smoother.disc import settle
     from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
     from smoother.estimate.quality import assess
+    from smoother.estimate.retimed import moved
 
     with watch.stage("smoothing"):
         every = steps(options.rate)
         smoother = GraphSmoother(GraphOptions(rate=options.rate * every, solver=options.solver), progress=progress)
         smoothed = smoother.estimate(session)
+    session = moved(session, smoothed.report.clock_moves)
     settle(session.imu, smoothed)
     baseline = None
     if options.baseline:

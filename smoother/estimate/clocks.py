@@ -16,7 +16,6 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.estimate.align import (
-    WINDOW,
     Alignment,
     Averages,
     PathMotion,
@@ -25,6 +24,7 @@ from smoother.estimate.align import (
     sampled_at_speed,
     thinned,
 )
+from smoother.estimate.delays import Felt, Said, common, said
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.trajectory import Identified
@@ -38,10 +38,7 @@ EXPLAINED = 0.8  # share of rate and force, from which on the alignment of the w
 # when clocks still agree, and so little over the stretch that corners meet.
 MOST_DRIFT, STEP, MOST_TRIED, COARSEST = 0.015, 0.4, 50, 0.003
 STEPS, SETTLED = 6, 0.005  # of Gauss-Newton over each stretch, at most, and s at its ends by which the last may move
-ROUNDS = 4  # of reweighting
 BESIDE = 3.0  # s of samples on either side of a stretch of fixes
-TURN = 0.05  # s to either side, over which the slope of what was felt is read
-BLOCK, BLOCKS = 10.0, 12  # s; errors of one block, or of a twelfth of the session, are independent of those of others
 UNLIKE = 0.25  # of the drift, by which no axis may differ from it, unless by its own sigmas; a real kart's slip: 0.33
 SIGNIFICANT = 5.0  # sigmas
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
@@ -51,6 +48,7 @@ SMALLEST_OF_SHORT, LONG = 0.1, 150.0
 # more than QUICK s apart: of 1 Hz, what is between them is not known as well
 SMALLEST_OF_FEW, QUICK = 1.0, 0.3
 LARGEST = 0.03  # more is no clock
+LAG, DRIFT = np.array([1.0, 0.0]), np.array([0.0, 1.0])  # of what axes say
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
     else:
         clock = _Clock(_liveliest(path.t[use], axes[use]), alignment.lag, 0.0)
     reach = 0.5 * FIRST
-    felt = _Felt(Averages(imu), alignment)
+    felt = Felt(Averages(imu), alignment)
     while True:
         within = use[np.abs(path.t[use] - clock.middle) <= reach]
         is_all = within.size == use.size
@@ -140,28 +138,6 @@ class _Clock:
         return np.asarray(t - self.lag + self.drift * (t - self.middle))
 
 
-@dataclass(frozen=True, eq=False)
-class _Felt:
-    """What the box felt along the axes of the kart."""
-
-    averages: Averages
-    alignment: Alignment
-
-    def at(self, t: Array) -> Array:
-        """Forward and left force m/s^2 and rate about up rad/s, (3, N), around t (N,) s."""
-        force, rate = self.averages.around(t, WINDOW)
-        R = self.alignment.R_bs
-        return np.stack([force @ R[0], force @ R[1], (rate - self.alignment.gyro_bias_s) @ R[2]])
-
-
-@dataclass(frozen=True, eq=False)
-class _Slope:
-    """What one axis says: by how much lag s and drift were off, and the covariance (2, 2) of both."""
-
-    off: Array
-    covariance: Array
-
-
 def _smallest(lasts: float, tells_much: bool) -> float:
     """What clocks must part by in a session of `lasts` s, s, for it to be more than what else changes a delay."""
     if not tells_much:
@@ -169,15 +145,15 @@ def _smallest(lasts: float, tells_much: bool) -> float:
     return SMALLEST if lasts > LONG else SMALLEST_OF_SHORT
 
 
-def _is_even(felt: _Felt, t: Array, told: Array, clock: _Clock) -> bool:
+def _is_even(felt: Felt, t: Array, told: Array, clock: _Clock) -> bool:
     """Whether both halves of the fixes at t (N,) s drift as the whole does: a step between clocks is no drift."""
     at, middle = clock.of_samples(t), len(t) // 2
-    here, change = felt.at(at), (felt.at(at + TURN) - felt.at(at - TURN)) / (2.0 * TURN)
+    here, change = felt.with_change(at)
     for half in (slice(None, middle), slice(middle, None)):
         since = t[half] - float(np.mean(t[half]))
         slopes = [_slope(told[half, i], here[i, half], change[i, half], since) for i in range(3)]
-        off, sigma = _common(slopes, 1)
-        if not abs(off) < max(3.0 * sigma, UNLIKE * abs(clock.drift)):
+        told_here = common(slopes, DRIFT)
+        if not abs(told_here.mean) < max(3.0 * told_here.sigma, UNLIKE * abs(clock.drift)):
             return False
     return True
 
@@ -220,81 +196,33 @@ def _first_clock(imu: ImuSamples, path: PathMotion, begin: float) -> tuple[Align
     return best, _Clock(middle, best.lag - drift * (middle - zero), drift)
 
 
-def _fitted(felt: _Felt, t: Array, told: Array, clock: _Clock, reach: float) -> tuple[list[_Slope], _Clock]:
+def _fitted(felt: Felt, t: Array, told: Array, clock: _Clock, reach: float) -> tuple[list[Said], _Clock]:
     """Return the clock for which fixes at t (N,) s, at most `reach` s from its middle, told (N, 3) what was felt.
 
     Each axis has a lag of its own; the drift is common. With it what each axis says of the last step.
     """
-    slopes: list[_Slope] = []
+    slopes: list[Said] = []
     for _ in range(STEPS):
         at = clock.of_samples(t)
-        here, change = felt.at(at), (felt.at(at + TURN) - felt.at(at - TURN)) / (2.0 * TURN)
+        here, change = felt.with_change(at)
         slopes = [_slope(told[:, i], here[i], change[i], t - clock.middle) for i in range(3)]
-        late, drift = _common(slopes, 0)[0], _common(slopes, 1)[0]
+        late, drift = common(slopes, LAG).mean, common(slopes, DRIFT).mean
         clock = _Clock(clock.middle, clock.lag + late, clock.drift - drift)
         if not abs(late) + abs(drift) * reach > SETTLED:
             break
     return slopes, clock
 
 
-def _slope(told: Array, here: Array, change: Array, since: Array) -> _Slope:
-    """Fit told (N,) = gain * (here - change * (lag + slope * since)) + offset, with Cauchy weights.
-
-    Sigmas are from the scatter between blocks (the sandwich of White 1980), whatever the noise's colour; blocks are
-    short or long, whichever scatter more: a receiver may be late now less, now more for a minute.
-    """
-    design = np.stack([-change, -change * since, here, np.ones_like(here)])
-    scale = 1.0 / np.maximum(np.sqrt(np.mean(design**2, axis=1)), 1e-12)
-    design = design * scale[:, None]
-    weight = np.ones_like(here)
-    for _ in range(ROUNDS):
-        weighted = design * weight
-        normal = weighted @ design.T
-        found = np.linalg.lstsq(normal, weighted @ told, rcond=1e-12)[0]
-        rest = told - found @ design
-        weight = 1.0 / (1.0 + (rest / (3.0 * np.median(np.abs(rest)) + 1e-12)) ** 2)
-    inverse = np.linalg.pinv(normal, rcond=1e-12) * scale[:, None]
-    longer = max(BLOCK, float(since[-1] - since[0]) / BLOCKS)
-    covariances = [inverse @ _scatter(weighted * rest, since, block) @ inverse.T for block in (BLOCK, longer)]
-    covariance = max(covariances, key=lambda each: float(each[1, 1]))
-    found = found * scale
-    gain = float(found[2])
-    if abs(gain) < 1e-6:
-        return _Slope(np.zeros(2), np.full((2, 2), np.inf))
-    return _Slope(found[:2] / gain, covariance[:2, :2] / gain**2)
+def _slope(told: Array, here: Array, change: Array, since: Array) -> Said:
+    """What an axis that told (N,) says of lag and drift at `since` (N,) s, where `here` was felt, and its `change`."""
+    return said(told, here, np.stack([-change, -change * since]), since, DRIFT)
 
 
-def _scatter(scores: Array, t: Array, block: float) -> Array:
-    """Sum (k, k) of the squares of scores (k, N) at t (N,), rising, summed over blocks."""
-    edges = np.flatnonzero(np.diff((t - t[0]) // block, prepend=-1.0))
-    sums = np.add.reduceat(scores, edges, axis=1)
-    return np.asarray(sums @ sums.T)
-
-
-def _common(slopes: list[_Slope], which: int) -> tuple[float, float]:
-    """Mean of what the axes say of lag (0) or drift (1), weighted by its variance, and its sigma."""
-    variance = np.array([slope.covariance[which, which] for slope in slopes])
-    weight = np.where(variance > 0.0, 1.0 / np.where(variance > 0.0, variance, 1.0), 0.0)
-    if not weight.sum() > 0.0:
-        return 0.0, math.inf
-    said = np.array([slope.off[which] for slope in slopes])
-    return float(weight @ said / weight.sum()), float(1.0 / math.sqrt(weight.sum()))
-
-
-def _judged(slopes: list[_Slope], clock: _Clock, smallest: float) -> ClockDrift:
-    """Whether the drift is one: the same by all three axes, well known, and not below `smallest`.
-
-    An error of the path along the track is one of all axes: together they know the drift no better than the best does.
-    """
-    off, sigma = _common(slopes, 1)
-    beyond = np.array([abs(slope.off[1] - off) for slope in slopes])
-    own = np.sqrt([slope.covariance[1, 1] for slope in slopes])
-    at_odds = math.sqrt(float(np.sum((beyond / np.maximum(own, 1e-12)) ** 2)) / 2.0)
-    sigma = max(sigma * at_odds, float(np.min(own)))
-    is_found = abs(clock.drift) > max(SIGNIFICANT * sigma, smallest) and bool(
-        np.all(beyond < np.maximum(3.0 * own, UNLIKE * abs(clock.drift)))
-    )
-    return ClockDrift(clock.drift, sigma, is_found)
+def _judged(slopes: list[Said], clock: _Clock, smallest: float) -> ClockDrift:
+    """Whether the drift is one: the same by all three axes, well known, and not below `smallest`."""
+    told = common(slopes, DRIFT)
+    is_found = abs(clock.drift) > max(SIGNIFICANT * told.sure, smallest)
+    return ClockDrift(clock.drift, told.sure, is_found and told.are_alike(UNLIKE * abs(clock.drift)))
 
 
 def _retimed(t: Array, drift: float, zero: float) -> Array:

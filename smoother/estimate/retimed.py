@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Session
-from smoother.trajectory import JointPosition
+from smoother.trajectory import ClockMove, JointPosition
 
 Change = Callable[[Array], Array]
 
@@ -19,6 +22,28 @@ def with_samples_at(session: Session, change: Change) -> Session:
         imu=None if imu is None else replace(imu, t=_changed(imu.t, change)),
         mag=None if mag is None else replace(mag, t=_changed(mag.t, change)),
     )
+
+
+def moved(session: Session, moves: tuple[ClockMove, ...]) -> Session:
+    """Return the session with the times of samples and fixes moved; the same where there are no moves."""
+    fixes, samples = (tuple(move for move in moves if move.moves_fixes == which) for which in (True, False))
+    if samples:
+        session = with_samples_at(_without_late_mag(session, samples), partial(_moved, moves=samples))
+    return replace(session, gnss=replace(session.gnss, t=_moved(session.gnss.t, fixes))) if fixes else session
+
+
+def _without_late_mag(session: Session, moves: tuple[ClockMove, ...]) -> Session:
+    """The session without fields of before a move that would come after those of after it: of a clock of their own."""
+    if session.mag is None or not len(session.mag.t):
+        return session
+    t = _moved(session.mag.t, moves)
+    keep = t < np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf)
+    return replace(session, mag=replace(session.mag, t=session.mag.t[keep], field_s=session.mag.field_s[keep]))
+
+
+def _moved(t: Array, moves: tuple[ClockMove, ...]) -> Array:
+    """Times t (N,) s moved by those of their moves that are before them."""
+    return np.asarray(t + sum(move.by * (t > move.at) for move in moves))
 
 
 def _changed(t: Array, change: Change) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from smoother.arrays import BoolArray
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
+from smoother.estimate.clock_steps import ClockStep, beside_steps, moves_of, session_steps
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.gnss_coasting import coasting, coasting_problems
 from smoother.estimate.gnss_screen import most_say_velocity
@@ -17,6 +18,7 @@ from smoother.estimate.graph.start import GraphOptions, Start, make_start
 from smoother.estimate.in_step import in_step
 from smoother.estimate.left_out import without_fixes, without_positions
 from smoother.estimate.pauses import Pauses, closed_up
+from smoother.estimate.retimed import moved
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
 
@@ -38,14 +40,17 @@ class Begun:
     delay: ForceDelay
     drift: ClockDrift = UNSEEN_DRIFT
     offset: ClockOffset = NO_OFFSET
+    steps: tuple[ClockStep, ...] = ()
     problems: tuple[Problem, ...] = ()
     left_out: BoolArray | None = None
 
 
 def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
     """Begin with a session, without the fixes of a receiver that went straight on or had not settled."""
-    begun = _on_one_clock(given, options, cut_out)
-    out = np.zeros(len(given.gnss), dtype=np.bool_)
+    begun = _on_one_clock(given, options, cut_out, seeks_steps=True)
+    steps = begun.steps
+    of_steps = beside_steps(given, steps)
+    given, out = moved(given, moves_of(steps)), of_steps
     for _ in range(LOOKS):
         more = coasting(begun.session, begun.start.alignment, begun.start.driven) & ~out
         if not more.any():
@@ -56,13 +61,16 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     early = unsettled(rest)
     if early.any():
         begun = _on_one_clock(without_positions(rest, early), options, cut_out)
-    problems = (*coasting_problems(out), *settling_problems(given.gnss.t, early))
-    return replace(begun, problems=problems, left_out=out | early if problems else None)
+    problems = (*coasting_problems(out & ~of_steps), *settling_problems(given.gnss.t, early))
+    left_out = out | early
+    return replace(begun, steps=steps, problems=problems, left_out=left_out if left_out.any() else None)
 
 
-def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
-    """Begin with a session, whose samples' clock may show another time than that of its fixes, or drift against it."""
-    begun = _at_one_pace(given, options, cut_out)
+def _on_one_clock(
+    given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses], *, seeks_steps: bool = False
+) -> Begun:
+    """Begin with a session, whose samples' clock may show another time than that of its fixes, step or drift."""
+    begun = _at_one_pace(given, options, cut_out, seeks_steps=seeks_steps)
     if _explains(begun) >= EXPLAINED or begun.start.alignment.is_level_only:
         return begun
     assert given.imu is not None
@@ -78,22 +86,49 @@ def _explains(begun: Begun) -> float:
     return begun.start.alignment.share_explained
 
 
-def _at_one_pace(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses]) -> Begun:
+def _at_one_pace(
+    given: Session, options: GraphOptions, cut_out: Callable[[Session], Pauses], *, seeks_steps: bool = False
+) -> Begun:
     """Begin with a session whose clocks may drift: they do where samples and fixes then explain more of one another."""
     begun, drift = _begun(given, options, cut_out(given)), UNSEEN_DRIFT
+    if seeks_steps:  # before a drift, which one that is large would pass for
+        given, begun = _without_steps(given, begun, options, cut_out)
     assert given.imu is not None
-    if not begun.start.alignment.is_level_only:
-        driven = PathMotion(given.gnss.t, begun.start.driven.velocity_n)  # pauses are not closed in which clocks drift
-        has_doppler = most_say_velocity(given.gnss.velocity_n)
+    stays = not all(step.is_placed for step in begun.steps)  # and would pass for a drift
+    if not (stays or begun.start.alignment.is_level_only):
+        driven, has_doppler = _driven(given, begun)
         with suppress(np.linalg.LinAlgError):  # then nothing is known of a drift, and that is all
             drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
         if _explains(better) > max(_explains(begun), EXPLAINED):
-            return replace(better, drift=drift)
+            return replace(better, drift=drift, steps=begun.steps)
         drift = replace(drift, is_found=False)
     return replace(begun, drift=drift)
+
+
+def _driven(given: Session, begun: Begun) -> tuple[PathMotion, bool]:
+    """The path at the fixes as given, since in pauses that are closed clocks run on, and whether it was measured."""
+    return PathMotion(given.gnss.t, begun.start.driven.velocity_n), most_say_velocity(given.gnss.velocity_n)
+
+
+def _without_steps(
+    given: Session, begun: Begun, options: GraphOptions, cut_out: Callable[[Session], Pauses]
+) -> tuple[Session, Begun]:
+    """Session and beginning without steps between its clocks; what leaves less in common of the two was none."""
+    if begun.start.alignment.is_level_only:
+        return given, begun
+    driven, has_doppler = _driven(given, begun)
+    steps: tuple[ClockStep, ...] = ()
+    with suppress(np.linalg.LinAlgError):  # then nothing is known of steps, and that is all
+        steps = session_steps(given, driven, begun.start.alignment, has_doppler=has_doppler)
+    if not any(step.is_placed for step in steps):
+        return given, replace(begun, steps=steps)
+    out, on_one = beside_steps(given, steps), moved(given, moves_of(steps))
+    on_one = without_fixes(on_one, out) if out.any() else on_one
+    better = _begun(on_one, options, cut_out(on_one))
+    return (on_one, replace(better, steps=steps)) if _explains(better) > _explains(begun) else (given, begun)
 
 
 def _begun(given: Session, options: GraphOptions, pauses: Pauses) -> Begun:

@@ -17,6 +17,7 @@ import numpy as np
 
 from smoother.arrays import BoolArray
 from smoother.estimate.clock_offset import offset_problems
+from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.graph.batch import Noise
@@ -198,6 +199,13 @@ def _level_arm(found: Estimated) -> float:
     return float(np.linalg.norm(constants.level_axes_s[:2] @ constants.lever_arm_s))
 
 
+def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
+    """What samples far from the motion are blamed on; a step between clocks that is left makes them so by itself."""
+    if not all(step.is_placed for step in begun.steps):
+        return ()
+    return (*_shaken(begun.session, noise), *_unsteady(begun.session, noise))
+
+
 def _shaken(session: Session, noise: Noise) -> tuple[Problem, ...]:
     """Say so where samples are farther from the motion than any road pushes them.
 
@@ -323,26 +331,27 @@ def _completed_report(
     given: Session, begun: Begun, start: Start, solution: Solution | WindowsSolution, trajectory: Trajectory
 ) -> EstimateReport:
     """Report of the trajectory, with what was found out before there was one, and what speaks against it."""
-    told, session = trajectory.report, begun.session
+    told = trajectory.report
     return replace(
         told,
         identified={
-            **told.identified,
+            **of_both_sides(told.identified, begun.steps),
             "accel_delay": identified_delay(begun.delay),
             "imu_clock_drift": identified_drift(begun.drift),
         },
         left_out=begun.left_out,
+        clock_moves=moves_of(begun.steps),
         problems=(
             *start.alignment.problems,
             *told.problems,
             *solution.problems,
-            *_shaken(session, solution.noise),
-            *_unsteady(session, solution.noise),
+            *_blamed(begun, solution.noise),
             *_early(told.identified),
             *leaning_problems(trajectory),
             *offset_problems(begun.offset),
             *begun.problems,
             *drift_problems(begun.drift, given),
+            *step_problems(begun.steps, given),
         ),
     )
 
