@@ -31,6 +31,10 @@ where little else accelerates, one of 30 ms, this way or that by where in their 
 made of what samples T s apart can follow (Nyquist). The expected motion itself keeps the rest: it was there. The slope
 by the arm, which is the turn rate, is made alike: an arm and a latency are told apart by where turn and acceleration
 differ, and what one slope has and the other lacks, most of it noise, would pass for that.
+
+Nor does a spectrum tell motion from vibration that the sampling folds to some hertz: it is a line, far above the noise,
+and Doppler does not show it, so that a receiver would seem to smooth what it shows, and its delay to go with that.
+Vehicles accelerate the less the quicker: where there is more again from SHAKEN on, slopes are made of slower motion.
 """
 
 import math
@@ -49,6 +53,8 @@ QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are no
 NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 HANN_POWER = 0.375  # mean square of the taper
 MOST_LEAD = 0.3  # s
+# Hz, and what of them slopes are made of where a motion is no less in the latter: no vehicle's is, 0.3 times at most
+DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
 # channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
@@ -133,8 +139,25 @@ def expected_motion(
     up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
     found = [level.signal, up.signal, turn.signal]
     motion = _motion_along(path, R_nb, found)
-    followed = _motion_along(path, R_nb, [signal.slower_than(0.5 / interval) for signal in found])
+    quickest = quickest_slope(level.signal, interval)
+    followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
     return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
+
+
+def quickest_slope(level: Transform, interval: float) -> float:
+    """Frequency, Hz, up to which slopes are made of a motion with the level accelerations `level`.
+
+    That which keyframes `interval` s apart can follow; less, by and by, where there is as much in SHAKEN as in DRIVEN.
+    """
+    power = np.sum(np.abs(level.coefficients) ** 2, axis=1)
+
+    def mean_in(band: tuple[float, float]) -> float:
+        inside = (level.frequency >= band[0]) & (level.frequency < band[1])
+        return float(np.mean(power[inside])) if np.any(inside) else 0.0
+
+    followed, ratio = 0.5 / interval, mean_in(SHAKEN) / max(mean_in(DRIVEN), 1e-30)
+    shaken = float(np.clip(1.0 + math.log2(max(ratio, 1e-30)), 0.0, 1.0))  # from a half to one
+    return float(followed * min(STEADY_SLOPE / followed, 1.0) ** shaken)
 
 
 def _motion_along(path: DensePath, R_nb: Array, found: Sequence[Transform]) -> Motion:

@@ -14,6 +14,7 @@ from smoother.estimate.graph.expected import (
     integrated,
     noise_left,
     quick_scatter,
+    quickest_slope,
     turning_lead,
 )
 from smoother.estimate.graph.imu import DensePath, InertialNoise
@@ -233,6 +234,35 @@ class TestExpectedMotion:
         felt = expected(path, np.eye(3), NOISE)
         np.testing.assert_array_equal(felt.acceleration_n, zeros)
         np.testing.assert_array_equal(felt.turn_rate, zeros[:, 0])
+
+
+class TestQuickestSlope:
+    def test_motion_is_followed_as_far_as_keyframes_can(self) -> None:
+        path, _ = corners()
+        assert quickest_slope(Transform.of(path.acceleration_n[:, :2], DT), INTERVAL) == 0.5 / INTERVAL
+
+    def test_vibration_that_is_folded_to_some_hertz_is_no_part_of_slopes(self) -> None:
+        """Four hertz and nearly two, of 3 m/s^2 each, come and go as an engine does; above the noise by far."""
+        path, _ = corners()
+        on = np.clip(np.sin(0.3 * MIDDLE), 0.0, None)
+        shake = 3.0 * on * (np.sin(2.0 * np.pi * 4.0 * MIDDLE) + np.sin(2.0 * np.pi * 1.9 * MIDDLE))
+        ahead = path.R_ns[:-1, :, 0]
+        shaken = replace(path, acceleration_n=path.acceleration_n + shake[:, None] * ahead)
+        calm = replace(NOISE, accel=0.1)
+        have, want = (expected(p, np.eye(3), calm) for p in (shaken, path))
+        edges = 0.5 * (shake[1:] + shake[:-1])[:, None] * path.R_ns[1:-1, :, 0]
+        left = have.slow.acceleration_n[1:-1] - want.slow.acceleration_n[1:-1]
+        assert np.std(have.acceleration_n[1:-1] - want.acceleration_n[1:-1]) > 0.7 * np.std(edges)
+        assert np.std(left) < 0.2 * np.std(edges)
+
+    def test_less_is_followed_by_and_by(self) -> None:
+        rng = np.random.default_rng(0)
+        white = Transform.of(rng.normal(size=(20_000, 2)), DT)
+        found = []
+        for share in (0.1, 0.6, 0.8, 2.0):
+            shaken = np.where((white.frequency > 2.0)[:, None], np.sqrt(share), 1.0)
+            found.append(quickest_slope(replace(white, coefficients=white.coefficients * shaken), INTERVAL))
+        assert found[0] == 2.5 > found[1] > found[2] > found[3] == 1.5
 
 
 class TestIntegrated:
