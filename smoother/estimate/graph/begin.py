@@ -50,7 +50,7 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     begun = _on_one_clock(given, options, cut_out, seeks_steps=True)
     steps = begun.steps
     of_steps = beside_steps(given, steps)
-    given, out = moved(given, moves_of(steps)), of_steps
+    given, out = moved(given, moves_of(steps)), of_steps.copy()
     for _ in range(LOOKS):
         more = coasting(begun.session, begun.start.alignment, begun.start.driven) & ~out
         if not more.any():
