@@ -42,9 +42,8 @@ SMALLEST_OF_FEW, QUICK = 0.3, 0.3
 UNSURE_OF_FEW = 0.1  # s likewise, by which sizes were off, by more than their sigmas
 EVIDENCE = 4.0  # of the cost of independent fixes, by which a moment is as good as the best
 LASTS = (8.0, 16.0, 32.0, 64.0, 128.0)  # s, for which a delay may change that does not step
-UNPLACED = (
-    20.0  # s; where the moment is known no better, nothing is taken out: an outage as long costs less than a step
-)
+# s; where the moment is known no better, nothing is taken out: an outage as long costs less than a step
+UNPLACED = 20.0
 TRACE = 0.05  # s, by which what stamps leave out may differ from the step
 LEAST_GAIN = 0.5  # of 1, at which most axes tell what was felt on both sides; a box that was turned round has less
 LARGEST = 2.1  # s
@@ -183,9 +182,14 @@ def _cost(here: Array, told: Array, best: IntArray) -> Array:
     """
     cost, column = np.zeros(here.shape[1:]), np.arange(len(told))
     for i in range(3):
-        gain, offset, scatter = _line(here[i, best, column], told[:, i])
-        cost += np.log1p(((told[:, i] - gain * here[i] - offset) / (2.0 * scatter)) ** 2)
+        cost += _beside(_line(here[i, best, column], told[:, i]), here[i], told[:, i])
     return cost
+
+
+def _beside(line: tuple[float, float, float], here: Array, told: Array) -> Array:
+    """Cauchy's cost (..., N) of told (N,) beside a line over here (..., N): its gain, offset and scatter."""
+    gain, offset, scatter = line
+    return np.asarray(np.log1p(((told - gain * here - offset) / (2.0 * scatter)) ** 2))
 
 
 def _line(here: Array, told: Array) -> tuple[float, float, float]:
@@ -275,9 +279,9 @@ class _Sides:
         felt = [self.felt.at(self.t - delay - late) for delay in delays]
         costs = [np.zeros(len(self.t)) for _ in delays]
         for i in range(3):
-            gain, offset, scatter = _line(here[i], self.told[:, i])
+            line = _line(here[i], self.told[:, i])
             for cost, other in zip(costs, felt, strict=True):
-                cost += np.log1p(((self.told[:, i] - gain * other[i] - offset) / (2.0 * scatter)) ** 2)
+                cost += _beside(line, other[i], self.told[:, i])
         return costs
 
     @property

@@ -165,10 +165,10 @@ def velocity_rows(
 ) -> Rows:
     """GPS Doppler velocity of the antenna. t (N,) stamps; measured_n (N, 3), NaN unknown; sigma (N, 3) m/s.
 
-    felt as in :func:`position_rows`; the slope by the latency is along it. (The noise of the path's own acceleration
-    would make the latency seem better known than it is, and draw it away.) The second derivative of velocity, level,
-    which the receiver's response multiplies, is of it too. Upwards there is no slope by the latency: a kart on its
-    tyres bounces ten times a second, and fixes that see little of it would be moved in time until they fit.
+    felt as in :func:`position_rows`; slopes by the latency and the arm are of it. (The noise of the path's own
+    acceleration would make the latency seem better known than it is, and draw it away.) The second derivative of
+    velocity, level, which the receiver's response multiplies, is of it too. Upwards there is no slope by the latency: a
+    kart on its tyres bounces ten times a second, and fixes that see little of it would be moved in time until they fit.
     """
     session = state.constants
     at = t - session.velocity_latency
