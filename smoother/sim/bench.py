@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from smoother import so3
 from smoother.arrays import Array
 from smoother.samples import RawImu, RawMag
-from smoother.sim.record import imu_table, mag_table
+from smoother.sim.record import imu_table, mag_table, write_table
 from smoother.sim.scenario import ImuErrors, MagErrors
 from smoother.units import STANDARD_GRAVITY
 
@@ -136,8 +136,8 @@ def write_bench(recording: BenchRecording, directory: Path) -> None:
     table = imu_table(recording.imu)
     if recording.imu.temperature is not None:
         table = table.with_columns(pl.Series("temp_c", recording.imu.temperature))
-    table.write_csv(directory / "imu.csv")
-    mag_table(recording.mag).write_csv(directory / "mag.csv")
+    write_table(table, directory / "imu.csv")
+    write_table(mag_table(recording.mag), directory / "mag.csv")
 
 
 # ---- how the box is held --------------------------------------------------------------------------------------------

@@ -34,10 +34,10 @@ def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0)
     directory.mkdir(parents=True, exist_ok=True)
     raw = simulation.raw
     if raw.imu is not None:
-        imu_table(raw.imu).write_csv(directory / "imu.csv")
-    fix_table(raw.gnss).write_csv(directory / "gps.csv")
+        write_table(imu_table(raw.imu), directory / "imu.csv")
+    write_table(fix_table(raw.gnss), directory / "gps.csv")
     if raw.mag is not None:
-        mag_table(raw.mag).write_csv(directory / "mag.csv")
+        write_table(mag_table(raw.mag), directory / "mag.csv")
     if raw.mag_calibration_field is not None:
         write_mag_calibration(simulation, directory / "calibration.toml")
     write_truth(simulation, directory, truth_rate)
@@ -68,8 +68,8 @@ def write_truth(simulation: Simulation, directory: Path, rate: float = 50.0) -> 
 
     Times are on the session's clock; lap_time_s is in true seconds, what a transponder shows.
     """
-    truth_table(simulation, rate).write_csv(directory / "truth.csv")
-    lap_table(simulation).write_csv(directory / "truth_laps.csv")
+    write_table(truth_table(simulation, rate), directory / "truth.csv")
+    write_table(lap_table(simulation), directory / "truth_laps.csv")
 
 
 def write_settings(simulation: Simulation, path: Path) -> None:
@@ -109,6 +109,12 @@ def write_mag_calibration(simulation: Simulation, path: Path) -> None:
 
 def _toml(values: Array) -> str:
     return repr(np.asarray(values, dtype=np.float64).tolist())
+
+
+def write_table(table: pl.DataFrame, path: Path) -> None:
+    """Write a table as CSV, whatever the name of the folder."""
+    with path.open("wb") as file:  # polars takes no path that is not UTF-8
+        table.write_csv(file)
 
 
 def imu_table(imu: RawImu) -> pl.DataFrame:

@@ -1,6 +1,8 @@
 """`smooth simulate`: the files of a session appear together, or the earlier ones stay."""
 
 import json
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,6 +58,17 @@ def test_what_was_simulated_says_so_wherever_it_is_shown(
     page = (tmp_path / "smoothed" / "report.html").read_text(encoding="utf-8")
     assert f"<title>{title}</title>" in page and f"<h1>{title}</h1>" in page
     assert json.loads((tmp_path / "smoothed" / "summary.json").read_text())["session"]["title"] == title
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="its file system knows no names that are not UTF-8")
+@pytest.mark.parametrize("form", ["csv", "klg", "thesis"])
+def test_a_folder_whose_name_is_not_utf8_is_written_into(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
+    folder = tmp_path / os.fsdecode(b"M\xfcller")
+    assert run(["simulate", str(folder), "--duration", "10", "--format", form]) == 0
+    assert capsys.readouterr().err == ""
+    assert {"truth.csv", "truth_laps.csv", "session.toml"} < {path.name for path in folder.iterdir()}
 
 
 VBO = "[header]\ntime\n[column names]\ntime lat long\n[data]\n"
