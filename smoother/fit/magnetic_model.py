@@ -94,13 +94,19 @@ def session_field(session: Session) -> tuple[EarthField, tuple[Problem, ...]]:
 
 
 def session_date(session: Session) -> datetime.date | None:
-    """Return the UTC date of a session: from its fixes, else from its clock, else from the settings, else None."""
+    """Return the UTC date of a session: from its fixes, else from its clock, else from the settings, else None.
+
+    Of a receiver that is years back (before FIRST_YEAR) the settings know better, where they say anything.
+    """
     assert session.gnss.unix_s is not None
     known = session.gnss.unix_s[np.isfinite(session.gnss.unix_s)]
     unix = float(np.median(known)) if known.size else session.unix_at_zero
+    told = None
     if unix is not None and 0.0 < unix < LATEST_UNIX:
-        return datetime.datetime.fromtimestamp(unix, datetime.UTC).date()
+        told = datetime.datetime.fromtimestamp(unix, datetime.UTC).date()
+    if told is not None and told.year >= FIRST_YEAR:
+        return told
     try:
-        return None if session.config.date is None else datetime.date.fromisoformat(session.config.date)
+        return told if session.config.date is None else datetime.date.fromisoformat(session.config.date)
     except ValueError:
-        return None
+        return told

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import os
 import shlex
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,6 +44,7 @@ from smoother.session.spikes import without_spikes
 from smoother.session.standing import dead_problems, stuck_problems, without_frozen
 from smoother.session.time_unit import LONGEST_PERIOD
 from smoother.session.unknown_table import about_table
+from smoother.session.week_rollover import with_present_dates
 from smoother.words import counted, span
 
 if TYPE_CHECKING:
@@ -178,6 +180,8 @@ def _finish(files: SessionFiles, recording: Recording) -> RawSession:
     config = SessionConfig() if settings is None else load_settings(settings)
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
+    dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
+    recording = replace(recording, gnss=dated)
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)

@@ -40,6 +40,7 @@ _FEWEST_SECONDS = 8  # to know how many fixes come in one
 _MOSTLY_DIFFERENT, _MOSTLY_EVEN = 0.5, 0.9  # share of sentences that are no copies; of seconds with as many as usual
 _TALKERS = ("GN", "GP")  # preferred in this order where several constellations report the same kind
 _TALKER_CODES = 65536  # two letters
+_FIRST_YEAR = 80  # of GPS time, and of the century
 _TIME_QUANTUM = 1e-3  # s; UTC equal to a millisecond is one epoch
 
 
@@ -205,6 +206,11 @@ def _time_of_day(text: str) -> float:
     return hours * 3600.0 + minutes * 60.0 + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else math.nan
 
 
+def _year(two_digits: int) -> int:
+    """The year that a date with two digits of it means: GPS time began in 1980, and old firmware falls back to 1999."""
+    return two_digits + (1900 if two_digits >= _FIRST_YEAR else 2000)
+
+
 def _day(year: int, month: int, day: int) -> float:
     """Days since 1970, NaN for a date that does not exist."""
     try:
@@ -238,7 +244,7 @@ def _rmc(message: Any) -> tuple[float, ...]:
         _quality(mode) if message.status == "A" else 0.0,
         _number(message.spd_over_grnd) * KNOT,
         _number(message.true_course),
-        _day(2000 + int(date[4:]), int(date[2:4]), int(date[:2])) if known else math.nan,
+        _day(_year(int(date[4:])), int(date[2:4]), int(date[:2])) if known else math.nan,
     )
 
 

@@ -73,6 +73,12 @@ def test_the_date_of_a_session_comes_from_the_fixes_then_the_clock_then_the_sett
     assert session_date(session()) is None
 
 
+def test_the_settings_know_better_than_a_receiver_that_is_years_back():
+    january_1980 = 316000800.0
+    assert session_date(session(january_1980, SessionConfig(date="2018-07-14"))) == datetime.date(2018, 7, 14)
+    assert session_date(session(january_1980)) == datetime.date(1980, 1, 6)
+
+
 @pytest.mark.parametrize("unix", [1e18, -5.0, np.inf])
 def test_a_damaged_date_counts_as_none(unix):
     assert session_date(session(unix)) is None
