@@ -1,6 +1,6 @@
 """The CSV form of a session: imu.csv, gps.csv and mag.csv to their types, with what was unusable counted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ GYRO_COLUMNS = ("gx", "gy", "gz")
 FIELD_COLUMNS = ("mx", "my", "mz")
 ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
+WHOLE_SECOND = 1.0  # s, within which UTC without fractions stands still
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
 OPTIONAL_FIX_COLUMNS = (
@@ -218,13 +219,13 @@ def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
 
 def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:
     """The receiver's UTC in seconds since 1970, from whichever column has it, and what was wrong with it."""
-    time, problems = table.column("unix_s"), []
+    (time, *others), problems = _without_standing(table, ("unix_s", "utc", "utc_ms"))
     usual = median(time[np.isfinite(time)]) if np.any(np.isfinite(time)) else np.nan
     unit = next((name for name, size in UNITS.items() if EARLIEST_UTC <= usual / size <= LATEST_UTC), None)
     if unit is not None:  # no two units make a plausible date of one number
         time = time / UNITS[unit]
         problems.append(Problem("gps_utc_unit", f"{table.file}: unix_s is in {unit}; taken as such"))
-    for other in (table.column("utc"), table.column("utc_ms") / 1000.0):
+    for other in (others[0], others[1] / 1000.0):
         time = np.where(np.isfinite(time), time, other)
     with np.errstate(invalid="ignore"):
         absurd = (time < EARLIEST_UTC) | (time > LATEST_UTC)
@@ -232,3 +233,22 @@ def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:
         text = f"{table.file}: UTC of {counted(count, 'row')} is before 1980 or after 2100; not used"
         problems.append(Problem("gps_utc_absurd", text, count))
     return np.where(absurd, np.nan, time), problems
+
+
+def _without_standing(table: Table, names: Sequence[str]) -> tuple[list[Array], list[Problem]]:
+    """Columns of UTC (N,), unknown where one is the same in all rows that are more than a second apart; says so.
+
+    It is the time of the start, or of the file: taken for that of each fix, the clock would seem to run away from it.
+    """
+    columns, problems, t = [], [], table.column("t_s")
+    for name in names:
+        column = table.column(name)
+        known = np.isfinite(column) & np.isfinite(t)
+        times = column[known]
+        stands = times.size > 1 and np.ptp(t[known]) > WHOLE_SECOND and not np.any(times != times[0])
+        if stands and any(EARLIEST_UTC <= times[0] / size <= LATEST_UTC for size in (1.0, *UNITS.values())):
+            text = f"{table.file}: {name} is the same in all {times.size} rows; not used"
+            problems.append(Problem("gps_utc_stands", text, times.size))
+            column = np.full(table.length, np.nan)
+        columns.append(column)
+    return columns, problems

@@ -192,6 +192,37 @@ def test_utc_of_a_receiver_that_has_no_date_is_not_used(tmp_path: Path, column: 
     assert codes(problems) == {"gps_utc_absurd": 9}
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("utc", "2024-05-31T10:00:00Z"),
+        ("unix_s", "1717149600"),
+        ("unix_s", "1.7171496e12"),
+        ("utc_ms", "1717149600000"),
+    ],
+)
+def test_utc_that_stands_is_not_used_and_said(tmp_path: Path, column: str, value: str) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{value}" for k in range(9)]
+    fixes, problems = read_fixes(save(tmp_path, f"t_s,lat_deg,lon_deg,{column}\n" + "\n".join(rows) + "\n", "gps.csv"))
+    assert len(fixes) == 9 and np.all(np.isnan(fixes.unix_s)) and fixes.unix_at_zero is None
+    assert [p.text for p in problems] == [f"gps.csv: {column} is the same in all 9 rows; not used"]
+    assert codes(problems) == {"gps_utc_stands": 9}
+
+
+def test_another_column_of_utc_is_used_where_one_stands(tmp_path: Path) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,1717149600,2024-05-31T10:00:{0.2 * k:05.2f}Z" for k in range(9)]
+    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s,utc\n" + "\n".join(rows), "gps.csv"))
+    np.testing.assert_allclose(fixes.unix_s, 1717149600 + 0.2 * np.arange(9), atol=1e-3)
+    assert codes(problems) == {"gps_utc_stands": 9}
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_utc_without_fractions_of_less_than_a_second_is_used(tmp_path: Path, count: int) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,1717149600" for k in range(count)]
+    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,unix_s\n" + "\n".join(rows) + "\n", "gps.csv"))
+    assert fixes.unix_s is not None and fixes.unix_s[0] == 1717149600 and problems == []
+
+
 def straight(directory: Path, factor: float, as_components: bool = False):
     """Fixes of a minute to the north, with speeds `factor` times the true ones; and these."""
     rng = np.random.default_rng(2)
