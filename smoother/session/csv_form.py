@@ -9,7 +9,7 @@ from smoother.arrays import Array, median
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
 from smoother.session.degrees import require_degrees
-from smoother.session.fix_columns import FixColumns
+from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.plausible import turned_to_metres, turned_to_radians
@@ -26,6 +26,7 @@ FIELD_COLUMNS = ("mx", "my", "mz")
 ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 WHOLE_SECOND = 1.0  # s, within which UTC without fractions stands still
+NMEA_ESTIMATED = 6  # quality of a fix that a receiver made up without satellites
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
 OPTIONAL_FIX_COLUMNS = (
@@ -138,6 +139,8 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
     t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
+    sigma = _per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m"))
+    fix, said_of_quality = _quality(table, sigma)
     columns = FixColumns(
         t=t,
         lat_deg=table.column("lat_deg"),
@@ -148,19 +151,20 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
         velocity_north=table.column("vel_n_mps"),
         velocity_east=table.column("vel_e_mps"),
         velocity_up=table.column("vel_u_mps"),
-        sigma_horizontal=_per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m")),
+        sigma_horizontal=sigma,
         sigma_up=table.column("vacc_m"),
         sigma_velocity=_per_axis(table, "sacc_mps", ("sacc_n_mps", "sacc_e_mps")),
         hdop=table.column("hdop"),
         num_sv=table.column("num_sv"),
-        fix=table.column("fix"),
+        fix=fix,
         unix_s=unix_s,
         is_blank=table.empty["lat_deg"] & table.empty["lon_deg"],
     )
     columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    return fixes, [*_of_table(table, "gps"), *said, *joined, *said_of_utc, *problems, *_unread_cells(table)]
+    of_columns = [*said, *joined, *said_of_utc, *said_of_quality]
+    return fixes, [*_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
 
 
 def _require_numbers(path: Path, column: str, values: Array) -> None:
@@ -215,6 +219,20 @@ def _per_axis(table: Table, name: str, parts: tuple[str, str]) -> Array:
     one = table.column(name)
     mean = np.sqrt(np.mean(np.square(table.stack(*parts)), axis=1))
     return np.where(np.isfinite(one), one, mean)
+
+
+def _quality(table: Table, sigma: Array) -> tuple[Array, list[Problem]]:
+    """Quality (N,) of the fixes, ESTIMATED where it is NMEA's word for that, and what to say of others of that word.
+
+    sigma (N,) m : of positions as told, which says more of an estimate, and of what other programs call 6.
+    """
+    fix = table.column("fix")
+    with np.errstate(invalid="ignore"):
+        estimated, is_told = fix == NMEA_ESTIMATED, sigma > 0.0
+    count = int(np.count_nonzero(estimated & is_told))
+    text = f"{table.file}: fix is {NMEA_ESTIMATED}, estimated, in {counted(count, 'row')}; as sure as hacc_m says"
+    said = [Problem("gps_estimated_used", text, count)] if count else []
+    return np.where(estimated & ~is_told, ESTIMATED, fix), said
 
 
 def _unix_seconds(table: Table) -> tuple[Array, list[Problem]]:

@@ -82,6 +82,9 @@ def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     rows.drop((searching | unsure) & np.isfinite(c.t), "no_fix", "without a fix")
     if np.any(rows.keep & ~estimated):
         rows.drop(estimated, "estimated", "that the receiver estimated without satellites")
+    elif count := int(np.count_nonzero(rows.keep)):
+        text = f"{counted(count, 'row')}, all that are fixes, estimated by the receiver without satellites; used"
+        rows.say("estimated_used", text, count)
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 

@@ -223,6 +223,23 @@ def test_utc_without_fractions_of_less_than_a_second_is_used(tmp_path: Path, cou
     assert fixes.unix_s is not None and fixes.unix_s[0] == 1717149600 and problems == []
 
 
+@pytest.mark.parametrize("sigma", ["", "0"])
+def test_what_a_receiver_estimates_without_satellites_is_no_fix(tmp_path: Path, sigma: str) -> None:
+    rows = [f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{sigma},{6 if k in (3, 4) else 1}" for k in range(9)]
+    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,hacc_m,fix\n" + "\n".join(rows), "gps.csv"))
+    np.testing.assert_allclose(fixes.t, 0.2 * np.array([0, 1, 2, 5, 6, 7, 8]))
+    assert codes(problems) == {"gps_estimated": 2}
+
+
+def test_an_estimate_that_says_how_sure_it_is_is_believed_so_and_said(tmp_path: Path) -> None:
+    rows = [
+        f"{0.2 * k:.1f},{45 + 1e-5 * k:.6f},12,{9 if k in (3, 4) else 1},{6 if k in (3, 4) else 1}" for k in range(9)
+    ]
+    fixes, problems = read_fixes(save(tmp_path, "t_s,lat_deg,lon_deg,hacc_m,fix\n" + "\n".join(rows), "gps.csv"))
+    assert len(fixes) == 9 and fixes.sigma_horizontal is not None and fixes.sigma_horizontal[3] == 9.0
+    assert [p.text for p in problems] == ["gps.csv: fix is 6, estimated, in 2 rows; as sure as hacc_m says"]
+
+
 def straight(directory: Path, factor: float, as_components: bool = False):
     """Fixes of a minute to the north, with speeds `factor` times the true ones; and these."""
     rng = np.random.default_rng(2)
