@@ -52,6 +52,7 @@ SAME_WAY = 0.5  # cosine of the angle between how a kart was pushed and how it d
 CLIMB_TIME = 5.0  # s over which velocities upwards are compared with heights, whose noise then counts less
 CLEARLY_ALIKE, CLEARLY = 0.5, 3.0  # correlation of the two; sigmas
 LEAST_RISE = 0.6  # m of height for one by the velocities; real receivers have 0.7 to 1.3, and km/h make 0.28
+AXES_ALIKE = 1.1  # times one another; latitude and longitude exchanged make 1.4 at 45 degrees, 1.1 at 17 of both
 COURSE_ALIKE = 20.0  # deg; a course as close to one that is written in another way is written so
 
 
@@ -335,7 +336,10 @@ def _are_due(begins: IntArray, n: int, usual: float) -> BoolArray:
 
 
 def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
-    """The columns without direction where it mostly points elsewhere than the positions go."""
+    """The columns without direction where it mostly points elsewhere than the positions go.
+
+    Components that agree once north and east are exchanged are exchanged, and said.
+    """
     has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
     course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
     steps = _steps_of(t, c)
@@ -346,11 +350,29 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     off = _mostly_off(t, steps, course, told)
     if off <= COURSE_OFF:
         return c
+    if _are_exchanged(t, steps, c, told & has_parts):
+        rows.say("velocity_exchanged", "by its positions its velocities north and east are exchanged; taken as such", 1)
+        return replace(c, velocity_north=c.velocity_east, velocity_east=c.velocity_north)
     others = ((how, _mostly_off(t, steps, other(course), told)) for how, other in _OTHER_COURSES.items())
     hint = next((f", as if {how}" for how, rest in others if rest < COURSE_ALIKE), "")
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+
+
+def _are_exchanged(t: Array, steps: _Steps, c: FixColumns, told: BoolArray) -> bool:
+    """Whether components of velocity agree with the positions once north and east are exchanged; by the steps `told`.
+
+    Of latitude and longitude exchanged the directions agree as well; but what was taken for a degree of one is not as
+    long as one of the other, and the two components differ from their positions by different factors.
+    """
+    if np.count_nonzero(told) < FEWEST_STEPS:
+        return False
+    if _mostly_off(t, steps, np.degrees(np.arctan2(c.velocity_north, c.velocity_east)), told) > COURSE_ALIKE:
+        return False
+    pairs = ((steps.north, c.velocity_east), (steps.east, c.velocity_north))
+    factors = [float(np.sqrt(np.mean(step[told] ** 2) / np.mean(sent[told] ** 2))) for step, sent in pairs]
+    return max(factors) < AXES_ALIKE * min(factors)
 
 
 def _without_wrong_climb(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

@@ -7,6 +7,8 @@ import pytest
 
 from smoother.samples import GnssFixes
 from smoother.session.csv_form import read_fixes
+from smoother.session.fix_columns import fix_columns
+from smoother.session.fixes import screen_fixes
 
 SPEED = 14.0  # m/s
 STUCK = slice(100, 500)
@@ -93,6 +95,38 @@ def test_a_course_that_is_written_otherwise_is_not_used_and_named(tmp_path: Path
     fixes, said = lap(tmp_path, course_deg=change(course))
     assert np.isnan(fixes.velocity_n[:, 0]).all()
     assert said["gps_course_wrong"].endswith(f", as if {hint}; not used")
+
+
+def components(directory: Path) -> tuple[np.ndarray, np.ndarray]:
+    """North and east, m/s, of the velocities of `lap`."""
+    north, west, _ = sound(directory).velocity_n.T
+    return north, -west
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_components_that_are_exchanged_are_exchanged_back(tmp_path: Path, late: int) -> None:
+    north, east = (np.roll(values, late) for values in components(tmp_path))
+    fixes, said = lap(tmp_path, speed_mps=None, course_deg=None, vel_n_mps=east, vel_e_mps=north)
+    told = "gps.csv: by its positions its velocities north and east are exchanged; taken as such"
+    assert said == {"gps_velocity_exchanged": told}
+    np.testing.assert_allclose(fixes.velocity_n[:, 0], north, atol=1e-6)
+    np.testing.assert_allclose(fixes.velocity_n[:, 1], -east, atol=1e-6)
+
+
+def test_components_beside_places_that_are_exchanged_are_not(tmp_path: Path) -> None:
+    """Columns refuse such places; other formats may hold them."""
+    north, east = components(tmp_path)
+    fixes, _ = lap(tmp_path)
+    columns = fix_columns(fixes.t, fixes.lon_deg, fixes.lat_deg, velocity_north=north, velocity_east=east)
+    fixes, problems = screen_fixes(columns, "heat.vbo")
+    assert np.isnan(fixes.velocity_n).all()
+    assert [p.code for p in problems] == ["gps_course_wrong"] and "longitude exchanged" in problems[0].text
+
+
+def test_components_of_another_sign_are_not_exchanged(tmp_path: Path) -> None:
+    north, east = components(tmp_path)
+    fixes, said = lap(tmp_path, speed_mps=None, course_deg=None, vel_n_mps=north, vel_e_mps=-east)
+    assert np.isnan(fixes.velocity_n).all() and set(said) == {"gps_course_wrong"}
 
 
 def test_a_missing_course_is_told(tmp_path: Path) -> None:
