@@ -14,3 +14,9 @@ def wide_encoding(data: bytes) -> str | None:
     if not any(odd):
         return "utf-16-le"
     return "utf-16-be" if not any(even) else None
+
+
+def in_utf8(data: bytes) -> bytes:
+    """Return a text of two bytes a character, or the beginning of one, in UTF-8; others as they are."""
+    encoding = wide_encoding(data)
+    return data if encoding is None else data.decode(encoding, errors="replace").encode()

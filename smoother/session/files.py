@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from smoother.errors import SessionError
+from smoother.session.encoding import in_utf8
 from smoother.session.tables import read_header
 from smoother.session.unknown_table import about_table, holds_places
 
@@ -207,7 +208,7 @@ def foreign_kind(path: Path) -> Foreign | None:
         return None
     try:
         with path.open("rb") as file:
-            head = file.read(HEAD_BYTES).lower()
+            head = in_utf8(file.read(HEAD_BYTES)).lower()
     except OSError:
         return None  # whoever needs the file will say so
     first = head.lstrip(b"\xef\xbb\xbf \r\n").partition(b"\n")[0]

@@ -20,7 +20,7 @@ import pynmea2
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import GnssFixes, Problem
-from smoother.session.encoding import wide_encoding
+from smoother.session.encoding import in_utf8
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
@@ -112,9 +112,7 @@ def read_nmea(path: Path) -> NmeaReading:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
     if not data.strip():
         raise SessionError(f"{path.name}: the file is empty; expected NMEA sentences")
-    if (encoding := wide_encoding(data)) is not None:
-        data = data.decode(encoding, errors="replace").encode()
-    return fixes_from_sentences([(math.nan, data)], path.name)
+    return fixes_from_sentences([(math.nan, in_utf8(data))], path.name)
 
 
 def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> NmeaReading:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import polars as pl
@@ -15,11 +16,13 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
+from smoother.session.encoding import WIDE_BYTES, in_utf8, wide_encoding
 from smoother.words import counted
 
 BLOCK_BYTES = 4 << 20
 LONGEST_LINE = 1 << 20  # bytes; the rows of a car with 400 channels have 6000
 LONGEST_HEAD = 4 << 20  # bytes
+LARGEST_WIDE = 256 << 20  # bytes of a file that is read as a whole, twice that in memory; hours of a VBOX in UTF-16
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +47,26 @@ class Records:
         return [Problem("gps_row_damaged", text, self.misfits)]
 
 
-def head_of(path: Path, is_last: Callable[[str], bool], what: str) -> tuple[list[str], int]:
-    """Return the lines of a file up to the one that `is_last`, that one too, and the byte at which the next begins.
+def _opened(path: Path) -> BinaryIO:
+    """A file for reading; one of two bytes a character is made plain in memory. Raises SessionError if it is huge."""
+    with path.open("rb") as file:
+        if wide_encoding(file.read(WIDE_BYTES)) is None:
+            return path.open("rb")
+    if path.stat().st_size > LARGEST_WIDE:
+        raise SessionError(f"{path.name}: more than {LARGEST_WIDE >> 20} MB in UTF-16; save it as UTF-8")
+    return BytesIO(in_utf8(path.read_bytes()))
 
-    `what` names what the file has to be. Raises SessionError where there is no such line, or one is endless.
+
+def head_of(path: Path, is_last: Callable[[str], bool], what: str) -> tuple[list[str], int]:
+    """Return the lines of a file up to the one that `is_last`, that one too, and where the next begins.
+
+    That is a byte of the file, of its text in UTF-8. `what` names what it has to be. Raises SessionError where there is
+    no such line, or one is endless.
     """
     head: list[str] = []
     offset = 0
     try:
-        with path.open("rb") as file:
+        with _opened(path) as file:
             while line := file.readline(LONGEST_LINE + 1):
                 _require_short(path.name, line, len(head) + 1, what)
                 offset += len(line)
@@ -99,7 +113,7 @@ def read_records(
 
 def _line_blocks(path: Path, offset: int, what: str) -> Iterator[list[bytes]]:
     """Yield lists of whole lines that are not blank."""
-    with path.open("rb") as file:
+    with _opened(path) as file:
         file.seek(offset)
         rest = b""
         while block := file.read(BLOCK_BYTES):

@@ -1,9 +1,8 @@
-"""Why files that look like a recording are none: never written, in another encoding, or under another name."""
+"""Why files that look like a recording are none: never written, or under another name."""
 
 from pathlib import Path
 
-from smoother.session.encoding import wide_encoding
-from smoother.session.files import OWN_NAMES, SessionFiles
+from smoother.session.files import SessionFiles
 
 SUFFIXES = (".csv", ".txt", ".nmea", ".vbo", ".gpx", ".klg", ".log", ".dat")
 HEAD_BYTES = 4096
@@ -37,10 +36,6 @@ def unrecognised(files: SessionFiles) -> str | None:
             continue
         if head.startswith(MAGIC):
             return f"{path.name} is a log of the logger; call it *.klg"
-        name = path.name.lower()
-        is_foreign = name.endswith(".csv") and name not in OWN_NAMES
-        if is_foreign and head.strip(b"\0") and wide_encoding(head) is not None:
-            return f"{path.name} is in UTF-16; save it as UTF-8, then it can be told whose recording it is"
         if holds_only_zeros(path):
             return f"{path.name}: {NEVER_WRITTEN}"
     return None

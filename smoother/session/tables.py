@@ -22,7 +22,7 @@ import polars as pl
 from smoother.arrays import Array, BoolArray
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
-from smoother.session.encoding import wide_encoding
+from smoother.session.encoding import in_utf8, wide_encoding
 from smoother.words import UNREADABLE, listed
 
 HEAD_BYTES = 65536
@@ -467,8 +467,7 @@ def _plain_bytes(data: bytes, file: str) -> bytes:
     above the header."""
     if data.startswith(b"\x1f\x8b"):
         data = _gunzip(data, file)
-    if (encoding := wide_encoding(data)) is not None:
-        data = data.decode(encoding, errors="replace").encode()
+    data = in_utf8(data)
     data = _LONE_RETURN.sub(b"\n", data) if b"\n" in data else data.replace(b"\r", b"\n")
     return _without_comments(data) if _starts_with_comment(data) else data
 

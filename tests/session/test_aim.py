@@ -63,6 +63,14 @@ def test_every_channel_of_the_receiver_reaches_its_place_in_its_unit(tmp_path: P
     assert reading.imu is None
 
 
+def test_a_file_in_two_bytes_a_character_is_read(tmp_path: Path) -> None:
+    text = table([values(k) for k in range(80)])
+    (tmp_path / "aim.csv").write_text(text, encoding="utf-16", newline="")
+    raw = load_raw(tmp_path)
+    assert raw.inputs == ("aim.csv",)
+    np.testing.assert_array_equal(raw.gnss.lon_deg, read(tmp_path, text).gnss.lon_deg)
+
+
 @pytest.fixture
 def rome(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:

@@ -52,6 +52,14 @@ def read(directory: Path, text: str):
     return read_racechrono(path)
 
 
+def test_a_file_in_two_bytes_a_character_is_read(tmp_path: Path) -> None:
+    text = csv([fix_row(k) for k in range(60)])
+    (tmp_path / "session.csv").write_text(text, encoding="utf-16")
+    raw = load_raw(tmp_path)
+    assert raw.inputs == ("session.csv",)
+    np.testing.assert_array_equal(raw.gnss.lat_deg, read(tmp_path, text).gnss.lat_deg)
+
+
 def test_of_repeated_names_that_of_the_receiver_is_taken_with_its_unit(tmp_path: Path) -> None:
     gnss = read(tmp_path, csv([fix_row(k) for k in range(60)])).gnss
     np.testing.assert_allclose(gnss.speed, 10.0)

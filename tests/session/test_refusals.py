@@ -45,6 +45,6 @@ def test_a_log_of_the_logger_under_another_name_is_named(tmp_path: Path, name: s
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le"])
-def test_a_foreign_table_in_another_encoding_is_named(tmp_path: Path, encoding: str) -> None:
-    (tmp_path / "x.csv").write_bytes('"Format","AiM CSV File"\n'.encode(encoding))
-    assert "x.csv is in UTF-16; save it as UTF-8" in refusal(tmp_path)
+def test_a_table_of_an_unknown_program_in_another_encoding_is_shown(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "x.csv").write_bytes("Record,Latitude,Longitude\n1,2,3\n".encode(encoding))
+    assert "no recording found, but x.csv" in refusal(tmp_path) and "Record, Latitude" in refusal(tmp_path)

@@ -45,6 +45,19 @@ def codes(reading: ForeignReading) -> dict[str, int]:
     return {problem.code: problem.count for problem in reading.problems}
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_a_file_in_two_bytes_a_character_is_read(tmp_path: Path, encoding: str) -> None:
+    lap = "[laptiming]\r\nStart -784.38 2743.97 -784.36 2743.97 \u00ac Ziel\r\n"
+    text = vbo([row(k) for k in range(60)], head=lap)
+    plain, wide = read(tmp_path, text), read(tmp_path, text.encode(encoding))
+    assert codes(wide) == codes(plain) and len(wide.gnss) == 60
+    np.testing.assert_array_equal(wide.gnss.lat_deg, plain.gnss.lat_deg)
+    np.testing.assert_array_equal(wide.gnss.unix_s, plain.gnss.unix_s)
+    (tmp_path / "y.vbo").write_bytes(text.encode())
+    assert own_lines(tmp_path / "x.vbo") == own_lines(tmp_path / "y.vbo") != ()
+    assert load_raw(tmp_path / "x.vbo").inputs == ("x.vbo",)
+
+
 def crossings(gnss: GnssFixes, line: TimingLine) -> np.ndarray:
     """Times at which the straight path between fixes crosses a line, between its ends, in the usual direction."""
     scale = np.array([111_195.0, 111_195.0 * np.cos(np.radians(gnss.lat_deg[0]))])
