@@ -1,7 +1,8 @@
-"""Batch solution of the graph: Gauss-Newton with robust weights, and the noise of the session estimated on the way.
+"""Batch solution of the graph: Gauss-Newton with robust weights, for noise that is given.
 
 GTSAM preintegrates the inertial samples; increments.py and rows.py linearise; chain.py solves the whole chain and
-returns the covariance of every keyframe in the same sweep.
+returns the covariance of every keyframe in the same sweep. How noisy the session is, components.py tells by what is
+left of such a solution; solve.py takes turns between the two.
 """
 
 import math
