@@ -49,7 +49,22 @@ def identified_values(
     sampled_every s: see :func:`unsure_moment`.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
-    sigma, values = np.sqrt(np.diag(S)), constants.as_vector()
+    sigma = np.sqrt(np.diag(S))
+    return {
+        **_of_the_receiver(constants, sigma, priors, config, sampled_every),
+        "lever_arm_b": _lever_arm(constants, S, priors, mounting, config),
+        "R_bs": _mounting(noise, mounting, config, common_attitude),
+        **_rectification(constants, sigma, noise),
+        **_noise(noise, config),
+        **_offset(noise, unseen),
+    }
+
+
+def _of_the_receiver(
+    constants: Constants, sigma: Array, priors: Priors, config: SessionConfig, sampled_every: float
+) -> dict[str, Identified]:
+    """Its delays, and what it answers to a change of acceleration; sigma (29,) of all constants."""
+    values = constants.as_vector()
     out: dict[str, Identified] = {}
     for latency in (
         _Latency("gps_position_latency", 0, config.gps.position_latency),
@@ -62,7 +77,14 @@ def identified_values(
     response = VELOCITY_RESPONSE.start
     observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
     out["gps_velocity_response"] = _value(values[response], sigma[response], "s^2", observable, False)
-    arm_covariance_s, up_s = S[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
+    return out
+
+
+def _lever_arm(
+    constants: Constants, covariance: Array, priors: Priors, mounting: FittedMounting, config: SessionConfig
+) -> Identified:
+    """The arm from the box to the antenna, in b; covariance (29, 29) of all constants."""
+    arm_covariance_s, up_s = covariance[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
     if priors.holds_height and priors.drives:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
     arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
@@ -70,25 +92,40 @@ def identified_values(
     # The value stays where nothing shows it: it is the one that leads from the box to the antenna in the trajectory.
     observable = bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2]))
     stated = config.mounting.lever_arm_b is not None
-    out["lever_arm_b"] = _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, stated)
+    return _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, stated)
+
+
+def _mounting(noise: Noise, mounting: FittedMounting, config: SessionConfig, common_attitude: Array) -> Identified:
+    """How the box stands in the kart."""
     stated = config.mounting.R_bs is not None
     common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T) * [1.0, 1.0, 0.0 if mounting.by_wheels else 1.0]
     # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
     askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
     source = "configured" if stated else "identified" if mounting.is_observable else "default"
-    out["R_bs"] = Identified(
+    return Identified(
         mounting.R_bs.tolist(),
         None if stated else np.sqrt(mounting.sigma**2 + askew**2 + common).tolist(),
         "1 (sigma: rad)",
         mounting.is_observable,
         source,
     )
+
+
+def _rectification(constants: Constants, sigma: Array, noise: Noise) -> dict[str, Identified]:
+    """What vibration pushes; sigma (29,) of all constants."""
+    out: dict[str, Identified] = {}
     pushed, sigmas = constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
     beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]
     for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, sigmas, strict=True):
         seen = bool(np.min(own) < OBSERVABLE * beforehand)
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
+    return out
+
+
+def _noise(noise: Noise, config: SessionConfig) -> dict[str, Identified]:
+    """How noisy wheels, samples and fixes are."""
+    out: dict[str, Identified] = {}
     if noise.slip is not None:
         # not what slip has in common: its process takes a part of that over, and yaw is the same
         out["slip_sigma"] = _value(noise.slip.sigma, None, "rad", True, False)
@@ -97,14 +134,23 @@ def identified_values(
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
     out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
     out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
-    # how large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best
-    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
-    source = "identified" if shown else "default"
-    told = math.isfinite(noise.offset_tau_spread)
-    out["gps_offset_sigma"] = Identified(sigma_offset.tolist(), None, "m", shown and told, source)
-    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
-    out["gps_offset_tau"] = Identified(noise.offset_tau, sigma_tau, "s", told, source)
     return out
+
+
+def _offset(noise: Noise, unseen: Array) -> dict[str, Identified]:
+    """How far fixes wander, and how long that lasts.
+
+    How large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best.
+    """
+    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
+    told = math.isfinite(noise.offset_tau_spread)
+    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
+    return {
+        "gps_offset_sigma": Identified(
+            sigma_offset.tolist(), None, "m", shown and told, "identified" if shown else "default"
+        ),
+        "gps_offset_tau": Identified(noise.offset_tau, sigma_tau, "s", told, source),
+    }
 
 
 def _value(

@@ -46,6 +46,7 @@ from smoother.trajectory import (
     BOX_ON_WHEEL,
     EstimateReport,
     FixResiduals,
+    Identified,
     JointPosition,
     Keyframes,
     ResidualStatistics,
@@ -153,50 +154,80 @@ def build_trajectory(
     pauses: where time is cut out of the session; the rows that fall into them are left out.
     """
     unseen = unseen_offset(noise, population, len(session.gnss))
-    fixes = session.gnss
-    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
-    source = _Source(found.state, binned, noise.inertial, level, up, pauses)
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
-    height_sigma = float(priors.constants_sigma[LEVER_ARM][2]) if priors.holds_height and priors.drives else 0.0
-    keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
-    if not (priors.has_height or np.any(np.isfinite(fixes.velocity_n[:, 2]))):
-        _may_climb(keyframes)
-    elif up is not None:
-        _drift_upwards(keyframes)
+    source = _source(session, found, noise, binned, pauses)
+    keyframes = _keyframes_of_kart(session, found, source, mounting, priors, unsure)
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         _widen(keyframes, swing)
     sampled_every = float(median(np.diff(session.imu.t))) if session.imu is not None else 0.0
-    report = EstimateReport(
-        identified=identified_values(
-            found.state.constants,
-            found.constants_covariance,
-            found.common_attitude,
-            noise,
-            priors,
-            mounting,
-            session.config,
-            unseen,
-            sampled_every,
-        ),
-        residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
-        fixes=_fix_residuals(found.rows["gps_position"]),
-        keyframes=keyframes,
-        problems=() if swing is None else (Problem(BOX_ON_WHEEL, ON_WHEEL),),
-        mode="full",
+    identified = identified_values(
+        found.state.constants,
+        found.constants_covariance,
+        found.common_attitude,
+        noise,
+        priors,
+        mounting,
+        session.config,
+        unseen,
+        sampled_every,
     )
-    joint = None if found.joint is None else found.joint(unsure)
-    if joint is not None and level is not None:
-        joint = Wandering(joint, median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()))
-    first, last = pauses.opened(session.gnss.t[[0, -1]])
-    t = row_times(first, last, rate)
-    t = pauses.closed(t[~pauses.are_cut_out(t)]) if len(pauses) else t
+    report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
+    joint = _joint(found, keyframes, unsure, source.doppler)
+    t = _times(session, pauses, rate)
     rows = _Rows.empty(len(t))
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
         rows.unsure_of_time(part, unsure_moment(sampled_every))
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
+
+
+def _source(session: Session, found: Estimated, noise: Noise, binned: BinnedImu, pauses: Pauses) -> "_Source":
+    fixes = session.gnss
+    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
+    return _Source(found.state, binned, noise.inertial, level, up, pauses)
+
+
+def _keyframes_of_kart(
+    session: Session, found: Estimated, source: "_Source", mounting: FittedMounting, priors: Priors, unsure: Array
+) -> Keyframes:
+    """Keyframes of antenna and kart, as unsure of climbing as the fixes leave it; unsure (3,) m^2 of the offset."""
+    height_sigma = float(priors.constants_sigma[LEVER_ARM][2]) if priors.holds_height and priors.drives else 0.0
+    keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
+    if not (priors.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
+        _may_climb(keyframes)
+    elif source.upwards is not None:
+        _drift_upwards(keyframes)
+    return keyframes
+
+
+def _report(
+    found: Estimated, identified: dict[str, Identified], keyframes: Keyframes, *, is_on_wheel: bool
+) -> EstimateReport:
+    return EstimateReport(
+        identified=identified,
+        residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
+        fixes=_fix_residuals(found.rows["gps_position"]),
+        keyframes=keyframes,
+        problems=(Problem(BOX_ON_WHEEL, ON_WHEEL),) if is_on_wheel else (),
+        mode="full",
+    )
+
+
+def _joint(found: Estimated, keyframes: Keyframes, unsure: Array, doppler: DopplerNoise | None) -> JointPosition | None:
+    """How errors hang together; where Doppler draws the rows between keyframes, their own errors wander too."""
+    joint = None if found.joint is None else found.joint(unsure)
+    if joint is not None and doppler is not None:
+        joint = Wandering(joint, median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()))
+    return joint
+
+
+def _times(session: Session, pauses: Pauses, rate: float) -> Array:
+    """Times (N,) s of the rows, pauses closed."""
+    first, last = pauses.opened(session.gnss.t[[0, -1]])
+    t = row_times(first, last, rate)
+    return pauses.closed(t[~pauses.are_cut_out(t)]) if len(pauses) else t
 
 
 @dataclass(frozen=True, eq=False)
