@@ -17,6 +17,8 @@ from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES, Tra
 from smoother.units import DEG
 from smoother.words import counted
 
+# residuals by which nothing is judged: a kart may slide for long, and samples are as noisy as they were found to be
+NOT_JUDGED = ("slip", "inertial", "bias_walk")
 ROW = 0.1  # s, between the rows that are asked about attitude
 
 
@@ -30,8 +32,8 @@ class QualityLimits:
     far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
-    normalised_rms: of the residuals of any factor; 1 is honest, beyond this the noise model is wrong by as much.
-    rejected_share: of the measurements of any factor.
+    normalised_rms: of the residuals of any factor but NOT_JUDGED; 1 is honest, beyond this the noise model is wrong by
+    as much. rejected_share: of the measurements of any of these factors.
     sigma_yaw: median, of a session of at least lean_seconds with less than least_driving of its rows driven; beyond it
     the heading is a guess. lean_step: how far the mean roll, or angle of floor or nose to the direction of travel,
     on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of the scatter
@@ -284,7 +286,7 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
 def _residual_reasons(estimate: Trajectory, limits: QualityLimits) -> list[str]:
     reasons = []
     for name, residual in estimate.report.residuals.items():
-        if residual.count < limits.fewest_residuals:
+        if residual.count < limits.fewest_residuals or name in NOT_JUDGED:
             continue
         words = name.replace("_", " ")
         if residual.normalised_rms > limits.normalised_rms:

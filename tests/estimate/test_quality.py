@@ -95,6 +95,12 @@ def test_residuals_far_from_their_sigma_are_stopped(residual: ResidualStatistics
     assert words in "; ".join(quality.reasons)
 
 
+@pytest.mark.parametrize("name", ["slip", "inertial", "bias_walk"])
+def test_a_kart_that_slides_all_day_is_no_wrong_result(name: str) -> None:
+    residuals = {name: ResidualStatistics("rad", 500, 0.0, 9.0, 9.0, 200)}
+    assert assess(session(), estimate(report=EstimateReport(residuals=residuals))).passed
+
+
 def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() -> None:
     wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
     assert assess(session(wander, hacc=0.0), estimate(sigma=3.0)).measures["far_fix_share"] == 0.0

@@ -1,6 +1,6 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +24,7 @@ from smoother.estimate.graph.imu import (
     motion_at,
 )
 from smoother.estimate.graph.joint import ChainJoint, Wandering
+from smoother.estimate.graph.leftovers import left_of_inertial, left_of_rows
 from smoother.estimate.graph.mounting import (
     MIN_KEYFRAMES,
     FittedMounting,
@@ -63,7 +64,6 @@ SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have
 # m/s, forgotten in half a minute or later: two modules in one car have 0.020 each beside what their sigmas hold, one
 # beside the heights of RTK 0.018; of the level velocities of both it is 0.003 to 0.013
 SLOW_UPWARDS = 0.02
-REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
     "position, speed, lap times and accelerations along the path are not affected"
@@ -77,6 +77,7 @@ class Estimated:
 
     joint: how errors hang together, given the variance (3,) m^2 that the session cannot show; None where unknown.
     common_attitude (3, 3) rad^2: covariance in s of the mean error of all attitudes; zero where unknown.
+    inertial: what is left of the inertial factors, by name.
     """
 
     state: ChainState
@@ -85,6 +86,7 @@ class Estimated:
     rows: dict[str, Rows]
     joint: Callable[[Array], JointPosition] | None
     common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    inertial: Mapping[str, ResidualStatistics] = field(default_factory=dict)
 
 
 def estimated(solved: Solved, nose: float | None) -> Estimated:
@@ -97,6 +99,7 @@ def estimated(solved: Solved, nose: float | None) -> Estimated:
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
         common_attitude(solved),
+        left_of_inertial(solved, slice(None)),
     )
 
 
@@ -207,7 +210,7 @@ def _report(
 ) -> EstimateReport:
     return EstimateReport(
         identified=identified,
-        residuals={name: _statistics(found.rows[name], unit) for name, unit in _UNITS.items() if name in found.rows},
+        residuals={**left_of_rows(found.rows), **found.inertial},
         fixes=_fix_residuals(found.rows["gps_position"]),
         keyframes=keyframes,
         problems=(Problem(BOX_ON_WHEEL, ON_WHEEL),) if is_on_wheel else (),
@@ -504,26 +507,6 @@ def _bridge(line: Array, noise: Noise, interval: float) -> Array:
     """
     walk = float(np.mean(noise.offset_sigma[:2] ** 2)) * 0.5 * interval / noise.offset_tau
     return walk * np.maximum(1.0 - 2.0 * line / float(noise.position[0] ** 2), 0.0)
-
-
-_UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad"}
-
-
-def _statistics(rows: Rows, unit: str) -> ResidualStatistics:
-    known = np.isfinite(rows.sigma)
-    residual = rows.residual[known]
-    if residual.size == 0:
-        return ResidualStatistics(unit, 0, 0.0, 0.0, 0.0, 0)
-    weight = np.broadcast_to(rows.weight[:, None], known.shape)[known]
-    normalised = residual / rows.sigma[known] * np.sqrt(weight)
-    return ResidualStatistics(
-        unit,
-        int(np.count_nonzero(np.any(known, axis=1))),
-        float(np.average(residual, weights=weight)),
-        float(np.sqrt(np.average(residual**2, weights=weight))),
-        float(np.sqrt(np.mean(normalised**2))),
-        int(np.count_nonzero(rows.weight < REJECTED_WEIGHT)),
-    )
 
 
 def _fix_residuals(rows: Rows) -> FixResiduals:

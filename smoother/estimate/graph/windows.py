@@ -24,6 +24,7 @@ from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
+from smoother.estimate.graph.leftovers import joined, left_of_inertial
 from smoother.estimate.graph.output import Estimated, common_attitude
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
@@ -32,6 +33,7 @@ from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fix
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.uncertainty import Uncertainty, nose_variance, uncertainty_of
 from smoother.samples import Problem, Session
+from smoother.trajectory import ResidualStatistics
 
 WINDOW = 1200.0  # s; about 0.4 GB while it is solved
 OVERLAP = 120.0  # s to either side: twice what the GPS offset remembers, which makes the seams
@@ -59,6 +61,7 @@ class _Piece:
     factor: WindowFactor
     rows: dict[str, Rows]
     fixes: dict[str, IntArray]  # indices in the session of the rows of FIXES
+    inertial: dict[str, ResidualStatistics]  # what is left of the factors, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +194,7 @@ def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -
     assert solution.factor is not None
     until = s.t[core.stop] if core.stop < len(s.t) else s.t[-1] + s.interval  # where the next one begins to count
     factor = window_factor(s.t[core.start], until, s, solution.factor)
-    return _Piece(first, last, begin + outer.start, state, factor, rows, own)
+    return _Piece(first, last, begin + outer.start, state, factor, rows, own, left_of_inertial(solved, core))
 
 
 def _margin(state: ChainState) -> int:
@@ -217,8 +220,9 @@ def _figures(rows: Rows, use: IntArray, begin: int) -> Rows:
 def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncertainty, common: Array) -> Estimated:
     kinds = {name for piece in pieces for name in piece.rows}
     rows = {name: _joined_rows(name, pieces, len(start.data.t)) for name in kinds}
-    windows = [piece.factor for piece in pieces]
-    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, partial(WindowsJoint, windows), common)
+    joint = partial(WindowsJoint, [piece.factor for piece in pieces])
+    inertial = joined([piece.inertial for piece in pieces])
+    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, joint, common, inertial)
 
 
 def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:

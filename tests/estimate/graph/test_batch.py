@@ -26,6 +26,7 @@ from smoother.estimate.graph.components import (
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
 from smoother.estimate.graph.inertial import inertial_factors
+from smoother.estimate.graph.leftovers import joined, left_of_inertial
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
@@ -221,6 +222,23 @@ class TestAgainstGtsam:
             np.testing.assert_allclose(bias.accelerometer(), state.accel_bias_s[k], atol=5e-5)
             np.testing.assert_allclose(bias.gyroscope(), state.gyro_bias_s[k], atol=1e-6)
         np.testing.assert_allclose(values.atPoint3(L(0)), state.constants.lever_arm_s, atol=5e-5)
+
+    def test_what_is_left_of_inertial_factors_is_their_error(self, compared) -> None:
+        _, solved, graph, values = compared
+        left = left_of_inertial(solved, slice(None))
+        assert {one.count for one in left.values()} == {K - 1} and {one.unit for one in left.values()} == {"sigma"}
+        have = (K - 1) * (9 * left["inertial"].rms ** 2 + 6 * left["bias_walk"].rms ** 2)
+        want = 2.0 * sum(graph.at(k).error(values) for k in range(K - 1))
+        assert have == pytest.approx(want, rel=1e-3)
+
+    def test_what_is_left_of_parts_is_that_of_the_whole(self, compared) -> None:
+        solved = compared[1]
+        parts = [left_of_inertial(solved, part) for part in (slice(0, 3), slice(3, K + 5), slice(K + 5, K + 9))]
+        whole = left_of_inertial(solved, slice(None))
+        assert parts[2]["inertial"].count == 0
+        for name, one in joined(parts).items():
+            assert one.count == whole[name].count
+            assert (one.mean, one.rms) == pytest.approx((whole[name].mean, whole[name].rms))
 
     def test_the_covariances_are_one(self, compared) -> None:
         _, solved, graph, values = compared

@@ -80,6 +80,16 @@ def test_every_fix_is_reported_once(pair: Pair) -> None:
     assert set(parts.report.identified) == set(whole.report.identified)
 
 
+def test_what_is_left_of_wheels_and_samples_is_reported_of_all_intervals(pair: Pair) -> None:
+    of_whole, of_parts = (one.report.residuals for one in pair)
+    assert {"slip", "inertial", "bias_walk"} < set(of_whole) == set(of_parts)
+    assert of_parts["inertial"].count == of_whole["inertial"].count
+    assert of_parts["slip"].count == pytest.approx(of_whole["slip"].count, abs=10)
+    for name in ("slip", "inertial"):
+        assert 0.1 < of_whole[name].normalised_rms < 1.0  # the path is fitted to them
+        assert of_parts[name].normalised_rms == pytest.approx(of_whole[name].normalised_rms, rel=0.15), name
+
+
 def change(trajectory: Trajectory, t: np.ndarray, lap: float) -> np.ndarray:
     """Sigma of how the error towards north changes over `lap` s from each t (m,)."""
     assert trajectory.joint is not None

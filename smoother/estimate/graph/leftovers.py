@@ -1,0 +1,76 @@
+"""What is left of each kind of factor in a solved graph, in a few figures: whether its noise was taken as it is.
+
+Rows have residuals in units of their own. Those of inertial factors, whose errors hang together from turn to way, are
+whitened: in sigmas, each beyond what those before it say.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.disc import pieces
+from smoother.estimate.graph.batch import Solved
+from smoother.estimate.graph.inertial import PIECE, inertial_after_step
+from smoother.estimate.graph.rows import Rows
+from smoother.trajectory import ResidualStatistics
+
+UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad", "slip": "rad"}
+INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # turn, way and velocity; biases
+WHITENED = "sigma"
+REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
+
+
+def left_of_rows(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
+    """Return what is left of the kinds of rows that were measured, by their names."""
+    return {name: _of_rows(rows[name], unit) for name, unit in UNITS.items() if name in rows}
+
+
+def left_of_inertial(solved: Solved, intervals: slice) -> dict[str, ResidualStatistics]:
+    """Return what is left of the inertial factors of some intervals after the last step, by the names of INERTIAL."""
+    first, end, _ = intervals.indices(len(solved.inertial.whitened))
+    total, squares = np.zeros(15), np.zeros(15)
+    for part in pieces(end - first, PIECE):
+        at = first + np.arange(part.start, part.stop)
+        left = inertial_after_step(solved.inertial, at, solved.solution)
+        total += left.sum(axis=0)
+        squares += np.square(left).sum(axis=0)
+    return {name: _whitened(total[part], squares[part], end - first) for name, part in INERTIAL.items()}
+
+
+def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, ResidualStatistics]:
+    """Return what is left of the inertial factors of several parts of a session."""
+    out = {}
+    for name in INERTIAL:
+        own = [part[name] for part in parts if name in part]
+        counts = np.array([one.count for one in own])
+        if counts.sum():
+            mean = float(np.average([one.mean for one in own], weights=counts))
+            rms = float(np.sqrt(np.average([one.rms**2 for one in own], weights=counts)))
+            out[name] = ResidualStatistics(WHITENED, int(counts.sum()), mean, rms, rms, 0)
+    return out
+
+
+def _whitened(total: Array, squares: Array, count: int) -> ResidualStatistics:
+    """Of sums (r,) over `count` intervals of r whitened residuals and of their squares; none of them is rejected."""
+    if count <= 0:
+        return ResidualStatistics(WHITENED, 0, 0.0, 0.0, 0.0, 0)
+    rms = float(np.sqrt(np.mean(squares) / count))
+    return ResidualStatistics(WHITENED, count, float(np.mean(total) / count), rms, rms, 0)
+
+
+def _of_rows(rows: Rows, unit: str) -> ResidualStatistics:
+    known = np.isfinite(rows.sigma)
+    residual = rows.residual[known]
+    if residual.size == 0:
+        return ResidualStatistics(unit, 0, 0.0, 0.0, 0.0, 0)
+    weight = np.broadcast_to(rows.weight[:, None], known.shape)[known]
+    normalised = residual / rows.sigma[known] * np.sqrt(weight)
+    return ResidualStatistics(
+        unit,
+        int(np.count_nonzero(np.any(known, axis=1))),
+        float(np.average(residual, weights=weight)),
+        float(np.sqrt(np.average(residual**2, weights=weight))),
+        float(np.sqrt(np.mean(normalised**2))),
+        int(np.count_nonzero(rows.weight < REJECTED_WEIGHT)),
+    )
