@@ -34,12 +34,14 @@ class QualityLimits:
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
     normalised_rms: of the residuals of any factor but NOT_JUDGED; 1 is honest, beyond this the noise model is wrong by
     as much. rejected_share: of the measurements of any of these factors.
-    sigma_yaw: median, of a session of at least lean_seconds with less than least_driving of its rows driven; beyond it
-    the heading is a guess. lean_step: how far the mean roll, or angle of floor or nose to the direction of travel,
-    on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of the scatter
-    of its means over block_seconds by lean_significance sigma: a box that slipped does both. (Real karts and cars had
-    up to 6.6 sigma and 3 deg, not both.) rattle: how fast roll or floor may swing about their running mean over
-    rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
+    sigma_yaw: median, of a session of at least parked_seconds with less than least_driving of its rows driven; beyond
+    it the heading is a guess. Fixes alone tell no heading: there nothing was driven where as few rows are faster than
+    stood_speed, clearly (sigmas), and 95 % lie within stood_radius of their middle. GPS wanders as far by itself, and a
+    skid pad is as small but driven faster. lean_step: how far the mean roll, or angle of floor or nose to the direction
+    of travel, on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of
+    the scatter of its means over block_seconds by lean_significance sigma: a box that slipped does both. (Real karts
+    and cars had up to 6.6 sigma and 3 deg, not both.) rattle: how fast roll or floor may swing about their running
+    mean over rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
     direction of travel, of the session or of any lean_seconds, beyond any banked track; by less, stated axes may be
@@ -60,6 +62,10 @@ class QualityLimits:
     fewest_residuals: int = 20  # below it neither share nor rms means anything
     sigma_yaw: float = 30.0 * DEG
     least_driving: float = 0.01
+    parked_seconds: float = 45.0  # s; a shorter recording is a trial, and of no drive
+    stood_speed: float = 2.0  # m/s
+    stood_radius: float = 15.0  # m
+    clearly: float = 3.0
     lean_step: float = 2.5 * DEG
     lean_significance: float = 8.0
     unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they say nothing about the mounting
@@ -104,7 +110,7 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
     reasons = [] if finite else ["some rows have no position or velocity"]
     if len(session.gnss) < limits.fewest_fixes:
         reasons.append(f"{counted(len(session.gnss), 'fix')} can not tell how the kart went")
-    measures |= _attitude_measures(session, estimate, limits)
+    measures |= _attitude_measures(session, estimate, limits) | _standing(session, estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
     reasons += _residual_reasons(estimate, limits) + _axes_reasons(session, estimate)
     return Quality(not reasons, tuple(reasons), measures)
@@ -175,10 +181,29 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
         reasons.append(f"{share:.0f} % of the fixes lie far from the trajectory (limit {100 * limits.far_share:.0f} %)")
     if measures.get("longest_far_s", 0.0) > limits.far_seconds:
         reasons.append(f"the trajectory leaves the fixes for {measures['longest_far_s']:.0f} s")
+    radius = measures.get("stood_radius_m", np.inf)
+    if radius < limits.stood_radius:
+        reasons.append(f"the kart did not drive: it stays within {radius:.0f} m, at no clear speed")
     sigma = measures.get("median_sigma_horizontal_m", 0.0)
     if not sigma <= limits.sigma_horizontal:
         reasons.append(f"the horizontal sigma is {sigma:.0f} m (limit {limits.sigma_horizontal:.0f} m)")
     return reasons
+
+
+def _standing(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
+    """How far around its middle a trajectory from fixes alone reaches, where nothing in it moves."""
+    if estimate.report.mode == "full" or estimate.t[-1] - estimate.t[0] < limits.parked_seconds:
+        return {}
+    estimate = _thinned(estimate)
+    near = are_near(estimate.t, session.gnss.t, limits.near_seconds)
+    if not near.any():
+        return {}
+    sigma = 0.0 if estimate.sigmas is None else limits.clearly * np.nan_to_num(estimate.sigmas.speed[near])
+    if np.mean(estimate.speed[near] > np.maximum(limits.stood_speed, sigma)) >= limits.least_driving:
+        return {}
+    place = estimate.position_n[near, :2]
+    distance = np.linalg.norm(place - np.median(place, axis=0), axis=1)
+    return {"stood_radius_m": float(np.percentile(distance, 95.0))}
 
 
 def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
@@ -190,11 +215,11 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     near = are_near(estimate.t, session.gnss.t, limits.near_seconds)
     driving = known & near & (estimate.speed > limits.driving_speed)
     t = estimate.t[driving]
-    if estimate.t[-1] - estimate.t[0] < limits.lean_seconds:
+    if estimate.t[-1] - estimate.t[0] < limits.parked_seconds:
         return {}
     if np.count_nonzero(driving) < limits.least_driving * np.count_nonzero(near):
         return {"parked_sigma_yaw_rad": float(np.median(estimate.sigmas.attitude[known, 2]))}
-    if t[-1] - t[0] < limits.lean_seconds:
+    if t.size == 0 or t[-1] - t[0] < limits.lean_seconds:
         return {}
     velocity_b = np.einsum("nji,nj->ni", estimate.R_nb[driving], estimate.velocity_n[driving])
     beta = np.arctan2(velocity_b[:, 1], velocity_b[:, 0])

@@ -245,3 +245,53 @@ def test_a_dead_axis_is_no_attitude(mode: str, passes: bool) -> None:
     quality = assess(replace(session(), problems=(dead,)), estimate(report=told))
     assert quality.passed == passes
     assert passes or quality.reasons == ("z of the gyroscope never changes",)
+
+
+def around(radius: float, speed: float, seconds: float, sigma: float, mode: str = "gps-only") -> Trajectory:
+    """Rounds of a circle at a speed, as fixes alone show it."""
+    t = np.arange(0.0, seconds, 0.02)
+    n, angle = len(t), speed / radius * t
+    zero = np.zeros((n, 3))
+    position = radius * np.column_stack([np.cos(angle), np.sin(angle), 0 * t])
+    velocity = speed * np.column_stack([-np.sin(angle), np.cos(angle), 0 * t])
+    sigmas = Sigmas(np.ones((n, 3)), np.ones((n, 3)), np.full(n, sigma), np.ones((n, 3)), np.ones(n))
+    attitude = np.full((n, 3, 3), np.nan)
+    return Trajectory(t, position, velocity, attitude, zero, zero, sigmas, EstimateReport(mode=mode))
+
+
+def along(trajectory: Trajectory) -> Session:
+    """A session with fixes on a trajectory."""
+    rows = slice(None, None, 10)
+    lat, lon, alt = nwu_to_geodetic(trajectory.position_n[rows], ORIGIN)
+    unknown = np.full((len(lat), 3), np.nan)
+    return Session("round", GnssFixes(trajectory.t[rows], lat, lon, alt, unknown), ORIGIN)
+
+
+@pytest.mark.parametrize(("radius", "speed", "sigma"), [(4.0, 0.4, 0.3), (4.0, 2.5, 1.0), (10.0, 1.4, 0.1)])
+def test_fixes_alone_of_a_kart_that_stands_are_no_drive(radius: float, speed: float, sigma: float) -> None:
+    """GPS that wanders, with and without Doppler; a kart that is pushed about the paddock."""
+    stood = around(radius, speed, 60.0, sigma)
+    (reason,) = assess(along(stood), stood).reasons
+    assert reason.startswith("the kart did not drive: it stays within ") and reason.endswith(" m, at no clear speed")
+
+
+@pytest.mark.parametrize(
+    ("radius", "speed", "seconds", "sigma"),
+    [(8.0, 6.0, 60.0, 1.0), (40.0, 1.4, 200.0, 1.0), (4.0, 0.4, 20.0, 0.3)],
+)
+def test_fixes_alone_of_a_skid_pad_a_walk_or_a_moment_are_believed(
+    radius: float, speed: float, seconds: float, sigma: float
+) -> None:
+    driven = around(radius, speed, seconds, sigma)
+    assert assess(along(driven), driven).passed
+
+
+@pytest.mark.parametrize("seconds", [58.0, 60.0])
+def test_less_than_a_minute_of_a_box_that_stands_is_no_drive(seconds: float) -> None:
+    stood = around(4.0, 0.1, seconds, 0.1, "full")
+    level = np.tile(np.eye(3), (len(stood), 1, 1))
+    stood = Trajectory(
+        stood.t, stood.position_n, stood.velocity_n, level, stood.acceleration_b, stood.angular_rate_b, stood.sigmas
+    )
+    (reason,) = assess(along(stood), stood).reasons
+    assert reason == "the heading is not known (sigma 57 deg): the kart hardly drove"
