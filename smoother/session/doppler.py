@@ -371,7 +371,8 @@ def _are_exchanged(t: Array, steps: _Steps, c: FixColumns, told: BoolArray) -> b
     if _mostly_off(t, steps, np.degrees(np.arctan2(c.velocity_north, c.velocity_east)), told) > COURSE_ALIKE:
         return False
     pairs = ((steps.north, c.velocity_east), (steps.east, c.velocity_north))
-    factors = [float(np.sqrt(np.mean(step[told] ** 2) / np.mean(sent[told] ** 2))) for step, sent in pairs]
+    with np.errstate(divide="ignore"):  # of a column that is 0 throughout
+        factors = [float(np.sqrt(np.mean(step[told] ** 2) / np.mean(sent[told] ** 2))) for step, sent in pairs]
     return max(factors) < AXES_ALIKE * min(factors)
 
 

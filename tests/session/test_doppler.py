@@ -123,6 +123,16 @@ def test_components_beside_places_that_are_exchanged_are_not(tmp_path: Path) -> 
     assert [p.code for p in problems] == ["gps_course_wrong"] and "longitude exchanged" in problems[0].text
 
 
+@pytest.mark.filterwarnings("error")
+def test_components_of_a_straight_road_do_not_tell_that_they_are_exchanged(tmp_path: Path) -> None:
+    t = np.arange(0.0, 120.0, 0.2)
+    north = 14.0 * t + 0.2 * np.random.default_rng(1).standard_normal(t.size)
+    columns = {"lat_deg": 45 + north / 111_195, "lon_deg": 12.0 + 1e-7 * np.sin(t)}
+    speed = 14.0 + 0.1 * np.sin(t)
+    fixes, said = lap(tmp_path, speed_mps=None, course_deg=None, vel_n_mps=0.0 * t, vel_e_mps=speed, **columns)
+    assert np.isnan(fixes.velocity_n).all() and set(said) == {"gps_course_wrong"}
+
+
 def test_components_of_another_sign_are_not_exchanged(tmp_path: Path) -> None:
     north, east = components(tmp_path)
     fixes, said = lap(tmp_path, speed_mps=None, course_deg=None, vel_n_mps=north, vel_e_mps=-east)
