@@ -18,7 +18,7 @@ from smoother.estimate.graph.batch import (
     variances,
 )
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
-from smoother.estimate.graph.components import Scatter, slip_update, update_noise
+from smoother.estimate.graph.components import Scatter, slip_update, update_noise, with_local_level
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -152,6 +152,8 @@ def finish(
             break
         better = noise_steps.towards(_reestimated(solved, noise, start, scatter), noise)
         change, noise = noise.change(better), better
+        if change < STEADY and noise.inertial.local is None:
+            noise = with_local_level(solved, noise, start.binned)
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
             graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
