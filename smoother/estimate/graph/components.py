@@ -138,12 +138,14 @@ def with_local_level(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
     use = (binned.missing == 0.0) & _driven(solved, binned.missing.size)
     density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
     force, _ = inertial_components(solved.state, solved.inertial, solved.solution, density, shape, use)
-    around = np.ones(max(1, round(LOCAL / interval)))
+    t, around = 0.5 * (binned.t[1:] + binned.t[:-1]), np.ones(max(1, round(LOCAL / interval)))
     squares, redundancy = np.zeros(len(use)), np.zeros(len(use))
     squares[use], redundancy[use] = force.squares_of, np.maximum(force.redundancy_of, 0.0)
+    if now.local is not None:  # what they were given
+        squares *= now.local.at(t)
     squares, redundancy = (np.convolve(values, around, "same") for values in (squares, redundancy))
     ratio = np.clip((squares + LOCAL_COUNT) / (redundancy + LOCAL_COUNT), *LOCAL_BOUNDS)
-    return replace(noise, inertial=replace(now, local=LocalLevel(0.5 * (binned.t[1:] + binned.t[:-1]), ratio)))
+    return replace(noise, inertial=replace(now, local=LocalLevel(t, ratio)))
 
 
 def _driven(solved: Solved, n_intervals: int) -> BoolArray:

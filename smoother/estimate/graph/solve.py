@@ -152,7 +152,7 @@ def finish(
             break
         better = noise_steps.towards(_reestimated(solved, noise, start, scatter), noise)
         change, noise = noise.change(better), better
-        if change < STEADY and noise.inertial.local is None:
+        if change < STEADY or turn > 0:
             noise = with_local_level(solved, noise, start.binned)
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
