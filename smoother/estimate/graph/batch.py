@@ -98,9 +98,11 @@ class Noise:
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
 
     def change(self, other: "Noise") -> float:
-        """Largest relative difference of any sigma or density to those of `other`."""
-        calm = np.log(np.array(self.inertial.calm) / np.array(other.inertial.calm))
-        return float(np.max(np.abs(np.concatenate([calm, self.step_from(other)]))))
+        """Largest relative difference of any sigma or mean density to those of `other`.
+
+        What of the densities goes with vibration takes turns more to come to rest than they do, and moves nothing.
+        """
+        return float(np.max(np.abs(self.step_from(other))))
 
     def step_from(self, other: "Noise") -> Array:
         """Steps (LEVELS_SIZE,) of the logarithms of densities and sigmas since `other`."""

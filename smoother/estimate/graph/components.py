@@ -128,24 +128,31 @@ def update_noise(
 
 
 def with_local_level(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
-    """Return the noise with how much noisier force is here and there, from the residuals of seconds around.
+    """Return the noise with how much noisier force is here and there: :func:`local_ratio` of the residuals of driving.
 
-    A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says. Each interval
-    has the weighted residuals of LOCAL around it over what was expected of them; LOCAL_COUNT residuals say that it is
-    as everywhere. Source: Foerstner 1979, of groups of the residuals.
+    A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says.
     """
-    now, interval = noise.inertial, solved.state.interval
+    now, t = noise.inertial, 0.5 * (binned.t[1:] + binned.t[:-1])
     use = (binned.missing == 0.0) & _driven(solved, binned.missing.size)
     density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
     force, _ = inertial_components(solved.state, solved.inertial, solved.solution, density, shape, use)
-    t, around = 0.5 * (binned.t[1:] + binned.t[:-1]), np.ones(max(1, round(LOCAL / interval)))
     squares, redundancy = np.zeros(len(use)), np.zeros(len(use))
     squares[use], redundancy[use] = force.squares_of, np.maximum(force.redundancy_of, 0.0)
     if now.local is not None:  # what they were given
         squares *= now.local.at(t)
-    squares, redundancy = (np.convolve(values, around, "same") for values in (squares, redundancy))
-    ratio = np.clip((squares + LOCAL_COUNT) / (redundancy + LOCAL_COUNT), *LOCAL_BOUNDS)
+    ratio = local_ratio(squares, redundancy, solved.state.interval)
     return replace(noise, inertial=replace(now, local=LocalLevel(t, ratio)))
+
+
+def local_ratio(squares: Array, redundancy: Array, interval: float) -> Array:
+    """Variance (K-1,) around each interval over that of all, from what each adds to squares and redundancy (K-1,).
+
+    The squared residuals of LOCAL around it over what was expected of them; LOCAL_COUNT residuals say that it is as
+    everywhere. interval s, between keyframes. Source: Foerstner 1979, of groups of the residuals.
+    """
+    around = np.ones(min(max(1, round(LOCAL / interval)), len(squares)))
+    found, expected = (np.convolve(values, around, "same") for values in (squares, redundancy))
+    return np.clip((found + LOCAL_COUNT) / (expected + LOCAL_COUNT), *LOCAL_BOUNDS)
 
 
 def _driven(solved: Solved, n_intervals: int) -> BoolArray:

@@ -159,6 +159,12 @@ class InertialNoise:
     gyro_shape: Shape = ROUND
     local: LocalLevel | None = None
 
+    def everywhere(self) -> "InertialNoise":
+        """The noise of other times than those that it is told at: as much everywhere, in the mean."""
+        if self.local is None:
+            return self
+        return replace(self, accel=self.accel * math.sqrt(float(np.mean(self.local.ratio))), local=None)
+
     @property
     def calm(self) -> tuple[float, float]:
         """Densities without vibration."""
