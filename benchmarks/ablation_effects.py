@@ -137,6 +137,14 @@ def _same(value: Any, *_: Any) -> Any:
     return value
 
 
+def _noise_as_it_is(_: Any, noise: batch.Noise, __: Any) -> batch.Noise:
+    return noise
+
+
+def _one_by_one(*_: Any) -> float:
+    return 1.0
+
+
 def _no_ratio(_: Any) -> Array:
     return np.ones(3)
 
@@ -283,9 +291,11 @@ EFFECTS = (
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
     Effect("noise that follows the vibration", patches=((components, "_share", _no_share),)),
+    Effect("force noisier in places", patches=((solve, "with_local_level", _noise_as_it_is),)),
     Effect("noise of each direction its own", patches=((components, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
+    Effect("what velocities at rest have in common", patches=((start, "scale_at_rest", _one_by_one),)),
     Effect("reported accuracies", session=_no_reports),
     Effect("receivers that go straight on", patches=((begin, "coasting", _none_left_out),)),
     Effect("receivers that have not settled", patches=((begin, "unsettled", _none_left_out),)),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.fit.running import gaussian_mean
 from smoother.frames import nwu_to_geodetic
 from smoother.samples import GnssFixes, Session
 from smoother.sim.motion import Stop
@@ -16,6 +17,8 @@ COASTS, COASTS_EVERY = 3.0, 30.0  # s that a receiver goes straight on, and how 
 COLD, FADES = 36.0, 15.0  # m off when the first satellites are found, s in which a third of it is left
 COUNTED = 3e-3  # drift of samples that are stamped by counting them: the oscillator of an MPU9250 is good to a per cent
 APART = 7.0  # s between two clocks
+BUMPS, BUMPS_EVERY = 6.0, 20.0  # s that a box is pushed about, and how often
+PUSHED, PUSHED_FOR = 1.0, 0.15  # m/s^2 and s: slower than vibration, quicker than a kart
 HELD = 0.5  # m/s, below which receivers hold what they show
 
 
@@ -104,6 +107,15 @@ def _stamped(session: Session, pace: float, apart: float) -> Session:
     return replace(session, imu=imu, mag=replace(session.mag, t=start + (session.mag.t - start) * pace + apart))
 
 
+def _bumps(session: Session, seed: int) -> Session:
+    """Some seconds in twenty the box is pushed about, too slowly for vibration."""
+    assert session.imu is not None
+    t, rng = session.imu.t, np.random.default_rng(9900 + seed)
+    pushed = gaussian_mean(rng.normal(size=(len(t), 3)), PUSHED_FOR / float(np.median(np.diff(t))))
+    pushed *= np.where((t - t[0]) % BUMPS_EVERY > BUMPS_EVERY - BUMPS, PUSHED / np.std(pushed), 0.0)[:, None]
+    return replace(session, imu=replace(session.imu, specific_force_s=session.imu.specific_force_s + pushed))
+
+
 def _holds(session: Session, _: int) -> Session:
     """A receiver that shows one place and no speed while the kart stands."""
     gnss = session.gnss
@@ -134,5 +146,6 @@ WORLDS = {
     "kart, receiver from cold": World("kart", {}, _cold_start),
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
+    "kart, bumps in places": World("kart", {}, _bumps),
     "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
 }

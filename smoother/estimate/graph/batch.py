@@ -65,6 +65,7 @@ CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m,
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
 ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known
 APART = np.repeat([3.0, 1e3, 1e2], 3)  # likewise, beside where the path of the fixes puts a keyframe
+LEVELS_SIZE = 11  # densities of force and rate; sigmas of position, velocity and offset per axis
 HELD = 1e-4  # m; what is held does not move by a digit
 STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
 STILL_TURN = 3e-4  # rad between keyframes, likewise
@@ -98,12 +99,31 @@ class Noise:
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
 
     def change(self, other: "Noise") -> float:
-        """Largest relative difference of any sigma or density to those of `other`."""
-        return float(np.max(np.abs(np.log(self._levels() / other._levels()))))
+        """Largest relative difference of any sigma or mean density to those of `other`.
+
+        What of the densities goes with vibration takes turns more to come to rest than they do, and moves nothing.
+        """
+        return float(np.max(np.abs(self.step_from(other))))
+
+    def step_from(self, other: "Noise") -> Array:
+        """Steps (LEVELS_SIZE,) of the logarithms of densities and sigmas since `other`."""
+        return np.asarray(np.log(self._levels() / other._levels()))
+
+    def moved_by(self, step: Array) -> "Noise":
+        """The noise with densities and sigmas of which the logarithms are greater by step (LEVELS_SIZE,)."""
+        levels = self._levels() * np.exp(step)
+        return replace(
+            self,
+            inertial=replace(self.inertial, accel=float(levels[0]), gyro=float(levels[1])),
+            position=levels[2:5],
+            velocity=levels[5:8],
+            offset_sigma=levels[8:],
+        )
 
     def _levels(self) -> Array:
-        densities = [self.inertial.accel, self.inertial.gyro, *self.inertial.calm]
-        return np.concatenate([densities, self.position, self.velocity, self.offset_sigma])
+        return np.concatenate(
+            [[self.inertial.accel, self.inertial.gyro], self.position, self.velocity, self.offset_sigma]
+        )
 
 
 @dataclass(frozen=True, eq=False)

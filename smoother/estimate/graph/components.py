@@ -15,7 +15,7 @@ from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, interval_noise
+from smoother.estimate.graph.imu import BinnedImu, InertialNoise, LocalLevel, Shape, interval_noise
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
 from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
@@ -48,6 +48,9 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 # this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
 MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
+LOCAL = 2.0  # s of residuals that tell how noisy force is in their midst
+LOCAL_COUNT = 10.0  # residuals, of about 6 to an interval, that say that it is as everywhere
+LOCAL_BOUNDS = 0.25, 4.0  # of the variance
 SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
 TOGETHER = 256  # rows whose covariances are worked on together
 
@@ -122,6 +125,34 @@ def update_noise(
         offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
+
+
+def with_local_level(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
+    """Return the noise with how much noisier force is here and there: :func:`local_ratio` of the residuals of driving.
+
+    A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says.
+    """
+    now, t = noise.inertial, 0.5 * (binned.t[1:] + binned.t[:-1])
+    use = (binned.missing == 0.0) & _driven(solved, binned.missing.size)
+    density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
+    force, _ = inertial_components(solved.state, solved.inertial, solved.solution, density, shape, use)
+    squares, redundancy = np.zeros(len(use)), np.zeros(len(use))
+    squares[use], redundancy[use] = force.squares_of, np.maximum(force.redundancy_of, 0.0)
+    if now.local is not None:  # what they were given
+        squares *= now.local.at(t)
+    ratio = local_ratio(squares, redundancy, solved.state.interval)
+    return replace(noise, inertial=replace(now, local=LocalLevel(t, ratio)))
+
+
+def local_ratio(squares: Array, redundancy: Array, interval: float) -> Array:
+    """Variance (K-1,) around each interval over that of all, from what each adds to squares and redundancy (K-1,).
+
+    The squared residuals of LOCAL around it over what was expected of them; LOCAL_COUNT residuals say that it is as
+    everywhere. interval s, between keyframes. Source: Foerstner 1979, of groups of the residuals.
+    """
+    around = np.ones(min(max(1, round(LOCAL / interval)), len(squares)))
+    found, expected = (np.convolve(values, around, "same") for values in (squares, redundancy))
+    return np.clip((found + LOCAL_COUNT) / (expected + LOCAL_COUNT), *LOCAL_BOUNDS)
 
 
 def _driven(solved: Solved, n_intervals: int) -> BoolArray:

@@ -103,6 +103,8 @@ class InertialGraph:
 
     def serves(self, noise: InertialNoise) -> bool:
         """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
+        if noise.local is not self.noise.local:
+            return False
         ratios = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
         ratios += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
         for one, two in ((noise.accel_shape, self.noise.accel_shape), (noise.gyro_shape, self.noise.gyro_shape)):

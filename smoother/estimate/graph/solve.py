@@ -18,11 +18,12 @@ from smoother.estimate.graph.batch import (
     variances,
 )
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
-from smoother.estimate.graph.components import Scatter, slip_update, update_noise
+from smoother.estimate.graph.components import Scatter, slip_update, update_noise, with_local_level
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.noise_steps import NoiseSteps
 from smoother.estimate.graph.slip import with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
 from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, ChainState, Constants
@@ -109,13 +110,13 @@ def _settle(
     batch = Batch(start.data, start.binned, start.priors)
     graph = batch.graph(state, noise)
     state = batch.converge(graph, state, noise, options.iterations)
-    before = np.zeros(CONSTANTS_SIZE)
+    before, steps = np.zeros(CONSTANTS_SIZE), NoiseSteps()
     for turn in range(options.rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
-        better = _reestimated(solved, noise, start, scatter)
+        better = steps.towards(_reestimated(solved, noise, start, scatter), noise)
         settled = noise.change(better) < SETTLED
         noise = better
         say(0.7 * (turn + 1) / options.rounds)
@@ -137,7 +138,7 @@ def finish(
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
     steps: list[tuple[float, float]] = []
-    change = 0.0
+    change, noise_steps = 0.0, NoiseSteps()
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
@@ -149,8 +150,10 @@ def finish(
         say(1.0 - 0.3 * 0.5 ** (turn + 1))  # most are settled after two
         if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
-        better = _reestimated(solved, noise, start, scatter)
+        better = noise_steps.towards(_reestimated(solved, noise, start, scatter), noise)
         change, noise = noise.change(better), better
+        if change < STEADY or turn > 0:
+            noise = with_local_level(solved, noise, start.binned)
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
             graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)

@@ -11,6 +11,7 @@ from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, ini
 from smoother.estimate.gnss_offset import OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.graph.at_rest import scale_at_rest
 from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths, tell_of_samples
@@ -233,19 +234,27 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
     assert session.imu is not None
     assert gnss.sigma_velocity is not None
     at_rest = session_standstill(session)
-    first, last = np.searchsorted(session.imu.t, [t[:-1], t[1:]])
-    resting = np.concatenate([[0], np.cumsum(at_rest)])
-    still = np.flatnonzero((last > first) & (resting[last] - resting[first] == last - first))
+    still = np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:]))
+    scale = _relative(gnss.sigma_velocity)
+    standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
+    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, standing), scale)
     return Data(
         gnss.t[use],
         session.fix_position_n[use],
         gnss.velocity_n[use],
         path.position_scale[use],
-        _relative(gnss.sigma_velocity)[use],
+        scale[use],
         still,
         doubted=None if doubted is None else doubted[use],
         heights=_heights(session),
     )
+
+
+def _all_between(t: Array, mask: BoolArray, begin: Array, end: Array) -> BoolArray:
+    """Whether there are samples, of t (S,) s, from begin to end (N,) s, and mask (S,) holds for all of them."""
+    first, last = np.searchsorted(t, [begin, end])
+    holding = np.concatenate([[0], np.cumsum(mask)])
+    return np.asarray((last > first) & (holding[last] - holding[first] == last - first))
 
 
 def _heights(session: Session) -> Array:

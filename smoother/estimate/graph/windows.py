@@ -80,7 +80,8 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     in_one = replace(options, solver="batch")  # a stream takes the constants as they are
     main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
-    noise, priors, problems = main.noise, main.priors, main.problems
+    priors, problems = main.priors, main.problems
+    noise = replace(main.noise, inertial=main.noise.inertial.everywhere())
     common = _common_attitude(main.solved, start)
     del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))

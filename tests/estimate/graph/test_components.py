@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.components import USUAL_SPREAD, _shape, _share, bounded_mean, scored
+from smoother.estimate.graph.components import (
+    LOCAL,
+    LOCAL_BOUNDS,
+    USUAL_SPREAD,
+    _shape,
+    _share,
+    bounded_mean,
+    local_ratio,
+    scored,
+)
 from smoother.estimate.graph.imu import ROUND
 from smoother.estimate.graph.inertial import VarianceComponent
 
@@ -45,6 +54,34 @@ def test_few_residuals_do_not_make_the_noise_follow_the_vibration() -> None:
     rough = np.array([0.2, 0.5, 1.0, 2.3])
     nothing = component_of(3e-3 * rough, np.full(4, 1e-3))  # of fixes that can not judge the samples
     assert _share(nothing, rough, 0.0) < 0.01
+
+
+def test_noise_that_is_the_same_everywhere_is_found_to_be() -> None:
+    squares = np.sum(np.random.default_rng(0).normal(size=(3000, 6)) ** 2, axis=1)
+    found = local_ratio(squares, np.full(3000, 6.0), 0.2)
+    assert np.mean(found) == pytest.approx(1.0, abs=0.03)
+    assert np.std(found) < 0.2  # of sixty residuals 0.18
+
+
+def test_force_that_is_noisier_for_some_seconds_is_found_to_be_there() -> None:
+    t = 0.2 * np.arange(3000)
+    true = np.where(t % 60.0 < 15.0, 3.0, 0.5)
+    squares = true * np.sum(np.random.default_rng(0).normal(size=(3000, 6)) ** 2, axis=1)
+    found = local_ratio(squares, np.full(3000, 6.0), 0.2)
+    inside = np.abs((t % 60.0) - 7.5) < 7.5 - LOCAL
+    outside = (t % 60.0 > 15.0 + LOCAL) & (t % 60.0 < 60.0 - LOCAL)
+    assert np.mean(found[inside]) == pytest.approx(3.0, rel=0.12)  # of a tenth the residuals that say one
+    assert np.mean(found[outside]) == pytest.approx(0.5, rel=0.2)
+
+
+def test_residuals_that_tell_little_leave_the_noise_as_it_is() -> None:
+    squares = np.random.default_rng(0).gamma(1.0, 0.02, size=500)
+    assert local_ratio(squares, np.full(500, 0.02), 0.2) == pytest.approx(1.0, abs=0.1)
+    assert len(local_ratio(squares[:3], np.full(3, 0.02), 0.2)) == 3  # fewer than are looked at together
+
+
+def test_wild_residuals_have_bounds() -> None:
+    assert np.max(local_ratio(np.full(50, 1e6), np.full(50, 6.0), 0.2)) == LOCAL_BOUNDS[1]
 
 
 class Walk:

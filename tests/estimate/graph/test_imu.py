@@ -14,6 +14,7 @@ from smoother.estimate.graph.imu import (
     BinnedImu,
     DensePath,
     InertialNoise,
+    LocalLevel,
     bin_imu,
     dense_path,
     halved,
@@ -253,6 +254,19 @@ class TestNoise:
         missing = np.array([0.5, 1.0, 0.0, 0.0, 0.25, 0.0, 1.0])
         np.testing.assert_allclose(hole_lengths(missing, np.full(7, 0.2)), [0.3, 0.3, 0.0, 0.0, 0.05, 0.0, 0.2])
         np.testing.assert_allclose(hole_lengths(np.zeros(3), np.full(3, 0.2)), 0.0)
+
+    def test_force_is_noisier_where_it_was_found_to_be(self) -> None:
+        no = np.zeros((10, 4, 3))
+        binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.zeros(10), np.ones((10, 2)))
+        ratio = np.linspace(0.5, 4.0, 6)
+        local = replace(NOISE, local=LocalLevel(0.1 + 0.2 * np.arange(2, 8), ratio))
+        accel, gyro = interval_noise(binned, local)
+        expected = np.concatenate([[1.0, 1.0], ratio, [1.0, 1.0]])  # and as everywhere where nothing is known
+        np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(expected))
+        np.testing.assert_allclose(gyro, NOISE.gyro)
+        # in windows elsewhere: as much in the mean
+        np.testing.assert_allclose(interval_noise(binned, local.everywhere())[0], NOISE.accel * np.sqrt(ratio.mean()))
+        assert NOISE.everywhere() == NOISE
 
     def test_noise_follows_the_vibration_by_its_share(self) -> None:
         t, rng = np.arange(1, 4001) / 100.0, np.random.default_rng(0)
