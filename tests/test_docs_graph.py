@@ -140,7 +140,11 @@ def test_inertial_covariance(last: Linearized) -> None:
     assert binned.blind is not None
     holes = binned.missing
     u = (1.0 - np.exp(-binned.blind)) * np.sqrt(np.minimum(binned.blind, 2.0))
-    q2_a = noise.accel**2 * (1.0 + noise.accel_share * (binned.rough[:, 0] - 1.0)) + holes * (8.0 * u[:, 0]) ** 2
+    assert noise.local is not None
+    place = np.interp(0.5 * (binned.t[1:] + binned.t[:-1]), noise.local.t, noise.local.ratio)
+    assert np.ptp(place) > 0.2
+    q2_a = noise.accel**2 * place * (1.0 + noise.accel_share * (binned.rough[:, 0] - 1.0))
+    q2_a += holes * (8.0 * u[:, 0]) ** 2
     q2_g = noise.gyro**2 * (1.0 + noise.gyro_share * (binned.rough[:, 1] - 1.0)) + holes * (0.5 * u[:, 1]) ** 2
     assert 0.0 < np.mean(holes > 0.0) < 0.1
     for q2, density in zip((q2_a, q2_g), interval_noise(binned, noise), strict=True):

@@ -32,7 +32,9 @@ _LEFT, _RIGHT, _BY_ERRORS = slice(0, 15), slice(15, 30), slice(30, 45)  # column
 _RESIDUAL = 45  # and of its residual beside it
 _WIDTH = _RESIDUAL + 1
 PIECE = 128  # intervals whose matrices stay in the processor's cache
-CLOSE = 1.3  # ratio of densities up to which covariances are scaled; further off the samples are preintegrated again
+# ratio of densities, and of variances by direction, up to which covariances are scaled: to 3 % of a variance. Further
+# off the samples are preintegrated again
+CLOSE, ALIKE = 1.6, 1.3
 
 
 def inertial_factors(
@@ -102,14 +104,18 @@ class InertialGraph:
         self._last_whitening = noise, self._own_whitening
 
     def serves(self, noise: InertialNoise) -> bool:
-        """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do."""
-        if noise.local is not self.noise.local:
-            return False
-        ratios = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
-        ratios += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
+        """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do.
+
+        Where force is noisier than elsewhere they are scaled by as much as that may be, to 3 % of a variance as well.
+        """
+        densities = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
+        densities += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
+        shapes: list[float] = []
         for one, two in ((noise.accel_shape, self.noise.accel_shape), (noise.gyro_shape, self.noise.gyro_shape)):
-            ratios += np.sqrt(np.linalg.eigvals(np.linalg.solve(two, one)).real).tolist()
-        return all(1.0 / CLOSE < ratio < CLOSE for ratio in ratios)
+            shapes += np.sqrt(np.linalg.eigvals(np.linalg.solve(two, one)).real).tolist()
+        return all(
+            1.0 / most < ratio < most for ratios, most in ((densities, CLOSE), (shapes, ALIKE)) for ratio in ratios
+        )
 
     def linearize(self, state: ChainState, noise: InertialNoise, acceleration_n: Array | None = None) -> LinearInertial:
         """Linearise. Rows: rotation, position, velocity, bias of force, bias of rate; whitened with `noise`.
