@@ -129,6 +129,27 @@ def test_turns_alone_that_are_later_and_later_are_no_clock(session: Session) -> 
     assert not found_in(replace(session, imu=replace(session.imu, angular_rate_s=later))).is_found
 
 
+@pytest.mark.parametrize("drift", [5e-4, -5e-4])
+def test_a_drift_is_found_beside_forces_that_are_late_now_more_now_less(session: Session, drift: float) -> None:
+    """Then a half of the session drifts by a third more or less than the whole, for all that its axes seem sure of."""
+    assert session.imu is not None
+    t, force = session.imu.t, session.imu.specific_force_s
+    late = t + 0.04 * np.sin(2.0 * np.pi * (t - t[0]) / 70.0 + np.pi)
+    wandering = np.stack([np.interp(late, t, force[:, i]) for i in range(3)], axis=1)
+    found = found_in(with_drift(replace(session, imu=replace(session.imu, specific_force_s=wandering)), drift))
+    assert found.is_found
+    assert found.drift == pytest.approx(drift, abs=3.5 * found.sigma)
+
+
+@pytest.mark.parametrize("place", [0.2, 0.35, 0.5, 0.65, 0.8])
+def test_a_step_is_no_drift_wherever_it_is(session: Session, place: float) -> None:
+    assert session.imu is not None
+    t = session.imu.t
+    for size in (0.1, 0.3):
+        later = size * (t > t[0] + place * DURATION)
+        assert not found_in(replace(session, imu=replace(session.imu, t=t + later))).is_found
+
+
 def test_a_receiver_that_is_late_now_more_now_less_is_no_clock(session: Session) -> None:
     path = driven(session)
 

@@ -225,6 +225,50 @@ def test_a_kart_that_is_pushed_and_stands_again_is_told_from_a_receiver_that_set
     assert list(said) == (["gps_speed_threshold"] if is_told else [])
 
 
+def stops(threshold: float, rate: float = 5.0, settles: float = 0.0) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Columns of a kart that stops three times, and its speed; it creeps up to the second stop and on from it.
+
+    threshold : m/s, below which 0 is sent. settles : s in which positions come in from 12 m west.
+    """
+    t = np.arange(0.0, 115.0, 1.0 / rate)
+    knots = [(12.0, 0.0), (15.0, 10.0), (30.0, 10.0), (33.0, 0.0), (39.0, 0.0), (42.0, 10.0), (52.0, 10.0)]
+    knots += [(54.7, 1.1), (60.0, 1.1), (60.4, 0.0), (66.0, 0.0), (66.4, 1.1), (69.0, 1.1), (71.7, 10.0)]
+    knots += [(85.0, 10.0), (88.0, 0.0), (94.0, 0.0), (97.0, 10.0)]
+    speed = np.interp(t, *np.array(knots).T)
+    north, east = 0.05 * np.random.default_rng(5).standard_normal((2, t.size))
+    east -= 12.0 * np.exp(-t / settles) if settles else 0.0
+    lat, lon = 45 + (np.cumsum(speed) / rate + north) / 111_195, 12 + east / 111_195 / np.cos(np.pi / 4)
+    sent = np.where(speed < threshold, 0.0, speed)
+    return {"t_s": t, "lat_deg": lat, "lon_deg": lon, "speed_mps": sent, "course_deg": 0.0 * t}, speed
+
+
+def test_a_kart_that_creeps_up_to_its_stop_and_on_from_it_is_not_at_rest(tmp_path: Path) -> None:
+    columns, speed = stops(1.4)
+    fixes, said = lap(tmp_path, **columns)
+    sent = fixes.velocity_n[:, 0]
+    text = "while the positions move on or within 1 s of motion, and never between 0 and 1.4 m/s; not used there"
+    assert list(said) == ["gps_speed_threshold"] and said["gps_speed_threshold"].endswith(text)
+    assert np.isnan(sent[(speed > 0.0) & (columns["speed_mps"] == 0.0)]).all()
+    assert np.isfinite(sent[speed > 1.4]).all()
+    at_rest = np.any([abs(fixes.t - fixes.t[0] - middle) < 1.0 for middle in (36.0, 63.3, 91.0)], axis=0)
+    assert np.all(sent[at_rest] == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("threshold", "rate", "why"),
+    [(0.6, 5.0, "so slow a speed may be the step of the column"), (1.4, 1.0, "a second apart, none between was due")],
+)
+def test_stops_may_show_no_slow_speed_by_chance(tmp_path: Path, threshold: float, rate: float, why: str) -> None:
+    columns, _ = stops(threshold, rate)
+    fixes, said = lap(tmp_path, **columns)
+    assert said == {} and np.isfinite(fixes.velocity_n[:, 0]).all(), why
+
+
+def test_positions_that_settle_before_the_kart_drives_off_leave_its_zeros_measured(tmp_path: Path) -> None:
+    fixes, _ = lap(tmp_path, **stops(1.4, settles=4.0)[0])
+    assert np.all(fixes.velocity_n[fixes.t - fixes.t[0] < 10.5, 0] == 0.0)
+
+
 def circles(
     directory: Path, radius: float, speed: float, rate: float, delay: float
 ) -> tuple[GnssFixes, dict[str, str]]:
