@@ -32,6 +32,12 @@ made of what samples T s apart can follow (Nyquist). The expected motion itself 
 by the arm, which is the turn rate, is made alike: an arm and a latency are told apart by where turn and acceleration
 differ, and what one slope has and the other lacks, most of it noise, would pass for that.
 
+Keyframes of quick receivers follow twice that and more, of which hardly anything is driven: kerbs, over which a chassis
+rolls and an antenna above the box goes another way, noise that the path took from either sensor. Little of what tells
+latencies is lost without, a fiftieth of what is known of the arm, and what goes with the place of the keyframes goes:
+so slopes by latencies and arm are of motion slower than DRIVEN_BELOW, whatever the receiver. How a receiver answers
+to quick motion is seen in quick motion only: the second derivative stays that of all that keyframes follow.
+
 Nor does a spectrum tell motion from vibration that the sampling folds to some hertz: it is a line, far above the noise,
 and Doppler does not show it, so that a receiver would seem to smooth what it shows, and its delay to go with that.
 Vehicles accelerate the less the quicker: where there is more again from SHAKEN on, slopes are made of slower motion.
@@ -55,6 +61,7 @@ HANN_POWER = 0.375  # mean square of the taper
 MOST_LEAD = 0.3  # s
 # Hz, and what of them slopes are made of where a motion is no less in the latter: no vehicle's is, 0.3 times at most
 DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
+DRIVEN_BELOW = 2.5  # Hz, that the keyframes of receivers up to 10 Hz follow
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
 # channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
@@ -76,16 +83,22 @@ class ExpectedMotion(Motion):
     """Motion whose velocity is the path's, less what the noise in the acceleration has added to it.
 
     turn_variance, (rad/s)^2: of the errors of turn_rate. followed: the motion without what is too quick for keyframes
-    to follow; None where that is all of it.
+    to follow; None where that is all of it. driven: without what is quicker than driving too; None where `followed` is.
     """
 
     turn_variance: float = 0.0
     followed: Motion | None = None
+    driven: Motion | None = None
+
+    @property
+    def answered(self) -> Motion:
+        """What of the motion the slope by a receiver's response is made of."""
+        return self if self.followed is None else self.followed
 
     @property
     def slow(self) -> Motion:
-        """What of the motion slopes are made of."""
-        return self if self.followed is None else self.followed
+        """What of the motion slopes by latencies and arm are made of."""
+        return self.answered if self.driven is None else self.driven
 
     def means(self, n_bins: int) -> Array:
         """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
@@ -141,7 +154,12 @@ def expected_motion(
     motion = _motion_along(path, R_nb, found)
     quickest = quickest_slope(level.signal, interval)
     followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
-    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
+    driven = None
+    if quickest > 1.01 * DRIVEN_BELOW:
+        driven = _motion_along(path, R_nb, [signal.slower_than(DRIVEN_BELOW) for signal in found])
+    return ExpectedMotion(
+        motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed, driven
+    )
 
 
 def quickest_slope(level: Transform, interval: float) -> float:

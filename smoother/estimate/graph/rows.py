@@ -455,7 +455,7 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
     """
     dt, response = float(path.t[1] - path.t[0]), session.velocity_response
     jerk_n = np.gradient(felt.acceleration_n[:, :2], dt, axis=0)
-    slope = at_times(path, _level(np.gradient(felt.slow.acceleration_n[:, :2], dt, axis=0)), t)
+    slope = at_times(path, _level(np.gradient(felt.answered.acceleration_n[:, :2], dt, axis=0)), t)
     simple = _Response(response * slope, slope)
     u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
     share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])

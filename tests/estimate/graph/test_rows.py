@@ -568,3 +568,23 @@ def test_slopes_by_arm_and_latency_are_of_one_motion() -> None:
     turn = np.interp(TIMES - constants.velocity_latency, path.t, quick)
     swing = np.cross(turn[:, None] * [0.0, 0.0, 1.0], constants.lever_arm_s)
     np.testing.assert_allclose(rows(both).residual - alone.residual, swing, atol=1e-9)
+
+
+def test_a_response_is_told_by_quicker_motion_than_latencies_and_arm() -> None:
+    constants = Constants(0.01, 0.02, np.array([0.4, -0.2, 0.1]))
+    state, path, motion, _ = swinging(constants)
+    quick = np.cos(2.0 * np.pi * 4.0 * path.t)
+    kerbs = motion.acceleration_n + quick[:, None] * [1.0, 0.5, 0.0]
+    followed = Motion(motion.velocity_n, kerbs, motion.turn_rate + quick)
+    driven = Motion(motion.velocity_n, motion.acceleration_n, motion.turn_rate)
+    shape = (len(TIMES), 3)
+
+    def slopes(of_response: Motion, of_latencies: Motion | None) -> np.ndarray:
+        felt = replace(motion, followed=of_response, driven=of_latencies)
+        return velocity_rows(state, path, felt, TIMES, np.zeros(shape), np.ones(shape)).constants
+
+    both, slow, whole = slopes(followed, driven), slopes(driven, None), slopes(followed, None)
+    for column in (LEVER_ARM, VELOCITY_LATENCY):
+        np.testing.assert_array_equal(both[:, :, column], slow[:, :, column])
+        assert not np.allclose(both[:, :, column], whole[:, :, column], atol=1e-3)
+    np.testing.assert_array_equal(both[:, :, VELOCITY_RESPONSE], whole[:, :, VELOCITY_RESPONSE])
