@@ -19,6 +19,7 @@ COUNTED = 3e-3  # drift of samples that are stamped by counting them: the oscill
 APART = 7.0  # s between two clocks
 BUMPS, BUMPS_EVERY = 6.0, 20.0  # s that a box is pushed about, and how often
 PUSHED, PUSHED_FOR = 1.0, 0.15  # m/s^2 and s: slower than vibration, quicker than a kart
+LASTING = 0.015  # m/s, of velocities at rest
 HELD = 0.5  # m/s, below which receivers hold what they show
 
 
@@ -116,6 +117,16 @@ def _bumps(session: Session, seed: int) -> Session:
     return replace(session, imu=replace(session.imu, specific_force_s=session.imu.specific_force_s + pushed))
 
 
+def _lasting(session: Session, seed: int) -> Session:
+    """A receiver whose velocities at rest err by what is another in every stand, as those of real ones do."""
+    gnss, rng = session.gnss, np.random.default_rng(9950 + seed)
+    still = np.hypot(gnss.velocity_n[:, 0], gnss.velocity_n[:, 1]) < HELD
+    stand = np.cumsum(still & ~np.roll(still, 1))
+    wrong = LASTING * rng.normal(size=(stand[-1] + 1, 3))[stand]
+    velocity_n = gnss.velocity_n + np.where(still[:, None], wrong, 0.0)
+    return replace(session, gnss=replace(gnss, velocity_n=velocity_n))
+
+
 def _holds(session: Session, _: int) -> Session:
     """A receiver that shows one place and no speed while the kart stands."""
     gnss = session.gnss
@@ -147,5 +158,8 @@ WORLDS = {
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
     "kart, bumps in places": World("kart", {}, _bumps),
+    "kart, errors of Doppler that last at rest": World(
+        "kart", {"gnss_velocity_sigma": 0.03, "motion_stops": (Stop(30.0, 60.0),)}, _lasting
+    ),
     "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
 }
