@@ -53,6 +53,9 @@ class Identified:
     source: str
 
 
+WHITENED = "sigma"  # unit of residuals that have no other: each beyond what those before it say
+
+
 @dataclass(frozen=True)
 class ResidualStatistics:
     """Residuals of one kind of factor: mean and rms in `unit`, rms divided by sigma, and how many were rejected."""

@@ -12,7 +12,7 @@ from smoother.report.page_html import Child, element, row, table
 from smoother.report.page_sections import Told, speed_span, speed_unit
 from smoother.report.page_words import DASH, number
 from smoother.report.summary import is_told, known_axes, mounting_angles, smoothing_time, told_problems
-from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, Identified
+from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, WHITENED, Identified
 from smoother.units import DEG
 from smoother.words import measured, repeated
 
@@ -113,9 +113,9 @@ def residual_table(told: Told) -> Element:
     """What was left over of each kind of measurement."""
     rows = [
         row(
-            name.replace("_", " ").replace("gps", "GPS"),
+            _RESIDUALS.get(name, name.replace("_", " ").replace("gps", "GPS")),
             str(r.count),
-            f"{number(r.rms, 3)} {r.unit}",
+            f"{number(r.rms, 3)} {r.unit}" if r.unit != WHITENED else "",
             number(r.normalised_rms, 2),
             str(r.rejected),
         )
@@ -128,6 +128,12 @@ def residual_table(told: Told) -> Element:
     return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption)
 
 
+_RESIDUALS = {
+    "heading": "compass",
+    "slip": "wheels, sideways",
+    "inertial": "motion sensor",
+    "bias_walk": "drift of the motion sensor",
+}
 _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",

@@ -28,6 +28,7 @@ from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import (
     BOX_ON_WHEEL,
     IMU_SHAKEN,
+    WHITENED,
     EstimateReport,
     Identified,
     ResidualStatistics,
@@ -276,6 +277,14 @@ def test_measurements_of_little_weight_are_not_called_rejected_beside_fixes_that
     counted_so = replace(report.smoothed, report=EstimateReport(residuals=residuals))
     text = page(replace(report, smoothed=counted_so))
     assert '<th scope="col">hardly believed</th>' in text and "rejected" not in text
+
+
+def test_residuals_have_the_names_of_things_and_sigmas_stand_once(report: Report) -> None:
+    of_sensor = ResidualStatistics(WHITENED, 500, 0.0, 0.351, 0.351, 0)
+    residuals = {"slip": ResidualStatistics("rad", 500, 0.0, 0.004, 0.5, 0), "inertial": of_sensor}
+    text = page(replace(report, smoothed=replace(report.smoothed, report=EstimateReport(residuals=residuals))))
+    assert ">wheels, sideways<" in text and ">motion sensor<" in text
+    assert ">inertial<" not in text and "0.351" not in text and ">0.35<" in text
 
 
 def test_of_a_lap_against_itself_nothing_is_told(report: Report) -> None:

@@ -13,11 +13,10 @@ from smoother.disc import pieces
 from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.inertial import PIECE, inertial_after_step
 from smoother.estimate.graph.rows import Rows
-from smoother.trajectory import ResidualStatistics
+from smoother.trajectory import WHITENED, ResidualStatistics
 
 UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad", "slip": "rad"}
 INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # turn, way and velocity; biases
-WHITENED = "sigma"
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
 
