@@ -137,8 +137,8 @@ def _same(value: Any, *_: Any) -> Any:
     return value
 
 
-def _noise_as_it_is(_: Any, noise: batch.Noise, __: Any) -> batch.Noise:
-    return noise
+def _same_everywhere(*_: Any) -> None:
+    return None
 
 
 def _one_by_one(*_: Any) -> float:
@@ -291,7 +291,7 @@ EFFECTS = (
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
     Effect("noise that follows the vibration", patches=((components, "_share", _no_share),)),
-    Effect("force noisier in places", patches=((solve, "with_local_level", _noise_as_it_is),)),
+    Effect("force noisier in places", patches=((components, "local_level", _same_everywhere),)),
     Effect("noise of each direction its own", patches=((components, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),

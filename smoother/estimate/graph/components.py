@@ -49,6 +49,7 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 LARGEST_SQUARE = 1.0
 MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
 LOCAL = 2.0  # s of residuals that tell how noisy force is in their midst
+LOCAL_EVERY = 0.4  # s from one interval that tells it to the next
 LOCAL_COUNT = 10.0  # residuals, of about 6 to an interval, that say that it is as everywhere
 LOCAL_BOUNDS = 0.25, 4.0  # of the variance
 SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
@@ -92,11 +93,13 @@ def update_noise(
     doppler: DopplerNoise | None = None,
     *,
     force_is_stated: bool = False,
+    by_place: bool = False,
 ) -> Noise:
     """One step of variance component estimation: each variance becomes squared residuals over redundancy.
 
     doppler: of the velocities, None where there are none; their noise and the force's density are brought to their
-    places together, or their noise alone where that density is stated.
+    places together, or their noise alone where that density is stated. by_place: also where force is noisier than
+    elsewhere (:func:`local_level`).
     Source: Foerstner 1979; the fixed point is the restricted maximum-likelihood estimate.
     """
     state, solution = solved.state, solved.solution
@@ -104,7 +107,10 @@ def update_noise(
     driven = _driven(solved, binned.missing.size)
     good = (binned.missing == 0.0) & driven
     some = np.zeros_like(good)
-    some[np.flatnonzero(good)[:: max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)]] = True
+    every = max(1, np.count_nonzero(good) // ENOUGH_INTERVALS)
+    if by_place:
+        every = min(every, max(1, round(LOCAL_EVERY / state.interval)))
+    some[np.flatnonzero(good)[::every]] = True
     density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
     force, rate = inertial_components(state, solved.inertial, solution, density, shape, some)
     positions, velocities = (_component_of(solved, f"gps_{name}", driven) for name in ("position", "velocity"))
@@ -117,9 +123,10 @@ def update_noise(
         velocity[:2], accel = _velocity_and_force(velocities, force, noise, scatter, doppler, together=together)
     gyro = _density(rate, now.gyro, scatter.gyro)
     rough = None if binned.rough is None else binned.rough[some]
+    inertial = _spread_out(replace(now, accel=accel, gyro=gyro), force, rate, rough)
     return replace(
         noise,
-        inertial=_spread_out(replace(now, accel=accel, gyro=gyro), force, rate, rough),
+        inertial=replace(inertial, local=local_level(force, some, binned.t, now)) if by_place else inertial,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
         offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
@@ -127,21 +134,17 @@ def update_noise(
     )
 
 
-def with_local_level(solved: Solved, noise: Noise, binned: BinnedImu) -> Noise:
-    """Return the noise with how much noisier force is here and there: :func:`local_ratio` of the residuals of driving.
+def local_level(force: VarianceComponent, chosen: BoolArray, t: Array, noise: InertialNoise) -> LocalLevel | None:
+    """Return how much noisier force is here and there, by :func:`local_ratio` of the residuals of driving.
 
-    A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says.
+    A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says. force: of the
+    intervals chosen (K-1,) between keyframes at t (K,) s, given `noise`.
     """
-    now, t = noise.inertial, 0.5 * (binned.t[1:] + binned.t[:-1])
-    use = (binned.missing == 0.0) & _driven(solved, binned.missing.size)
-    density, shape = interval_noise(binned, now), (now.accel_shape, now.gyro_shape)
-    force, _ = inertial_components(solved.state, solved.inertial, solved.solution, density, shape, use)
-    squares, redundancy = np.zeros(len(use)), np.zeros(len(use))
-    squares[use], redundancy[use] = force.squares_of, np.maximum(force.redundancy_of, 0.0)
-    if now.local is not None:  # what they were given
-        squares *= now.local.at(t)
-    ratio = local_ratio(squares, redundancy, solved.state.interval)
-    return replace(noise, inertial=replace(now, local=LocalLevel(t, ratio)))
+    squares, redundancy, middle = np.zeros(len(chosen)), np.zeros(len(chosen)), 0.5 * (t[1:] + t[:-1])
+    squares[chosen], redundancy[chosen] = force.squares_of, np.maximum(force.redundancy_of, 0.0)
+    if noise.local is not None:  # what they were given
+        squares *= noise.local.at(middle)
+    return LocalLevel(middle, local_ratio(squares, redundancy, float(t[1] - t[0])))
 
 
 def local_ratio(squares: Array, redundancy: Array, interval: float) -> Array:

@@ -18,7 +18,7 @@ from smoother.estimate.graph.batch import (
     variances,
 )
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
-from smoother.estimate.graph.components import Scatter, slip_update, update_noise, with_local_level
+from smoother.estimate.graph.components import Scatter, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -150,10 +150,8 @@ def finish(
         say(1.0 - 0.3 * 0.5 ** (turn + 1))  # most are settled after two
         if turn + 1 == options.final_rounds or are_settled(steps, change):
             break
-        better = noise_steps.towards(_reestimated(solved, noise, start, scatter), noise)
+        better = noise_steps.towards(_reestimated(solved, noise, start, scatter, by_place=True), noise)
         change, noise = noise.change(better), better
-        if change < STEADY or turn > 0:
-            noise = with_local_level(solved, noise, start.binned)
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
             graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
@@ -240,10 +238,13 @@ def are_settled(steps: Sequence[tuple[float, float]], change: float = 0.0) -> bo
     )
 
 
-def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter) -> Noise:
+def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter, *, by_place: bool = False) -> Noise:
     """Noise from the residuals, but for the densities that the settings state."""
     stated, doppler = start.stated, doppler_noise(start.data, noise)
-    better = update_noise(solved, noise, start.binned, scatter, doppler, force_is_stated=bool(stated.accel_noise))
+    is_stated = bool(stated.accel_noise)
+    better = update_noise(
+        solved, noise, start.binned, scatter, doppler, force_is_stated=is_stated, by_place=by_place and not is_stated
+    )
     inertial = better.inertial
     if stated.accel_noise:
         inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0, accel_shape=ROUND)
