@@ -24,6 +24,10 @@ HELD_SHARE = 0.5  # of the rows in motion that repeat the whole row before
 HELD_ROUND = 0.01  # of a fix a second
 STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no harm
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
+FEWEST_HELD = 5  # rows at one place
+HELD_FROM = 0.8  # m/s at the first of them; receivers that hold what they show at rest do so from 0.5 and less
+# m, and times the way from row to row and the resolution, of a leap from there
+LEAP, LEAP_TIMES = 2.5, 1.5
 ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
 
@@ -42,6 +46,7 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     for find, code, reason in (
         (_is_jump, "jump", "farther from the others than any vehicle moves"),
         (_is_stale, "repeated", "repeating the position before while moving"),
+        (_is_held, "held", "at a place that the receiver held, and leapt from when it let go: it had moved meanwhile"),
     ):
         bad = find(time, ordered)
         mask = np.zeros_like(rows.keep)
@@ -170,6 +175,29 @@ def _is_stale(t: Array, c: FixColumns) -> BoolArray:
     advance = speed * np.diff(t, prepend=t[0])
     moved = np.bincount(run, np.where(moving, advance, 0.0))
     return np.asarray(moving & (moved[run] > max(STALE_DISTANCE, STALE_STEPS * _resolution(north, east, advance))))
+
+
+def _is_held(t: Array, c: FixColumns) -> BoolArray:
+    """Mask of rows at a place that was held from when the kart still drove, and leapt from farther than it drives.
+
+    A receiver with static navigation takes a slow kart to stand, and a lost one may repeat its last place. The place is
+    wrong, for how long nobody can tell; its first row was right. One that came to rest first, and holds what it shows
+    there, leaps by what it wandered meanwhile: it was where it stood.
+    """
+    held = np.zeros(t.size, dtype=np.bool_)
+    if t.size < FEWEST_HELD + 1:
+        return held
+    north, east = metres(c)
+    step, speed = np.hypot(np.diff(north), np.diff(east)), sent_speed(c)
+    driven = np.fmax(speed[1:], MOVING) * np.diff(t)
+    last = np.flatnonzero(step > 0.0)  # rows that are left
+    first = np.concatenate([[0], last[:-1] + 1])
+    least = max(LEAP, LEAP_TIMES * _resolution(north, east, np.append(0.0, driven)))
+    leaps = step > least + LEAP_TIMES * driven
+    wrong = leaps[last] & (speed[first] > HELD_FROM) & (last + 1 - first >= FEWEST_HELD)
+    for begin, end in zip(first[wrong], last[wrong], strict=True):
+        held[begin + 1 : end + 1] = True
+    return held
 
 
 def _speed_at_rows(t: Array, c: FixColumns, fresh: BoolArray) -> Array:

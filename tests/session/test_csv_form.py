@@ -444,6 +444,7 @@ def test_of_a_position_that_hangs_while_the_kart_starts_only_the_moving_rows_are
     for k in range(20, 40):
         speed = "0.0" if k < 35 else "8.0"  # 3 s of standing, then 1 s under way with the position still held
         rows[k] = f"{0.2 * k:.2f}," + rows[19].partition(",")[2].replace(",10.0,", f",{speed},")
+    rows[40:] = [f"{0.2 * k:.2f}," + gps_rows(60)[k - 15].partition(",")[2] for k in range(40, 60)]  # from there on
     fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
     assert codes(problems) == {"gps_repeated": 5}
     assert np.count_nonzero((fixes.t > 3.9) & (fixes.t < 6.9)) == 15
