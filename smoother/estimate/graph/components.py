@@ -134,7 +134,7 @@ def update_noise(
     )
 
 
-def local_level(force: VarianceComponent, chosen: BoolArray, t: Array, noise: InertialNoise) -> LocalLevel | None:
+def local_level(force: VarianceComponent, chosen: BoolArray, t: Array, noise: InertialNoise) -> LocalLevel:
     """Return how much noisier force is here and there, by :func:`local_ratio` of the residuals of driving.
 
     A bumpy stretch, kerbs and slides put samples farther off the motion than the vibration in them says. force: of the
