@@ -29,7 +29,8 @@ from smoother.estimate.graph import (
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
-from smoother.estimate.graph.imu import ROUND, BinnedImu, DensePath, Shape
+from smoother.estimate.graph.imu import BinnedImu, DensePath
+from smoother.estimate.graph.inertial_noise import ROUND, Shape
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother

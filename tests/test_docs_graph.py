@@ -15,9 +15,10 @@ from smoother.arrays import Array
 from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph.batch import Batch, Noise, expected_of
 from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.imu import DensePath, at_times, attitude_at, interval_noise
+from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.increments import left_jacobian_inverse, linearize_increments
 from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.inertial_noise import interval_noise
 from smoother.estimate.graph.rows import Rows, ground_rows, low_passed
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants

@@ -15,14 +15,7 @@ from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
 from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.imu import (
-    BinnedImu,
-    DensePath,
-    InertialNoise,
-    are_told,
-    corrected,
-    dense_path,
-)
+from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path
 from smoother.estimate.graph.inertial import (
     InertialGraph,
     LinearInertial,
@@ -30,6 +23,7 @@ from smoother.estimate.graph.inertial import (
     empty_system,
     set_apart,
 )
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.slip import (
     Slip,

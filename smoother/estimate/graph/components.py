@@ -15,8 +15,9 @@ from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, LocalLevel, Shape, interval_noise
+from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
+from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
 from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
 

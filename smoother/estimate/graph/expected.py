@@ -50,7 +50,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.graph.imu import DensePath, InertialNoise
+from smoother.estimate.graph.imu import DensePath
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.wiener import MostProbable, Transform, most_probable
 
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it

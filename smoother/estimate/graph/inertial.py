@@ -11,8 +11,10 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, Shape, preintegrate, shaken, shared_densities
+from smoother.estimate.graph.imu import BinnedImu, shaken
 from smoother.estimate.graph.increments import felt_by, in_left_axes, increments, levelled, linearize_increments
+from smoother.estimate.graph.inertial_noise import InertialNoise, Shape, shared_densities
+from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,

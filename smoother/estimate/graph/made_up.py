@@ -3,7 +3,7 @@
 Force and rate of a kart that follows the path of the fixes, level and nose ahead, plus what the samples at both edges
 of the hole differ from that, which is forgotten within half a second: a line from edge to edge in short holes, the path
 in long ones. A single sample at an edge would be mostly vibration. How far off that may be is for
-:func:`smoother.estimate.graph.imu.interval_noise` to say, from how long nothing told of the motion.
+:func:`smoother.estimate.graph.inertial_noise.interval_noise` to say, from how long nothing told of the motion.
 """
 
 from dataclasses import dataclass

@@ -13,16 +13,8 @@ from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import identified_values, unsure_moment
-from smoother.estimate.graph.imu import (
-    BinnedImu,
-    DensePath,
-    InertialNoise,
-    are_told,
-    corrected,
-    dense_path,
-    interval_noise,
-    motion_at,
-)
+from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path, motion_at
+from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
 from smoother.estimate.graph.joint import ChainJoint, Wandering
 from smoother.estimate.graph.leftovers import left_of_inertial, left_of_rows
 from smoother.estimate.graph.mounting import (

@@ -20,9 +20,10 @@ from smoother.estimate.graph.batch import (
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import Scatter, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
-from smoother.estimate.graph.imu import MOSTLY_MISSING, ROUND, BinnedImu
+from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.inertial_noise import ROUND
 from smoother.estimate.graph.noise_steps import NoiseSteps
 from smoother.estimate.graph.slip import with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled

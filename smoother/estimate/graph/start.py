@@ -14,7 +14,8 @@ from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.at_rest import scale_at_rest
 from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths, tell_of_samples
+from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved, tell_of_samples
+from smoother.estimate.graph.inertial_noise import InertialNoise, hole_lengths
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans

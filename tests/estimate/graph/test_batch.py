@@ -24,9 +24,11 @@ from smoother.estimate.graph.components import (
     update_noise,
 )
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, preintegrate
+from smoother.estimate.graph.imu import BinnedImu, bin_imu
 from smoother.estimate.graph.inertial import inertial_factors
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
+from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,

@@ -13,8 +13,8 @@ from smoother.estimate.graph.components import (
     local_ratio,
     scored,
 )
-from smoother.estimate.graph.imu import ROUND
 from smoother.estimate.graph.inertial import VarianceComponent
+from smoother.estimate.graph.inertial_noise import ROUND
 
 
 def component_of(squares: np.ndarray, redundancy: np.ndarray) -> VarianceComponent:

@@ -17,7 +17,8 @@ from smoother.estimate.graph.expected import (
     quickest_slope,
     turning_lead,
 )
-from smoother.estimate.graph.imu import DensePath, InertialNoise
+from smoother.estimate.graph.imu import DensePath
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.wiener import Transform, most_probable
 from smoother.fit.running import gaussian_mean
 from smoother.units import DEG

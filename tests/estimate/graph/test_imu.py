@@ -1,6 +1,5 @@
-"""Bins, preintegration and dense path against motions that are known in closed form."""
+"""Bins and dense path against motions that are known in closed form."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import gtsam
@@ -8,91 +7,16 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.imu import (
-    MISSING_ACCEL,
-    MISSING_GYRO,
-    BinnedImu,
-    DensePath,
-    InertialNoise,
-    LocalLevel,
-    bin_imu,
-    dense_path,
-    halved,
-    hole_lengths,
-    interval_noise,
-    motion_at,
-    preintegrate,
-)
-from smoother.frames import GRAVITY_N, rotation_from_euler
+from smoother.estimate.graph.imu import BinnedImu, DensePath, bin_imu, dense_path, halved, motion_at
+from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.preintegration import preintegrate
+from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 from smoother.units import DEG
 
+from .shaken import NO_BIAS, Shaken, mean
+
 NOISE = InertialNoise(0.1, 0.01, 1e-3, 1e-4)
-NO_BIAS = np.zeros(3)
-Motion = Callable[[np.ndarray], np.ndarray]
-
-
-class Shaken:
-    """Coning and sculling at one frequency on top of a drive: attitude and force in s, closed form.
-
-    Roll and pitch swing a quarter of a period apart, so that the box cones; the force shakes in step with the roll,
-    so that the mean of the force in n is not the force of the mean.
-    """
-
-    def __init__(self, frequency: float, swing: float, shake: float, turn: float = 0.6) -> None:
-        self.w, self.swing, self.shake, self.turn = 2.0 * np.pi * frequency, swing, shake, turn
-
-    def attitude(self, t: np.ndarray) -> np.ndarray:
-        return rotation_from_euler(
-            self.swing * np.sin(self.w * t), self.swing * np.cos(self.w * t), self.turn * t + 0.2 * np.sin(t)
-        )
-
-    def rate_s(self, t: np.ndarray) -> np.ndarray:
-        roll, pitch = self.swing * np.sin(self.w * t), self.swing * np.cos(self.w * t)
-        d_roll, d_pitch = self.w * self.swing * np.cos(self.w * t), -self.w * self.swing * np.sin(self.w * t)
-        d_yaw = self.turn + 0.2 * np.cos(t)
-        return np.stack(
-            [
-                d_roll - d_yaw * np.sin(pitch),
-                d_pitch * np.cos(roll) + d_yaw * np.cos(pitch) * np.sin(roll),
-                d_yaw * np.cos(pitch) * np.cos(roll) - d_pitch * np.sin(roll),
-            ],
-            axis=-1,
-        )
-
-    def force_s(self, t: np.ndarray) -> np.ndarray:
-        steady = np.stack([2.0 * np.sin(0.7 * t), 5.0 * np.cos(0.4 * t), np.full(t.shape, 9.8)], axis=-1)
-        return steady + self.shake * np.stack([np.cos(self.w * t), np.sin(self.w * t), np.sin(self.w * t)], axis=-1)
-
-    def samples(self, rate: float, start: float, end: float) -> ImuSamples:
-        """Means over the interval that ends at each time, as an ideal sensor gives them."""
-        t = np.arange(round(start * rate) + 1, round(end * rate) + 1) / rate
-        return ImuSamples(t, mean(self.force_s, t, 1.0 / rate), mean(self.rate_s, t, 1.0 / rate))
-
-    def velocity_gain(self, t0: float, t1: float) -> tuple[np.ndarray, np.ndarray]:
-        """Integrals of the force in axes of s at t0: velocity and position gained without gravity, by quadrature."""
-        n = 20_000
-        h = (t1 - t0) / n
-        middle = t0 + h * (np.arange(n) + 0.5)
-        start = self.attitude(np.array([t0]))[0]
-        acceleration = np.einsum("ji,njk,nk->ni", start, self.attitude(middle), self.force_s(middle))
-        return acceleration.sum(axis=0) * h, ((t1 - middle)[:, None] * acceleration).sum(axis=0) * h
-
-
-def mean(function: Motion, end: np.ndarray, width: float | np.ndarray) -> np.ndarray:
-    """Mean of `function` over `width` before `end`, by Gauss-Legendre on eight pieces: exact to rounding here."""
-    nodes, weights = np.polynomial.legendre.leggauss(4)
-    parts = [
-        function(end - width * (i + 0.5 - 0.5 * x) / 8.0) * w / 16.0
-        for i in range(8)
-        for x, w in zip(nodes, weights, strict=True)
-    ]
-    return np.sum(parts, axis=0)
-
-
-def preintegrated(binned: BinnedImu, bias: tuple[np.ndarray, np.ndarray] = (NO_BIAS, NO_BIAS)):
-    n = len(binned.t) - 1
-    return preintegrate(binned, NOISE, np.tile(bias[0], (n, 1)), np.tile(bias[1], (n, 1)))
 
 
 def integrated(binned: BinnedImu, k: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -217,73 +141,6 @@ class TestBins:
         np.testing.assert_allclose(binned.edges, np.linspace(0.3, 1.1, 17))
         assert binned.dt == pytest.approx(0.05)
 
-
-class TestNoise:
-    def test_lost_samples_raise_the_density_of_their_interval_only(self) -> None:
-        base = bin_imu(
-            Shaken(1.0, 0.0, 0.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2, 1.6]), 4, NO_BIAS, NO_BIAS
-        )
-        binned = replace(base, missing=np.array([0.0, 0.5, 0.0]))
-        accel, gyro = interval_noise(binned, NOISE)
-        # a hole of 0.2 s, whose force and rate are off by what they change in it: over all of it by rms 1 - exp(-0.2)
-        unseen = (1.0 - np.exp(-0.2)) * np.sqrt(0.2) * np.sqrt(0.5)
-        np.testing.assert_allclose(accel, np.hypot(NOISE.accel, [0.0, MISSING_ACCEL * unseen, 0.0]))
-        np.testing.assert_allclose(gyro, np.hypot(NOISE.gyro, [0.0, MISSING_GYRO * unseen, 0.0]))
-
-    @pytest.mark.parametrize(("length", "turned"), [(0.2, 0.018), (1.0, 0.32), (3.0, 1.16), (30.0, 3.9)])
-    def test_a_turn_unseen_adds_up_with_the_time_and_in_long_holes_with_its_root(
-        self, length: float, turned: float
-    ) -> None:
-        n = round(length / 0.2)
-        missing = np.concatenate([np.zeros(3), np.ones(n), np.zeros(3)])
-        no = np.zeros((n + 6, 4, 3))
-        binned = BinnedImu(0.2 * np.arange(n + 7), 0.05, no, no, missing)
-        _, gyro = interval_noise(binned, replace(NOISE, gyro=0.0))
-        assert np.sqrt(np.sum(gyro**2 * 0.2)) == pytest.approx(turned, rel=0.02)
-
-    def test_what_fixes_tell_in_between_bounds_it(self) -> None:
-        no = np.zeros((10, 4, 3))
-        told = np.tile([0.2, 0.4], (10, 1))
-        binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.ones(10))
-        accel, gyro = interval_noise(replace(binned, blind=told), NOISE)
-        alone = interval_noise(binned, NOISE)
-        assert np.all(accel < 0.2 * alone[0])
-        assert np.all(gyro < 0.3 * alone[1])
-
-    def test_holes_are_as_long_as_the_intervals_in_a_row_that_miss_samples(self) -> None:
-        missing = np.array([0.5, 1.0, 0.0, 0.0, 0.25, 0.0, 1.0])
-        np.testing.assert_allclose(hole_lengths(missing, np.full(7, 0.2)), [0.3, 0.3, 0.0, 0.0, 0.05, 0.0, 0.2])
-        np.testing.assert_allclose(hole_lengths(np.zeros(3), np.full(3, 0.2)), 0.0)
-
-    def test_force_is_noisier_where_it_was_found_to_be(self) -> None:
-        no = np.zeros((10, 4, 3))
-        binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.zeros(10), np.ones((10, 2)))
-        ratio = np.linspace(0.5, 4.0, 6)
-        local = replace(NOISE, local=LocalLevel(0.1 + 0.2 * np.arange(2, 8), ratio))
-        accel, gyro = interval_noise(binned, local)
-        expected = np.concatenate([[1.0, 1.0], ratio, [1.0, 1.0]])  # and as everywhere where nothing is known
-        np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(expected))
-        np.testing.assert_allclose(gyro, NOISE.gyro)
-        # in windows elsewhere: as much in the mean
-        np.testing.assert_allclose(interval_noise(binned, local.everywhere())[0], NOISE.accel * np.sqrt(ratio.mean()))
-        assert NOISE.everywhere() == NOISE
-
-    def test_noise_follows_the_vibration_by_its_share(self) -> None:
-        t, rng = np.arange(1, 4001) / 100.0, np.random.default_rng(0)
-        shaking = (t > 10.0) & (t < 20.0)
-        force = np.where(shaking, 5.0, 0.5)[:, None] * rng.normal(size=(len(t), 3)) + [3.0, 0.0, 9.8]
-        rate = 0.1 * rng.normal(size=(len(t), 3))
-        binned = bin_imu(ImuSamples(t, force, rate), np.arange(0.2, 39.8, 0.2), 10, NO_BIAS, NO_BIAS)
-        assert binned.rough is not None
-        np.testing.assert_allclose(binned.rough.mean(axis=0), 1.0)  # so that the density is that of the session
-        inside, outside = slice(55, 90), np.r_[5:40, 110:190]
-        ratio = np.median(binned.rough[inside], axis=0) / np.median(binned.rough[outside], axis=0)
-        assert ratio[0] == pytest.approx(100.0, rel=0.3)  # force alone is rough there, by (5 / 0.5)^2
-        assert ratio[1] == pytest.approx(1.0, rel=0.3)
-        accel, gyro = interval_noise(binned, replace(NOISE, accel_share=0.8))
-        np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(0.2 + 0.8 * binned.rough[:, 0]))
-        np.testing.assert_allclose(gyro, NOISE.gyro)
-
     def test_a_steady_turn_is_no_vibration(self) -> None:
         motion, t = Shaken(1.0, 0.0, 0.0), np.arange(0.2, 29.0, 0.2)
         imu = motion.samples(100.0, 0.0, 30.0)
@@ -293,29 +150,6 @@ class TestNoise:
         assert rough is not None
         assert np.median(rough[t[:-1] < 14.0, 0]) < 0.05  # forces of 5 m/s^2 that take seconds
         assert np.median(rough[t[:-1] > 16.0, 0]) > 1.5
-
-    def test_preintegrated_covariance_is_that_of_white_noise(self) -> None:
-        imu = Shaken(0.0, 0.0, 0.0, turn=0.0).samples(200.0, 0.0, 3.0)
-        measured = preintegrated(bin_imu(imu, np.array([1.0, 2.0]), 50, NO_BIAS, NO_BIAS))[0]
-        P = measured.preintMeasCov()  # rotation, position, velocity, biases
-        assert P.shape == (15, 15)
-        np.testing.assert_allclose(np.sqrt(np.diag(P)[0:3]), NOISE.gyro, rtol=0.02)  # after one second
-        # velocity: accel noise, and gravity leaning with the attitude: q_g^2 g^2 T^3 / 3 on the level axes
-        level, up = np.sqrt(NOISE.accel**2 + (NOISE.gyro * 9.8) ** 2 / 3.0), NOISE.accel
-        np.testing.assert_allclose(np.sqrt(P[8, 8]), up, rtol=0.1)  # the forces of the drive lean a little too
-        np.testing.assert_allclose(np.sqrt(np.diag(P)[6:8]), level, rtol=0.1)
-        np.testing.assert_allclose(np.sqrt(np.diag(P)[9:12]), NOISE.accel_bias_walk, rtol=1e-6)
-        np.testing.assert_allclose(np.sqrt(np.diag(P)[12:15]), NOISE.gyro_bias_walk, rtol=1e-6)
-
-    def test_every_interval_is_preintegrated_about_its_own_bias(self) -> None:
-        binned = bin_imu(
-            Shaken(1.0, 0.1, 1.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2]), 20, NO_BIAS, NO_BIAS
-        )
-        accel, gyro = np.array([[0.1, 0, 0], [0, 0.2, 0]]), np.array([[0, 0, 0.3], [0.4, 0, 0]])
-        for k, measured in enumerate(preintegrate(binned, NOISE, accel, gyro)):
-            np.testing.assert_array_equal(measured.biasHat().accelerometer(), accel[k])
-            np.testing.assert_array_equal(measured.biasHat().gyroscope(), gyro[k])
-            assert measured.deltaTij() == pytest.approx(0.4)
 
 
 Keyframes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
 from smoother.estimate.graph.chain import inverse_of_lower
-from smoother.estimate.graph.imu import BinnedImu, InertialNoise, preintegrate
+from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.increments import (
     Increments,
     in_left_axes,
@@ -21,6 +21,8 @@ from smoother.estimate.graph.increments import (
     slope_of_inverse,
 )
 from smoother.estimate.graph.inertial import inertial_factors
+from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import GRAVITY_N
 

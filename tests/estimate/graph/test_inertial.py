@@ -11,7 +11,7 @@ from smoother import so3
 from smoother.estimate.graph import inertial
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.components import LOCAL_BOUNDS
-from smoother.estimate.graph.imu import ROUND, BinnedImu, InertialNoise, LocalLevel, Shape, corrected, preintegrate
+from smoother.estimate.graph.imu import BinnedImu, corrected
 from smoother.estimate.graph.increments import felt_by
 from smoother.estimate.graph.inertial import (
     InertialGraph,
@@ -26,6 +26,8 @@ from smoother.estimate.graph.inertial import (
     inertial_factors,
     set_apart,
 )
+from smoother.estimate.graph.inertial_noise import ROUND, InertialNoise, LocalLevel, Shape
+from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     CONSTANTS_SIZE,

@@ -9,8 +9,9 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph.expected import ExpectedMotion, Motion, expected_motion
 from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.imu import BinnedImu, DensePath, InertialNoise, dense_path
+from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path
 from smoother.estimate.graph.inertial import empty_system
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.rows import (
     Rows,
     add_constants_prior,
