@@ -1,0 +1,233 @@
+"""The formats a session may be recorded in: how each is recognised in a directory, and read to a Recording.
+
+A format is one entry of `FORMATS`; the first that recognises what lies in the directory reads it. The module that
+reads a format is imported when one is met, because a session has one of them. Several files of a format, and those that
+go together, are sorted out here; what a file holds is for its own module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from smoother.arrays import Array
+from smoother.errors import SessionError
+from smoother.samples import GnssFixes, Problem
+from smoother.session.files import IMU_NAMES, Foreign, SessionFiles
+from smoother.session.recording import Recording
+
+if TYPE_CHECKING:
+    from smoother.session.foreign import ForeignReading
+    from smoother.session.log import LogFiles
+
+
+@dataclass(frozen=True)
+class Format:
+    """One way a session may be recorded: whether it is there, how to read it, and which files it speaks of itself."""
+
+    name: str
+    recognises: Callable[[SessionFiles], bool]
+    read: Callable[[SessionFiles], Recording]
+    own: Callable[[SessionFiles], list[Path]]
+
+
+def preferred(used: str, others: Sequence[Path]) -> str:
+    """Return the sentence about recordings that are not used; their number stands in it, being the problem's count."""
+    names = ", ".join(path.name for path in others)
+    count = "" if len(others) == 1 else f"{len(others)} others: "
+    return f"{used} is used, not {count}{names}; name a file to have that one"
+
+
+def _read_log(files: SessionFiles) -> Recording:
+    from smoother.session.log import list_recordings, read_log, read_mag_calibration, without_copies
+
+    present = list_recordings(files.logs())
+    chosen, copies = without_copies(_choose(files, present))
+    log = read_log(chosen)
+    field, calibration = read_mag_calibration(chosen, present)
+    inputs = tuple(path.name for path in (*chosen.paths, *(() if calibration is None else (calibration,))))
+    file, problems = chosen.paths[0].name, [*log.problems, *copies]
+    known = {path for recording in present for path in recording.paths}
+    for path in (path for path in files.logs() if path not in known):
+        problems.append(Problem("log_unusable", f"{path.name}: no whole block of a recording; left out"))
+    return Recording(log.gnss, file, inputs, tuple(problems), log.imu, file, log.mag, field)
+
+
+def _choose(files: SessionFiles, present: list[LogFiles]) -> LogFiles:
+    """The recording that the named file belongs to, else the only drive."""
+    if files.chosen is not None:
+        for recording in present:
+            if files.chosen[0] in recording.paths:
+                return recording
+        raise SessionError(f"{files.chosen[0].name}: no whole block of a recording; is it the logger's file?")
+    drives = [recording for recording in present if not recording.is_calibration]
+    if len(drives) == 1:
+        return drives[0]
+    if not drives:
+        names = ", ".join(recording.paths[0].name for recording in present)
+        raise SessionError(f"{files.directory}: only calibrations of the magnetometer ({names}); record a drive")
+    names = ", ".join(recording.paths[0].name for recording in drives)
+    raise SessionError(f"{files.directory}: holds {len(drives)} recordings ({names}); name the file of one")
+
+
+def _read_thesis(files: SessionFiles) -> Recording:
+    from smoother.session.thesis import read_magcalib, read_out
+
+    out_file = files.out_file()
+    assert out_file is not None
+    out = read_out(out_file)
+    inputs, problems, field = [out_file.name], list(out.problems), None
+    if (magcalib := files.find("magcalib.txt", "mag_calib.txt")) is not None:
+        field, magcalib_problems = read_magcalib(magcalib)
+        inputs.append(magcalib.name)
+        problems += magcalib_problems
+    return Recording(out.gnss, out_file.name, tuple(inputs), tuple(problems), out.imu, out_file.name, out.mag, field)
+
+
+def _read_columns(files: SessionFiles) -> Recording:
+    """The CSV form, with fixes from gps.csv or from sentences."""
+    from smoother.session.csv_form import find_restarts, read_imu_and_unit, read_mag
+    from smoother.session.tables import NoRowsError
+    from smoother.session.time_unit import lasts_like
+
+    imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
+    imu, mag, unit, restarts = None, None, None, None
+    problems: list[Problem] = []
+    if imu_table is not None:
+        try:
+            imu, problems, unit = read_imu_and_unit(imu_table)
+        except NoRowsError as error:  # nothing in it can be mended, and fixes alone are a session
+            problems.append(Problem("imu_empty", str(error)))
+    elif (folder := files.folder(*IMU_NAMES)) is not None:
+        problems.append(Problem("imu_folder", f"{folder}: a folder, where a table is wanted; nothing in it is read"))
+    gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
+    if imu_table is not None and imu is not None:
+        is_slow = unit is not None and not lasts_like(imu.t, gnss.t, unit)
+        may_be_set_back = not _is_set_back(problems) or _is_set_back(gnss_problems)
+        if is_slow or not may_be_set_back:
+            imu, problems, unit = read_imu_and_unit(imu_table, may_be_set_back=may_be_set_back, is_slow=is_slow)
+        if (fix_table := files.fix_table()) is not None and _is_restarted([*problems, *gnss_problems]):
+            restarts = find_restarts(imu_table, fix_table, unit)
+        if restarts is not None:
+            imu, problems, unit = read_imu_and_unit(imu_table, is_slow=is_slow, shifts=restarts.samples)
+            gnss, gnss_file, gnss_problems = _read_any_fixes(files, True, unit, restarts.fixes)
+            problems.append(restarts.problem)
+    problems += gnss_problems
+    if mag_table is not None:
+        try:
+            mag, mag_problems = read_mag(
+                mag_table,
+                gnss.t,
+                has_imu=imu is not None,
+                imu_unit=unit,
+                restarts=restarts,
+                is_set_back=_is_set_back(problems),
+            )
+            problems += mag_problems
+        except SessionError as error:  # a session is complete without it
+            problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
+    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table) if file is not None)
+    return Recording(
+        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_table.name if imu_table is not None else "", mag
+    )
+
+
+def _is_set_back(problems: Sequence[Problem]) -> bool:
+    """Whether a clock was set back; that of the samples is that of the fixes, which may know better."""
+    return any(problem.code.endswith("_clock_set_back") for problem in problems)
+
+
+def _is_restarted(problems: Sequence[Problem]) -> bool:
+    return any(problem.code.endswith("_clock_restart") for problem in problems)
+
+
+def _read_any_fixes(
+    files: SessionFiles, has_imu: bool, imu_unit: str | None, shifts: Array | None = None
+) -> tuple[GnssFixes, Path, list[Problem]]:
+    """Fixes and what was wrong with them; shifts (K,) s : of the parts of gps.csv where its clock started again."""
+    table, logs = files.fix_table(), files.sentence_logs()
+    if table is not None:
+        from smoother.session.csv_form import read_fixes
+
+        gnss, problems = read_fixes(table, imu_unit, shifts)
+        if logs and files.chosen is None:
+            problems.append(Problem("gps_csv_preferred", preferred(table.name, logs)))
+        return gnss, table, problems
+    from smoother.session.nmea import read_nmea
+
+    log = logs[0]
+    reading = read_nmea(log)
+    problems = list(reading.problems)
+    if len(logs) > 1:
+        text = preferred(f"{log.name}, the largest log,", logs[1:])
+        problems.append(Problem("gps_other_logs", text, len(logs) - 1))
+    if has_imu and not reading.has_receive_times:
+        text = f"{log.name}: no receive times before the sentences; taken to start together with the IMU"
+        problems.append(Problem("gps_clock_assumed", text))
+    return reading.gnss, log, problems
+
+
+def _foreign_reader(kind: Foreign) -> Callable[[Path], ForeignReading]:
+    match kind:
+        case "vbo":
+            from smoother.session.vbo import read_vbo
+
+            return read_vbo
+        case "racechrono":
+            from smoother.session.racechrono import read_racechrono
+
+            return read_racechrono
+        case "aim":
+            from smoother.session.aim import read_aim
+
+            return read_aim
+        case "gpx":
+            from smoother.session.gpx import read_gpx
+
+            return read_gpx
+
+
+def _read_foreign(files: SessionFiles) -> Recording:
+    """A recording of another program, which stands in place of gps.csv and imu.csv."""
+    (kind, path), *others = files.foreign_files()
+    reading = _foreign_reader(kind)(path)
+    problems = list(reading.problems)
+    if others:
+        text = preferred(path.name, [other for _, other in others])
+        problems.append(Problem("gps_other_logs", text, len(others)))
+    if (table := files.imu_table()) is not None:
+        problems.append(Problem("imu_unused", f"{table.name} is not used: it has not the clock of {path.name}"))
+    return Recording(
+        reading.gnss,
+        path.name,
+        (path.name,),
+        tuple(problems),
+        reading.imu,
+        path.name,
+        unix_at_zero=reading.unix_at_zero,
+    )
+
+
+def _own_of_columns(files: SessionFiles) -> list[Path]:
+    tables = (files.imu_table(), files.fix_table())
+    return [*(table for table in tables if table is not None), *files.sentence_logs()]
+
+
+def _own_of_foreign(files: SessionFiles) -> list[Path]:
+    imu = files.imu_table()
+    return [*(path for _, path in files.foreign_files()), *([] if imu is None else [imu])]
+
+
+FORMATS: tuple[Format, ...] = (
+    Format("log", lambda files: bool(files.logs()), _read_log, SessionFiles.logs),
+    Format("thesis", lambda files: files.out_file() is not None, _read_thesis, lambda files: []),
+    Format(
+        "columns",
+        lambda files: files.fix_table() is not None or bool(files.sentence_logs()),
+        _read_columns,
+        _own_of_columns,
+    ),
+    Format("foreign", lambda files: bool(files.foreign_files()), _read_foreign, _own_of_foreign),
+)
