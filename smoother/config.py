@@ -47,7 +47,10 @@ class MagnetometerUse:
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """The contents of session.toml. `date` is ISO (YYYY-MM-DD); the texts are data, never markup."""
+    """The contents of session.toml. `date` is ISO (YYYY-MM-DD); the texts are data, never markup.
+
+    imu_delay, s: what a low-pass before the sampling holds the inertial samples back by: true at t_s - imu_delay.
+    """
 
     title: str | None = None
     driver: str | None = None
@@ -57,5 +60,6 @@ class SessionConfig:
     notes: str | None = None
     mounting: Mounting = field(default_factory=Mounting)
     imu: ImuNoise = field(default_factory=ImuNoise)
+    imu_delay: float | None = None
     gps: GnssTiming = field(default_factory=GnssTiming)
     magnetometer: MagnetometerUse = field(default_factory=MagnetometerUse)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, median
 from smoother.config import SessionConfig
 from smoother.disc import kept, release, settle
 from smoother.errors import SessionError
@@ -65,6 +65,7 @@ class Recording:
     mag: RawMag | None = None
     mag_calibration_field: Array | None = None
     unix_at_zero: float | None = None  # where the file tells it, but not with each fix
+    knows_imu_delay: bool = False  # and has taken it off
 
 
 def finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -90,6 +91,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu = without_frozen_sensor(imu, gnss, recording.imu_file, problems)
         imu = _if_enough(imu, recording.imu_file, " in which neither sensor stands still", problems)
     if imu is not None:
+        imu = _without_filter_delay(imu, recording, config.imu_delay, problems)
         imu = without_other_units(imu, recording.imu_file, problems)
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
@@ -105,6 +107,20 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         problems=tuple(problems),
         unix_at_zero=recording.unix_at_zero if (told := gnss.unix_at_zero) is None else told,
     )
+
+
+def _without_filter_delay(imu: RawImu, recording: Recording, delay: float | None, problems: list[Problem]) -> RawImu:
+    """The samples when they were true, by the delay (s) that session.toml states.
+
+    They count as means over the time since the one before, and so as true half of that before their stamps already.
+    """
+    if delay is None or len(imu.t) < 2:
+        return imu
+    if recording.knows_imu_delay:
+        text = f"session.toml: [imu] delay is not used; {recording.imu_file} says what its filter was"
+        problems.append(Problem("imu_delay_known", text))
+        return imu
+    return replace(imu, t=imu.t - (delay - 0.5 * median(np.diff(imu.t))))
 
 
 def _require_fixes(recording: Recording) -> None:

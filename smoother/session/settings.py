@@ -16,6 +16,7 @@ from smoother.words import did_you_mean
 ROTATION_TOLERANCE = 0.02  # largest error of R R^T: a matrix typed with two decimals is still meant as a rotation
 LONGEST_LEVER_ARM = 20.0  # m; beyond, millimetres were written for metres
 LONGEST_LATENCY = 5.0  # s
+LONGEST_FILTER_DELAY = 0.2  # s; a low-pass of 5 Hz has 0.05
 LARGEST_NUMBER = 1e300
 DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "forward": (1.0, 0.0, 0.0),
@@ -104,6 +105,7 @@ def _settings(document: _Reader) -> SessionConfig:
             accel_bias_walk=imu.value("accel_bias_walk", _positive),
             gyro_bias_walk=imu.value("gyro_bias_walk", _positive),
         ),
+        imu_delay=imu.value("delay", _filter_delay),
         gps=GnssTiming(
             position_latency=gps.value("position_latency", _latency),
             velocity_latency=gps.value("velocity_latency", _latency),
@@ -165,6 +167,13 @@ def _latency(value: Any) -> float:
     number = _number(value)
     if abs(number) > LONGEST_LATENCY:
         raise ValueError(f"must lie within {LONGEST_LATENCY:.0f} s; it is in seconds")
+    return number
+
+
+def _filter_delay(value: Any) -> float:
+    number = _number(value)
+    if not 0.0 <= number <= LONGEST_FILTER_DELAY:
+        raise ValueError(f"must lie within 0 and {LONGEST_FILTER_DELAY:g} s; it is in seconds")
     return number
 
 

@@ -69,6 +69,15 @@ def test_settings_are_applied_and_listed(folder: Folder) -> None:
         folder.load()
 
 
+def test_a_stated_delay_of_the_samples_is_taken_off_beyond_the_half_period_that_every_mean_has(folder: Folder) -> None:
+    folder.write(imu__csv=imu_csv(), gps__csv=gps_csv())
+    plain = folder.load().imu
+    delayed = folder.write(session__toml="[imu]\ndelay = 0.02").load().imu
+    assert plain is not None and delayed is not None
+    period = np.median(np.diff(plain.t))
+    np.testing.assert_allclose(plain.t - delayed.t, 0.02 - 0.5 * period, atol=1e-9)
+
+
 def test_gps_csv_wins_over_sentences_and_says_so(folder: Folder) -> None:
     session = folder.write(gps__csv=gps_csv(), rover__nmea="".join(nmea_epochs(50))).load()
     assert session.inputs == ("gps.csv",) and "gps_csv_preferred" in codes(session)

@@ -61,6 +61,15 @@ def test_samples_are_dated_back_by_the_delay_of_the_low_pass(make_records):
     np.testing.assert_allclose(imu.t - records.imu_t / 1e6, -0.0039 + 0.0025, atol=1e-9)
 
 
+def test_a_delay_that_is_stated_beside_a_log_is_not_taken_off_twice(tmp_path, make_records):
+    save(tmp_path, "LOG00001.KLG", make_records(duration=20.0))
+    plain = load_raw(tmp_path)
+    (tmp_path / "session.toml").write_text("[imu]\ndelay = 0.0039\n")
+    stated = load_raw(tmp_path)
+    np.testing.assert_array_equal(stated.imu.t, plain.imu.t)
+    assert [p.code for p in stated.problems if p not in plain.problems] == ["imu_delay_known"]
+
+
 def test_the_compass_is_turned_to_the_axes_of_the_imu_and_adjusted():
     setup = Setup(mag_adjustment=bytes([128, 192, 64]))
     records = LogRecords(

@@ -40,6 +40,7 @@ def test_every_key_of_the_contract_is_read(tmp_path: Path) -> None:
         gyro_noise = 5e-2
         accel_bias_walk = 1e-3
         gyro_bias_walk = 1e-4
+        delay = 0.0059
         [gps]
         position_latency = 0.1
         velocity_latency = 0.2
@@ -53,6 +54,7 @@ def test_every_key_of_the_contract_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(config.mounting.lever_arm_b, [-0.4, 0.0, 0.3])
     np.testing.assert_array_equal(config.mounting.R_bs, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     assert (config.imu.accel_noise, config.imu.gyro_bias_walk) == (0.5, 1e-4)
+    assert config.imu_delay == 0.0059
     assert (config.gps.position_latency, config.gps.velocity_latency) == (0.1, 0.2)
     assert config.magnetometer.use is False and config.magnetometer.declination_deg == -3.5
 
@@ -105,6 +107,8 @@ def test_a_matrix_typed_with_few_decimals_becomes_the_nearest_rotation(tmp_path:
         ("[imu]\naccel_noise = true", r"accel_noise must be a finite number"),
         ("[imu]\naccel_noise = 0", r"must be greater than zero"),
         ("[imu]\naccel_noise = nan", r"must be a finite number"),
+        ("[imu]\ndelay = 5.9", r"within 0 and 0.2 s; it is in seconds"),
+        ("[imu]\ndelay = -0.01", r"within 0 and 0.2 s"),
         ("[gps]\nposition_latency = 100", r"it is in seconds"),
         ("[magnetometer]\nuse = 1", r"use must be true or false"),
         ("[magnetometer]\ndeclination_deg = 400", r"must lie within 180"),

@@ -16,7 +16,11 @@ from smoother.trajectory import Identified
 
 
 def told(
-    sampled_every: float, sigma: float = 2e-3, tau_spread: float = math.inf, **priors: bool
+    sampled_every: float,
+    sigma: float = 2e-3,
+    tau_spread: float = math.inf,
+    config: SessionConfig | None = None,
+    **priors: bool,
 ) -> dict[str, Identified]:
     """Of latencies known to `sigma`, s, with priors of 0.25 s."""
     inertial, half = InertialNoise(0.1, 0.01, 0.003, 1e-4), np.full(3, 0.5)
@@ -29,7 +33,7 @@ def told(
         noise,
         beforehand,
         FittedMounting(np.eye(3), np.full(3, 0.01), True, True),
-        SessionConfig(),
+        config or SessionConfig(),
         np.zeros(3),
         sampled_every,
     )
@@ -42,6 +46,18 @@ def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key
     assert told(0.02)[key].sigma == pytest.approx(math.hypot(2e-3, 0.01 / math.sqrt(3.0)))
     assert told(0.02)[key].value == told(0.0)[key].value
     assert told(0.02)["lever_arm_b"].sigma == told(0.0)["lever_arm_b"].sigma
+
+
+def test_where_the_delay_of_the_samples_is_stated_their_moment_is_known() -> None:
+    stated = told(0.02, config=SessionConfig(imu_delay=0.0059))
+    assert stated["gps_velocity_latency"].sigma == pytest.approx(2e-3)
+
+
+def test_an_antenna_that_leans_looks_like_a_receiver_that_answers_late() -> None:
+    """Half a metre above the box; as the height of the arm is not known, neither is that."""
+    known, unknown = told(0.0, sigma=2e-4), told(0.0, sigma=2e-4, holds_height=True)
+    assert known["gps_velocity_response"].sigma == pytest.approx(2e-4)
+    assert unknown["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.8e-3))
 
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
