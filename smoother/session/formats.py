@@ -52,7 +52,7 @@ def _read_log(files: SessionFiles) -> Recording:
     known = {path for recording in present for path in recording.paths}
     for path in (path for path in files.logs() if path not in known):
         problems.append(Problem("log_unusable", f"{path.name}: no whole block of a recording; left out"))
-    return Recording(log.gnss, file, inputs, tuple(problems), log.imu, file, log.mag, field, knows_imu_delay=True)
+    return Recording(log.gnss, file, inputs, tuple(problems), log.imu, file, log.mag, field, imu_delay=log.imu_delay)
 
 
 def _choose(files: SessionFiles, present: list[LogFiles]) -> LogFiles:

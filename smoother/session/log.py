@@ -57,12 +57,16 @@ class LogFiles:
 
 @dataclass(frozen=True, eq=False)
 class LogRecording:
-    """What a recording holds, on the logger's clock in seconds since power-on."""
+    """What a recording holds, on the logger's clock in seconds since power-on.
+
+    imu_delay, s, is that of the low-pass, which is taken off.
+    """
 
     imu: RawImu | None
     mag: RawMag | None
     gnss: GnssFixes
     problems: list[Problem]
+    imu_delay: float
 
 
 def list_recordings(paths: Iterable[Path]) -> list[LogFiles]:
@@ -160,7 +164,8 @@ def read_log(files: LogFiles) -> LogRecording:
     reading = fixes_from_sentences(((t / TICKS_PER_SECOND, text) for t, text in records.sentences), name)
     mag, mag_problems = mag_samples(records, name)
     problems = [*describe(records, losses, name), *problems, *mag_problems, *reading.problems]
-    return LogRecording(imu, mag, reading.gnss, problems)
+    delay = (records.setup or Setup()).gyro_delay_us / TICKS_PER_SECOND
+    return LogRecording(imu, mag, reading.gnss, problems, delay)
 
 
 def seconds(t_us: IntArray, earlier_us: int = 0) -> Array:

@@ -65,7 +65,7 @@ class Recording:
     mag: RawMag | None = None
     mag_calibration_field: Array | None = None
     unix_at_zero: float | None = None  # where the file tells it, but not with each fix
-    knows_imu_delay: bool = False  # and has taken it off
+    imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
 
 
 def finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -92,6 +92,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu = _if_enough(imu, recording.imu_file, " in which neither sensor stands still", problems)
     if imu is not None:
         imu = _without_filter_delay(imu, recording, config.imu_delay, problems)
+        config = replace(config, imu_delay=config.imu_delay if recording.imu_delay is None else recording.imu_delay)
         imu = without_other_units(imu, recording.imu_file, problems)
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
@@ -116,7 +117,7 @@ def _without_filter_delay(imu: RawImu, recording: Recording, delay: float | None
     """
     if delay is None or len(imu.t) < 2:
         return imu
-    if recording.knows_imu_delay:
+    if recording.imu_delay is not None:
         text = f"session.toml: [imu] delay is not used; {recording.imu_file} says what its filter was"
         problems.append(Problem("imu_delay_known", text))
         return imu

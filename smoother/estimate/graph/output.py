@@ -173,7 +173,7 @@ def build_trajectory(
     rows = _Rows.empty(len(t))
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
-        rows.unsure_of_time(part, unsure_moment(sampled_every))
+        rows.unsure_of_time(part, unsure_moment(sampled_every, session.config.imu_delay))
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
 
