@@ -49,8 +49,8 @@ class MagnetometerUse:
 class SessionConfig:
     """The contents of session.toml. `date` is ISO (YYYY-MM-DD); the texts are data, never markup.
 
-    imu_delay, s: what a low-pass before the sampling holds the inertial samples back by: true at t_s - imu_delay. Of a log that
-    says what it was, it is that.
+    imu_delay, s: what a low-pass before the sampling holds the inertial samples back by: true at t_s - imu_delay.
+    Of a log that says what it was, it is that.
     """
 
     title: str | None = None

@@ -15,8 +15,8 @@ from smoother.trajectory import Identified
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 # s^2, of the response: what an antenna half a metre above a box that leans by 1.5 mrad to a m/s^2 shows of its own
 ANTENNA_LEANS = 0.8e-3
-# s, of what filters before the sampling hold a sample back by beyond the mean that it is taken for: those that are usual
-# with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
+# s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
+# usual with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
 FILTERS = 1.5e-3
 
 
