@@ -16,6 +16,7 @@ from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
 from smoother.estimate.graph.imu import BinnedImu, InertialNoise, bin_imu, halved, hole_lengths, tell_of_samples
 from smoother.estimate.graph.keyframes import keyframe_times
+from smoother.estimate.graph.lasting import lasting_at_rest
 from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
@@ -247,6 +248,7 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
         still,
         doubted=None if doubted is None else doubted[use],
         heights=_heights(session),
+        lasting=lasting_at_rest(gnss.t, gnss.velocity_n, standing),
     )
 
 
