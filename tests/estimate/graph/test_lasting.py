@@ -49,23 +49,36 @@ class TestAtRest:
         assert lasting_at_rest(T[[0, 1, 500, 2900]], np.ones((4, 3)), np.array([True, False, False, True])) == 0.0
 
 
+def smoothed_walk(sigma: float, lasting: float, density: float, every: float) -> tuple[float, float, float]:
+    """Standard deviations, m/s, that a path has in its midst: as it says, as it errs, and of the best of all paths.
+
+    A random walk of `density`, measured every `every` s with errors that last; the path takes them for white noise that
+    counts as `counted` says.
+    """
+    n, walk = 901, density**2 * every
+    variance = (counted(sigma, lasting, density, every) * sigma) ** 2
+    difference = np.diff(np.eye(n), axis=0)
+    stiff = difference.T @ difference / walk
+    later = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    errors = sigma**2 * np.eye(n) + lasting**2 * np.exp(-later * every / TAU)
+    said = np.linalg.inv(np.eye(n) / variance + stiff)[n // 2]
+    best = np.linalg.inv(np.linalg.inv(errors) + stiff)[n // 2, n // 2]
+    weights = said / variance
+    # the walk errs by its steps from the middle to each time, weighed
+    missed = weights - (np.arange(n) == n // 2)
+    steps = np.cumsum(missed[::-1])[::-1][1:]
+    errs = weights @ errors @ weights + walk * float(steps @ steps)
+    return math.sqrt(said[n // 2]), math.sqrt(errs), math.sqrt(best)
+
+
 class TestCounted:
-    def test_a_path_errs_by_what_it_says(self) -> None:
-        """A random walk, measured every EVERY s: the weights of its smoother on errors that last, summed one by one."""
-        for sigma, lasting, accel in ((0.05, 0.03, 0.03), (0.1, 0.05, 0.2), (0.03, 0.06, 0.5)):
-            variance = (counted(sigma, lasting, accel, EVERY) * sigma) ** 2
-            n, walk = 801, accel**2 * EVERY
-            difference = np.diff(np.eye(n), axis=0)
-            covariance = np.linalg.inv(np.eye(n) / variance + difference.T @ difference / walk)
-            weights = covariance[n // 2] / variance
-            later = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-            errs = sigma**2 * np.eye(n) + lasting**2 * np.exp(-later * EVERY / TAU)
-            left = np.zeros(n)
-            left[n // 2] = 1.0
-            # what the walk adds: the truth at each time less that of the middle, by how it came there
-            steps = np.cumsum((weights - left)[::-1])[::-1][1:]
-            true = weights @ errs @ weights + walk * float(steps @ steps)
-            assert true == pytest.approx(covariance[n // 2, n // 2], rel=1e-3)
+    @pytest.mark.parametrize("every", [0.2, 0.1, 0.04])
+    @pytest.mark.parametrize("density", [0.03, 0.1, 0.3])
+    def test_a_path_errs_by_what_it_says_and_hardly_by_more_than_it_must(self, density: float, every: float) -> None:
+        for sigma in (0.05, 0.1):
+            said, errs, best = smoothed_walk(sigma, 0.5 * sigma, density, every)
+            assert errs == pytest.approx(said, rel=1e-3)
+            assert best <= errs < 1.09 * best
 
     def test_white_velocities_count_one_by_one(self) -> None:
         assert counted(0.05, 0.0, 0.1, EVERY) == 1.0
