@@ -1,16 +1,17 @@
 """Errors of velocities that last for a second or two: what a drive does not show of them, and a stand does.
 
-Receivers filter, and reflections last: of two modules in one car a part of the error, 0.018 m/s beside 0.037 m/s that
+Receivers filter, and reflections last: of two modules in one car a part of the error, 0.021 m/s beside 0.036 m/s that
 is white, goes on from velocity to velocity on the drive. It can not be seen there. Over the time that a path follows
 velocities for, an error that is forgotten in a second or two is a random walk, and so is what noise of the force adds
 up to: whatever is left of the velocities fits noisier samples as well, and has been put down to them. What else is
 identified, delays, arm and attitude, is right: it rests on the sum of both. Velocities are not: the kart is said to
 have moved as the receiver erred.
 
-At rest all of a velocity is its error. The same two modules show 0.020 m/s there that lasts, against 0.018 on the
-drive, though a fifth of what is white. So what lasts at rest is taken to last on the drive, by as much; a receiver that
-shows none, holds its speed at zero or never stood counts as it did. It is moved from the force, whose noise it was
-taken for, to the velocities, which count at the number of independent ones that they amount to.
+At rest all of a velocity is its error. The same two modules show 0.020 m/s there that lasts, against 0.021 on the
+drive, though a quarter of what is white (`benchmarks/twins.py`, 0.2 s later). So what lasts at rest is taken to last on
+the drive, by as much; a receiver that shows none, holds its speed at zero or never stood counts as it did. It is moved
+from the force, whose noise it was taken for, to the velocities, which count at the number of independent ones that they
+amount to.
 """
 
 import math
