@@ -297,6 +297,7 @@ EFFECTS = (
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("what velocities at rest have in common", patches=((start, "scale_at_rest", _one_by_one),)),
+    Effect("velocities that err for a while", patches=((start, "lasting_at_rest", lambda *_: 0.0),)),
     Effect("reported accuracies", session=_no_reports),
     Effect("receivers that go straight on", patches=((begin, "coasting", _none_left_out),)),
     Effect("receivers that have not settled", patches=((begin, "unsettled", _none_left_out),)),

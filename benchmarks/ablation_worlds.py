@@ -138,6 +138,7 @@ def _holds(session: Session, _: int) -> Session:
 
 NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
 QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
+FILTERED = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "gnss_velocity_lasting": 0.025, "imu_accel_noise": 0.05}
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
 # plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
 # steering wheel whose accelerometer is late; receivers and clocks as they should not be
@@ -161,5 +162,9 @@ WORLDS = {
     "kart, errors of Doppler that last at rest": World(
         "kart", {"gnss_velocity_sigma": 0.03, "motion_stops": (Stop(30.0, 60.0),)}, _lasting
     ),
+    "kart, errors of Doppler that last for a while": World(
+        "kart", {"gnss_velocity_lasting": 0.075, "motion_standstill": 30.0}
+    ),
+    "kart, quick receiver that errs for a while": World("kart", {**FILTERED, "motion_standstill": 30.0}),
     "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
 }

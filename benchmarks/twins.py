@@ -7,8 +7,9 @@ suits it best; and it is over the same times for the fixes as they came and for 
 the difference also holds the distance of their antennas, alike for both.
 
 Then comes how far the smoothed path wanders from the reference over some time, beside what its joint covariance says:
-on that the sigmas of lap times count. There the distance of two antennas, which turns with the car, is taken out. Last,
+on that the sigmas of lap times count. There the distance of two antennas, which turns with the car, is taken out. Then,
 of the two modules, how far their velocities and attitudes are apart, beside the sigmas of both: no reference has these.
+Last, what the Doppler velocities of the two err by from one to the next, at rest and on the drive, before smoothing.
 """
 
 import argparse
@@ -47,6 +48,9 @@ WANDERED = (10.0, 30.0, 60.0)  # s
 PAIRS = 400  # of times, at most, whose covariance is asked for
 RTK_FIXED = 4  # of GGA; the float solutions of the same receiver are no reference
 MOVING = 2.0  # m/s; slower there is no direction to be across of
+AT_REST = 0.3  # m/s
+LATER = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)  # s from one velocity to another
+WILD = 0.5  # m/s apart, beyond which one of the velocities is no velocity
 
 
 @dataclass(frozen=True)
@@ -221,6 +225,47 @@ def motions(one: Trajectory, other: Trajectory, t: Array) -> list[Apart]:
     ]
 
 
+@dataclass(frozen=True)
+class Lasting:
+    """What one module's level Doppler velocities err by, half of what two differ by, m/s per axis: rms, and of it what
+    lasts for each of LATER, the root of the mean product (below zero as its negative)."""
+
+    name: str
+    rms: float
+    lasts: list[float]
+
+
+def lasting(first: Session, second: Session) -> list[Lasting]:
+    """Errors that last in the velocities of the fixes, at rest and moving, at the lag that suits them best.
+
+    The two antennas turn with the car: what that adds is a part of what moves, and lasts as bends do.
+    """
+    t, level = first.gnss.t, first.gnss.velocity_n[:, :2]
+    other, other_t = second.gnss.velocity_n[:, :2], second.gnss.t
+    moving = np.hypot(*level.T) > MOVING
+
+    def apart(lag: float) -> Array:
+        return np.asarray(level - np.column_stack([np.interp(t + lag, other_t, values) for values in other.T]))
+
+    def usual(lag: float) -> float:
+        return float(np.median(np.abs(apart(lag)[moving])))
+
+    difference = apart(float(minimize_scalar(usual, bounds=(-LONGEST_LAG, LONGEST_LAG), method="bounded").x))
+    sane = np.all(np.abs(difference) < WILD, axis=1)
+    kinds = {"at rest": ~moving & (np.hypot(*level.T) < AT_REST), "moving": moving}
+    spacing = float(np.median(np.diff(t)))
+    return [_lasting(name, difference, sane & of_kind, spacing) for name, of_kind in kinds.items()]
+
+
+def _lasting(name: str, difference: Array, use: BoolArray, spacing: float) -> Lasting:
+    def product(later: int) -> float:
+        both = use[: len(use) - later] & use[later:]
+        return 0.5 * float(np.mean((difference[: len(use) - later] * difference[later:])[both]))
+
+    products = [product(round(seconds / spacing)) for seconds in LATER]
+    return Lasting(name, float(np.sqrt(product(0))), [float(np.sign(p) * np.sqrt(abs(p))) for p in products])
+
+
 def _rows(path: Trajectory, values: Array, t: Array) -> Array:
     """Values (N, c) of the rows of `path` at t (M,) s, straight lines between."""
     return np.column_stack([np.interp(t, path.t, values[:, i]) for i in range(values.shape[1])])
@@ -264,6 +309,16 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def table_of_lasting(kinds: list[Lasting]) -> str:
+    """Return what lasts of the errors of velocities as a Markdown table."""
+    lines = [
+        f"| Doppler, m/s | rms | {' | '.join(f'after {s:g} s' for s in LATER)} |",
+        f"|---|{'---:|' * (len(LATER) + 1)}",
+    ]
+    lines += [f"| {k.name} | {k.rms:.4f} | {' | '.join(f'{value:.4f}' for value in k.lasts)} |" for k in kinds]
+    return "\n".join(lines)
+
+
 def table(pair: tuple[Difference, Difference], wanders: list[Wander], apart: list[Apart]) -> str:
     """Return both differences, how the smoothed path wanders, and motions apart, as Markdown tables."""
     lines = [
@@ -304,6 +359,7 @@ def main() -> None:
             f"{table((fixes, smoothed), wanders, apart)}",
             flush=True,
         )
+    print(f"\n{table_of_lasting(lasting(*twin_sessions(DATA)[0]))}")
 
 
 if __name__ == "__main__":

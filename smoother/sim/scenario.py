@@ -112,8 +112,9 @@ class NmeaRounding:
 class GnssErrors:
     """Receiver. A row stamped t_s holds the position true at t_s - position_latency, velocity likewise.
 
-    Sigmas are per axis. offset_*: first-order Gauss-Markov error with time constant offset_tau. hacc_factor scales
-    the reported position sigmas, sacc_factor the reported velocity sigma (1: the truth; None: not reported).
+    Sigmas are per axis. offset_*: first-order Gauss-Markov error with time constant offset_tau; of velocities, beside
+    what is white in them (velocity_sigma), velocity_lasting with velocity_tau. hacc_factor scales the reported position
+    sigmas, sacc_factor the reported velocity sigma (1: the truth; None: not reported).
     """
 
     rate: float = 5.0  # Hz
@@ -125,6 +126,8 @@ class GnssErrors:
     velocity: bool = True  # speed and course are in the sentences
     has_vertical_velocity: bool = False
     velocity_sigma: float = 0.0  # m/s
+    velocity_lasting: float = 0.0  # m/s
+    velocity_tau: float = 1.5  # s
     position_latency: float = 0.0  # s
     velocity_latency: float = 0.0  # s, the whole delay, not the part beyond position_latency
     receive_jitter: float = 0.0  # s, mean of an exponential extra delay of the stamp

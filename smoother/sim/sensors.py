@@ -190,7 +190,8 @@ def simulate_gnss(
     epoch = np.arange(0, int(np.floor(duration * errors.rate + 1e-9)) + 1) / errors.rate
     n = len(epoch)
     sigma = np.array([errors.white_horizontal, errors.white_horizontal, errors.white_up])
-    offset = _gauss_markov(errors, n, offset_rng)
+    offset = _gauss_markov(n, errors.rate, errors.offset_tau, offset_rng)
+    offset = offset * np.array([errors.offset_horizontal, errors.offset_horizontal, errors.offset_up])
     jump = _jumps(errors, epoch)
     at_epoch = truth.clock.to_session(epoch)
     velocity_time = at_epoch - (errors.velocity_latency - errors.position_latency)
@@ -198,6 +199,9 @@ def simulate_gnss(
     position = position + sigma * white_rng.standard_normal((n, 3))
     velocity = truth.antenna_velocity_n(velocity_time, lever_arm_b)
     velocity = velocity + errors.velocity_sigma * velocity_rng.standard_normal((n, 3))
+    if errors.velocity_lasting > 0.0:
+        lasting = _gauss_markov(n, errors.rate, errors.velocity_tau, velocity_rng)
+        velocity = velocity + errors.velocity_lasting * lasting
     stamps = at_epoch + errors.position_latency + errors.receive_jitter * stamp_rng.standard_exponential(n)
     stamps = _in_ticks(np.maximum.accumulate(stamps))  # sentences cannot overtake each other
     # what arrives after the end is not recorded
@@ -206,13 +210,12 @@ def simulate_gnss(
     return SimulatedGnss(fixes.select(kept), at_epoch[kept], velocity_time[kept], offset[kept], jump[kept])
 
 
-def _gauss_markov(errors: GnssErrors, count: int, rng: np.random.Generator) -> Array:
-    """First-order Gauss-Markov process (N, 3) m, stationary from the start, discretised exactly."""
+def _gauss_markov(count: int, rate: float, tau: float, rng: np.random.Generator) -> Array:
+    """First-order Gauss-Markov process (N, 3) of variance one, stationary from the start, discretised exactly."""
     drive = rng.standard_normal((count, 3))
-    memory = np.exp(-1.0 / (errors.rate * errors.offset_tau))
+    memory = np.exp(-1.0 / (rate * tau))
     drive[1:] *= np.sqrt(1.0 - memory**2)
-    unit = lfilter([1.0], [1.0, -memory], drive, axis=0)
-    return np.asarray(unit * np.array([errors.offset_horizontal, errors.offset_horizontal, errors.offset_up]))
+    return np.asarray(lfilter([1.0], [1.0, -memory], drive, axis=0))
 
 
 def _jumps(errors: GnssErrors, epoch: Array) -> Array:
@@ -237,6 +240,7 @@ def _fixes(
     angle = np.radians(course)
     sigma_horizontal = np.hypot(errors.white_horizontal, errors.offset_horizontal)
     sigma_up = np.hypot(errors.white_up, errors.offset_up)
+    sigma_velocity = float(np.hypot(errors.velocity_sigma, errors.velocity_lasting))
     return GnssFixes(
         t=stamps,
         lat_deg=lat,
@@ -247,7 +251,7 @@ def _fixes(
         course_deg=course,
         sigma_horizontal=_reported(sigma_horizontal, errors.hacc_factor, n),
         sigma_up=_reported(sigma_up, errors.hacc_factor, n),
-        sigma_velocity=_reported(errors.velocity_sigma, errors.sacc_factor if errors.velocity else None, n),
+        sigma_velocity=_reported(sigma_velocity, errors.sacc_factor if errors.velocity else None, n),
         hdop=np.full(n, _HDOP),
         unix_s=unix_s,
         num_sv=np.full(n, _SATELLITES),

@@ -20,6 +20,7 @@ WORLD_OF = {
     "accelerometer delay": "kart, late force on the wheel",
     "two fixes to a keyframe beyond 10 Hz": "kart, quick receiver on a long arm",
     "GPS offset as the fixes show it beforehand": "white",
+    "velocities that err for a while": "kart, quick receiver that errs for a while",
     "reported accuracies": "kart, poor sky at times",
     "more noise where samples miss": "kart, no samples at times",
     "receivers that go straight on": "kart, receiver that goes straight on",

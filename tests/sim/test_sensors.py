@@ -299,6 +299,28 @@ def test_slow_offset_is_stationary_from_the_first_fix(truth):
     np.testing.assert_allclose(np.std(first, axis=0), [2.0, 2.0, 3.4], rtol=0.12)  # 400 values: 3.5 %
 
 
+def test_errors_of_velocity_that_last_are_gauss_markov_beside_the_white_ones(parked):
+    errors = GnssErrors(rate=5.0, velocity_sigma=0.1, velocity_lasting=0.2, velocity_tau=1.0)
+    fixes = simulate_gnss(parked, replace(errors, has_vertical_velocity=True), ARM, 3000.0, UNIX, rng()).fixes
+    error = fixes.velocity_n
+    np.testing.assert_allclose(np.std(error, axis=0), np.hypot(0.1, 0.2), rtol=0.06)
+    for lag in (1, 5, 10):
+        lasting = np.mean(error[lag:] * error[:-lag], axis=0)
+        np.testing.assert_allclose(lasting, 0.2**2 * np.exp(-0.2 * lag), atol=0.1 * 0.2**2)
+    assert fixes.sigma_velocity[0] == pytest.approx(np.hypot(0.1, 0.2))
+
+
+def test_errors_of_velocity_that_last_leave_all_others_as_they_were(truth):
+    errors = GnssErrors(white_horizontal=0.3, velocity_sigma=0.1, offset_horizontal=1.0, receive_jitter=0.01)
+    plain, filtered = (
+        simulate_gnss(truth, replace(errors, velocity_lasting=lasting), ARM, 60.0, UNIX, rng()).fixes
+        for lasting in (0.0, 0.2)
+    )
+    for name in ("t", "lat_deg", "lon_deg", "alt_m"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(filtered, name))
+    assert 0.1 < np.std((filtered.velocity_n - plain.velocity_n)[:, :2]) < 0.3
+
+
 def test_speed_and_course_both_come_from_the_noisy_velocity(parked):
     errors = GnssErrors(velocity_sigma=0.2)
     fixes = simulate_gnss(parked, errors, ARM, 600.0, UNIX, rng()).fixes

@@ -80,6 +80,7 @@ class Noise:
     slip is that of the wheels, None where they are not asked.
     offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
     population's. offset_most (3,) m is what offset_sigma may be found to be: of a receiver that fixes carrier phases.
+    velocity is what is white of velocities; where errors last, level ones count with `counted` times that (lasting.py).
     """
 
     inertial: InertialNoise
@@ -91,6 +92,12 @@ class Noise:
     offset_tau_spread: float = math.inf
     slip: SlipNoise | None = None
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
+    counted: float = 1.0
+
+    @property
+    def of_velocities(self) -> Array:
+        """Sigma (3,) m/s with which a velocity counts."""
+        return np.asarray(self.velocity * [self.counted, self.counted, 1.0])
 
     def change(self, other: "Noise") -> float:
         """Largest relative difference of any sigma or mean density to those of `other`.
@@ -147,7 +154,8 @@ class Data:
     whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
     in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
     that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
-    pauses: time that is cut out between some of them, for which the biases walk on.
+    pauses: time that is cut out between some of them, for which the biases walk on. lasting m/s: sigma of what lasts of
+    the errors of velocities.
     """
 
     t: Array
@@ -161,6 +169,7 @@ class Data:
     heights: Array | None = None
     sampled: Array | None = None
     pauses: Pauses = NO_PAUSES
+    lasting: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +320,7 @@ class Batch:
 
 def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
     """What the session's velocities tell on an axis of n, None where there are none."""
-    return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.velocity[axis]))
+    return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.of_velocities[axis]))
 
 
 def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> ExpectedMotion:
@@ -341,7 +350,7 @@ def session_rows(
     position = rw.position_rows(
         state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
     )
-    velocity = rw.velocity_rows(state, path, felt, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.velocity)
+    velocity = rw.velocity_rows(state, path, felt, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.of_velocities)
     out = [
         _robust(position, d.doubted),
         _robust(velocity),

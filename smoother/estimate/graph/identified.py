@@ -140,7 +140,8 @@ def _noise(noise: Noise, config: SessionConfig) -> dict[str, Identified]:
     out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
     out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
     out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
-    out["gps_velocity_noise"] = _value(noise.velocity.tolist(), None, "m/s", True, False)
+    # with what lasts of them: laps add it up, and a stream has it beside the noise of force that was found with it
+    out["gps_velocity_noise"] = _value(noise.of_velocities.tolist(), None, "m/s", True, False)
     return out
 
 

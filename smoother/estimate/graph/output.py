@@ -180,7 +180,7 @@ def build_trajectory(
 
 def _source(session: Session, found: Estimated, noise: Noise, binned: BinnedImu, pauses: Pauses) -> "_Source":
     fixes = session.gnss
-    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
+    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.of_velocities[i])) for i in (0, 2))
     return _Source(found.state, binned, noise.inertial, level, up, pauses)
 
 

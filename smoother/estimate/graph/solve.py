@@ -1,11 +1,12 @@
 """Solving in turns: the noise and the constants of a session from a part of it, then the whole until it stays."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, median
 from smoother.estimate.graph.batch import (
     Batch,
     Data,
@@ -18,16 +19,17 @@ from smoother.estimate.graph.batch import (
     variances,
 )
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
-from smoother.estimate.graph.components import Scatter, slip_update, update_noise
+from smoother.estimate.graph.components import OWN_SCATTER, Scatter, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inertial_noise import ROUND
+from smoother.estimate.graph.lasting import Memory, counted, shared_out
 from smoother.estimate.graph.noise_steps import NoiseSteps
 from smoother.estimate.graph.slip import with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
-from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import MagSamples, Problem, Session
 
@@ -139,7 +141,7 @@ def finish(
     scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
     solved: Solved | None = None
     steps: list[tuple[float, float]] = []
-    change, noise_steps = 0.0, NoiseSteps()
+    change, noise_steps, known = 0.0, NoiseSteps(), np.empty((0, 0))
     for turn in range(options.final_rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
@@ -157,14 +159,19 @@ def finish(
             solved = None
             graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
             state, held = _settled(batch, graph, state, noise, before, steps, known, options.final_rounds)
+            rolling = with_lasting(rolling, start, scatter, state, known)
             return on_wheels(batch, graph, state, held, rolling)
     assert solved is not None
     rolling = batch.with_slip(solved, noise) if start.wheels else noise
-    if rolling.slip is None:
-        return solved, noise
+    rolling = with_lasting(rolling, start, scatter, state, known)
+    if rolling.slip is None and rolling.counted == 1.0:
+        return solved, rolling
     held = solved.solution.constants_covariance
     del solved
-    return on_wheels(batch, graph, state, held, rolling)
+    if rolling.slip is not None:
+        return on_wheels(batch, graph, state, held, rolling)
+    graph = graph if graph.serves(rolling.inertial) else batch.graph(state, rolling)
+    return batch.step(graph, state, rolling, held=held), rolling
 
 
 def _settled(
@@ -192,6 +199,23 @@ def _settled(
             return state, step.constants_covariance
 
 
+def with_lasting(noise: Noise, start: Start, scatter: Scatter, state: ChainState, known: Array) -> Noise:
+    """Return the noise with what of it is an error of velocities that lasts moved to these, from the force.
+
+    Constants and attitude rest on the sum of both, and are to stay. known (K, 18): variances of the keyframes.
+    """
+    lasting, doppler, inertial = start.data.lasting, doppler_noise(start.data, noise), noise.inertial
+    if lasting == 0.0 or doppler is None:
+        return noise
+    memory = Memory.shown(doppler.sigma, float(median(known[:, VELOCITY][:, :2].ravel())), doppler.every)
+    density = memory.density(doppler.sigma)
+    if not start.stated.accel_noise:
+        least = OWN_SCATTER * scatter.accel
+        inertial, lasting, less = shared_out(inertial, lasting, memory, state.constants.level_axes_s, least)
+        density = math.sqrt(max(density**2 - less, least**2))
+    return replace(noise, inertial=inertial, counted=counted(doppler.sigma, lasting, density, doppler.every))
+
+
 def on_wheels(
     batch: Batch, graph: InertialGraph, without: ChainState, held: Array, noise: Noise
 ) -> tuple[Solved, Noise]:
@@ -202,6 +226,7 @@ def on_wheels(
     for in latencies and lever arm. Where the rows do not fit, what comes back is without them again.
     """
     assert noise.slip is not None
+    graph = graph if graph.serves(noise.inertial) else batch.graph(without, noise)
     found = batch.step(graph, without, noise, held=held, free=SLIP, was_without_wheels=True)
     for _ in range(SLIP_ROUNDS):
         noise, state = replace(noise, slip=slip_update(found, noise.slip)), found.state
@@ -215,7 +240,7 @@ def on_wheels(
         return found, replace(noise, slip=with_nose(found.slip, noise.slip))
     del found
     noise = replace(noise, slip=None)
-    return batch.step(graph, without, noise), noise
+    return batch.step(graph, without, noise, held=held if noise.counted > 1.0 else None), noise
 
 
 def fits_wheels(solved: Solved) -> bool:

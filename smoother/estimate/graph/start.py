@@ -17,6 +17,7 @@ from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise, hole_lengths
 from smoother.estimate.graph.keyframes import keyframe_times
+from smoother.estimate.graph.lasting import lasting_at_rest
 from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
@@ -248,6 +249,7 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
         still,
         doubted=None if doubted is None else doubted[use],
         heights=_heights(session),
+        lasting=lasting_at_rest(gnss.t, gnss.velocity_n, standing),
     )
 
 
