@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, median
-from smoother.estimate.graph.imu import InertialNoise
+from smoother.estimate.graph.inertial_noise import InertialNoise
 
 TAU = 2.0  # s after which it is forgotten; the two modules at rest, up to 2 s
 LONGEST = 3.0  # s between two velocities, up to which they tell of it; what lasts longer is a bias or nearly so

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.graph import start
-from smoother.estimate.graph.imu import InertialNoise
+from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.lasting import TAU, Memory, counted, lasting_at_rest, shared_out
 from smoother.sim.simulation import simulate_preset
 
