@@ -87,8 +87,8 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> MostProb
     """Multichannel Wiener filter: most probable signals in the channels `wanted` of noisy ones.
 
     sigma (C,) or, of each frequency, (F, C): standard deviation of the noise of the channels, independent of one
-    another. Only what the channels share in phase passes from one to another. Errors are the noise that passes and the
-    signal that does not.
+    another. What of the spectral matrix noise alone may reach is taken off. Only what the channels share in phase
+    passes from one to another. Errors are the noise that passes and the signal that does not.
     """
     spectrum = transform.coefficients / sigma
     n, c = spectrum.shape
@@ -97,7 +97,8 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> MostProb
     power = np.concatenate([np.zeros((1, c, c)), np.cumsum(power, axis=0)])
     count = last - first
     eigenvalues, axes = np.linalg.eigh((power[last] - power[first]) / count[:, None, None])
-    share = _shares(eigenvalues, 0.5 * c / count)
+    of_noise = (1.0 + np.sqrt(c / count)) ** 2
+    share = np.clip(1.0 - of_noise[:, None] / np.maximum(eigenvalues, 1e-300), 0.0, 1.0)
     gain = ((axes[:, wanted] * share[:, None, :]) @ axes.transpose(0, 2, 1)).reshape(len(band), -1)
     k = np.arange(n)
     fine = np.stack([np.interp(k, band, gain[:, i]) for i in range(gain.shape[1])], axis=1).reshape(n, -1, c)
@@ -109,18 +110,6 @@ def most_probable(transform: Transform, sigma: Array, wanted: slice) -> MostProb
     )
     variance = passed + np.maximum(withheld, 0.0)
     return MostProbable(replace(transform, coefficients=found, mean=transform.mean[wanted]), variance)
-
-
-def _shares(eigenvalues: Array, aspect: Array) -> Array:
-    """Share (B, C) of each principal component that is kept, of eigenvalues (B, C) of which noise alone has one.
-
-    aspect (B,): channels over real values that the matrix is the mean of, by which eigenvalues scatter; those within
-    reach of noise are left out, and those beyond err by the noise that turned their axes. For many values
-    (eigenvalue - 1) / eigenvalue. Source: Gavish & Donoho 2017, Optimal shrinkage of singular values, eq. 7.
-    """
-    beyond, reach = eigenvalues - 1.0 - aspect[:, None], 2.0 * np.sqrt(aspect)[:, None]
-    kept = np.sqrt(np.maximum(beyond**2 - reach**2, 0.0))
-    return np.where(beyond > reach, kept / np.maximum(eigenvalues, 1e-300), 0.0)
 
 
 def _mean_variance(whitened: Array, band: IntArray, sigma: Array, n_frequencies: int) -> Array:

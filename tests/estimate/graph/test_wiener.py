@@ -68,19 +68,6 @@ class TestMostProbable:
         values = np.random.default_rng(1).normal(size=(15000, 3))
         assert np.std(filtered(values, np.ones(3))) < 0.15
 
-    @pytest.mark.parametrize("minutes", [1, 2, 10])
-    def test_a_weak_signal_beside_a_strong_one_errs_hardly_more_than_it_must(self, minutes: int) -> None:
-        """What tells an arm from a delay is weak, and within reach of noise in a short session."""
-        strong, weak, n_values, quickest = 8.0, np.sqrt(2.0), int(60 * minutes / DT), 1.0
-        least = np.sqrt(quickest * 2.0 * DT * weak**2 / (1.0 + weak**2))  # of a filter that knows both spectra
-        errors = []
-        for seed in range(10):
-            rng = np.random.default_rng(seed)
-            signal = Transform.of(rng.normal(size=(n_values, 2)), DT).slower_than(quickest).values() * [strong, weak]
-            left = filtered(signal + rng.normal(size=signal.shape), np.ones(2)) - signal
-            errors.append(np.mean(left[:, 1] ** 2))
-        assert np.sqrt(np.mean(errors)) < 1.11 * least
-
     def test_a_channel_that_sees_the_same_lends_a_hand(self) -> None:
         rng = np.random.default_rng(2)
         signal = np.sin(0.7 * MIDDLE + 3.0 * np.sin(0.05 * MIDDLE))
