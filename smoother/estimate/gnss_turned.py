@@ -43,7 +43,7 @@ FARTHEST = 0.5  # of lag, s, of a turn, rad, and of logarithms of factors: beyon
 FACTOR, STRETCH, TURN, LAG, FILTER, BIAS_NORTH, BIAS_WEST = range(7)
 N_FOUND, N_UNKNOWN = 3, 7
 _PRIOR = np.array([FARTHEST] * N_FOUND + [LAG_SIGMA, FILTER_SIGMA, BIAS_SIGMA, BIAS_SIGMA]) ** -2.0
-_LEAST = np.array([LEAST_SHARE, LEAST_SHARE, LEAST_TURN])
+_LEAST = np.array([LEAST_SHARE, 0.5 * LEAST_SHARE, LEAST_TURN])  # of one axis against the other a stretch is the double
 
 
 @dataclass(frozen=True, eq=False)
