@@ -13,6 +13,7 @@ from smoother.config import ImuNoise
 from smoother.estimate.clock_offset import NO_OFFSET, ClockOffset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift
 from smoother.estimate.gnss_offset import OffsetModel
+from smoother.estimate.gnss_turned import NOTHING, Disagreement
 from smoother.estimate.graph import (
     batch,
     begin,
@@ -120,6 +121,10 @@ def _rough_mounting(_: Any, rough_R_bs: Array, *__: Any) -> FittedMounting:
 
 def _none_left_out(session: Session, *_: Any) -> BoolArray:
     return np.zeros(len(session.gnss), dtype=np.bool_)
+
+
+def _agrees(_: Session) -> Disagreement:
+    return NOTHING
 
 
 def _one_pace(*_: Any, **__: Any) -> ClockDrift:
@@ -301,6 +306,7 @@ EFFECTS = (
     Effect("reported accuracies", session=_no_reports),
     Effect("receivers that go straight on", patches=((begin, "coasting", _none_left_out),)),
     Effect("receivers that have not settled", patches=((begin, "unsettled", _none_left_out),)),
+    Effect("velocities turned against positions", patches=((smoother, "disagreement", _agrees),)),
     Effect("drift of the clocks", patches=((begin, "clock_drift", _one_pace),)),
     Effect("clocks that show different times", patches=((begin, "clock_offset", _one_time),)),
     Effect("noise of the fixes from driving alone", patches=((components, "_component_of", _all_count),)),

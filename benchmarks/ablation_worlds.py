@@ -21,6 +21,7 @@ BUMPS, BUMPS_EVERY = 6.0, 20.0  # s that a box is pushed about, and how often
 PUSHED, PUSHED_FOR = 1.0, 0.15  # m/s^2 and s: slower than vibration, quicker than a kart
 LASTING = 0.015  # m/s, of velocities at rest
 HELD = 0.5  # m/s, below which receivers hold what they show
+DECLINATION = 4.0 * DEG  # of a compass, as in the middle of Europe
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,14 @@ def _cold_start(session: Session, seed: int) -> Session:
     since, azimuth = session.gnss.t - session.gnss.t[0], np.random.default_rng(9800 + seed).uniform(0.0, 2.0 * np.pi)
     direction_n = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     return replace(session, gnss=_moved(session, COLD * np.exp(-since / FADES)[:, None] * direction_n))
+
+
+def _magnetic(session: Session, _: int) -> Session:
+    """A receiver that sends its course from magnetic north."""
+    north, west, up = session.gnss.velocity_n.T
+    cos, sin = np.cos(DECLINATION), np.sin(DECLINATION)
+    velocity_n = np.stack([cos * north + sin * west, cos * west - sin * north, up], axis=1)
+    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
 
 
 def _counted(session: Session, _: int) -> Session:
@@ -156,6 +165,7 @@ WORLDS = {
     "kart, late force on the wheel": World("kart", {"motion_steering": 10.0 * DEG, "imu_accel_delay": 0.05}),
     "kart, receiver that goes straight on": World("kart", {}, _coasts),
     "kart, receiver from cold": World("kart", {}, _cold_start),
+    "kart, magnetic course": World("kart", {}, _magnetic),
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
     "kart, bumps in places": World("kart", {}, _bumps),

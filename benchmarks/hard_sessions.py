@@ -168,6 +168,18 @@ def coming_in(north: float, memory: float) -> Damage:
     return damage
 
 
+def velocity_off(turn: float, factor: float) -> Damage:
+    """Velocities point `turn` rad to the right of where they should, as with a magnetic course, and are longer."""
+    cos, sin = factor * np.cos(turn), factor * np.sin(turn)
+
+    def damage(raw: RawSession) -> RawSession:
+        north, west, up = raw.gnss.velocity_n.T
+        velocity_n = np.stack([cos * north + sin * west, cos * west - sin * north, up], axis=1)
+        return replace(raw, gnss=replace(raw.gnss, velocity_n=velocity_n))
+
+    return damage
+
+
 def speed_behind_low_pass(simulation: Simulation, tau: float) -> RawSession:
     """The receiver smooths its velocity by a low-pass of first order."""
     timing, dt = simulation.gnss.velocity_time, 0.005
@@ -218,6 +230,8 @@ HARD = (
     ),
     Hard("cold start, 40 m off", "right: what comes in is left out", damage=coming_in(40.0, 12.0)),
     Hard("speed smoothed over 0.6 s", "right: found, and taken out", receiver_tau=0.6),
+    Hard("magnetic course, 4 deg off", "right: found, and turned back", damage=velocity_off(4.0 * DEG, 1.0)),
+    Hard("speed of a wheel, 3 % fast", "right: found, and scaled", damage=velocity_off(0.0, 1.03)),
     Hard("magnetometer at the motor", "right: the field is not believed", {"mag_engine_disturbance": 1.0}),
     Hard("GPS at 1 Hz", "right", {"gnss_rate": 1.0}),
     Hard("GPS at 25 Hz", "right", {"gnss_rate": 25.0}),

@@ -25,6 +25,7 @@ WORLD_OF = {
     "more noise where samples miss": "kart, no samples at times",
     "receivers that go straight on": "kart, receiver that goes straight on",
     "receivers that have not settled": "kart, receiver from cold",
+    "velocities turned against positions": "kart, magnetic course",
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
 }

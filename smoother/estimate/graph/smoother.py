@@ -1,8 +1,9 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
-    one clock, force in step with rate, without pauses -> fixes alone -> align -> first guess -> jumps beside outages
-    -> identify noise and constants, on a part -> keyframes where velocities were felt -> jumps beside outages
-    -> magnetometer -> solve and identify, in turns -> wheels -> mounting -> output
+    velocities along positions -> one clock, force in step with rate, without pauses -> fixes alone -> align
+    -> first guess -> jumps beside outages -> identify noise and constants, on a part
+    -> keyframes where velocities were felt -> jumps beside outages -> magnetometer
+    -> solve and identify, in turns -> wheels -> mounting -> output
 
 Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
 the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
@@ -20,6 +21,7 @@ from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
+from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
@@ -103,11 +105,18 @@ class GraphSmoother:
         """
         scale, problems = clock_scale(session), clock_problems(session)
         if scale == 1.0:
-            found = self._in_true_time(session)
+            found = self._along_positions(session)
         else:
-            found = in_session_time(self._in_true_time(in_true_time(session, scale)), scale)
+            found = in_session_time(self._along_positions(in_true_time(session, scale)), scale)
         told = explained(found.report.problems, session)
         return replace(found, report=replace(found.report, problems=(*told, *problems)))
+
+    def _along_positions(self, session: Session) -> Trajectory:
+        """Trajectory of a session in true time whose velocities may be turned or scaled against its positions."""
+        apart = disagreement(session)
+        found = self._in_true_time(in_agreement(session, apart))
+        problems = (*found.report.problems, *disagreement_problems(apart))
+        return replace(found, report=replace(found.report, problems=problems))
 
     def _in_true_time(self, session: Session) -> Trajectory:
         if session.imu is None:

@@ -1,0 +1,250 @@
+"""Velocities that are turned or scaled against the positions they come with, by less than a single fix shows.
+
+A magnetic course, velocities along the north of a grid, the speed of a wheel, degrees that were made of metres by a
+sphere: each velocity agrees with its neighbours, and over a lap they lead somewhere else than the positions go. What
+both say of steps of some seconds is compared over the whole session. What neither the wander of the fixes nor the
+delay, the filter or the bias of the velocities explains is a turn, a factor, or a factor of its own for each axis.
+
+Errors of positions that belong to a place, as beside a wall that reflects, come again every lap and look like either,
+and those that last for seconds are told by several steps. The sigmas count both once.
+
+It is the velocities that are changed, whichever is wrong: places, lines and laps are then those of the recording.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from smoother.arrays import Array, IntArray, median
+from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity, unbroken_runs
+from smoother.samples import Problem, Session
+from smoother.units import DEG
+
+TURNED, SCALED = "gps_velocity_turned", "gps_velocity_scaled"  # codes of the problems that say so
+SIGMAS = 5.0
+# and as much as counts: at 17 m/s 0.05 m/s, which is a sigma of smoothed velocities; recorded receivers stay below
+LEAST_SHARE, LEAST_TURN = 0.003, 0.2 * DEG
+STEP, AVERAGED = 2.0, 1.0  # s from one place to the next, and of the fixes that are averaged for each
+SLOWEST_FIXES = 1.1  # s between fixes; between slower ones a kart goes round a bend
+MOVING = 3.0  # m/s; at rest receivers hold their place, and would seem to wander less than they do
+PLACE = 25.0  # m, as far as a wall spoils positions
+FEWEST_STEPS, FEWEST_PLACES = 30, 10
+LASTING = 6  # steps within which an error of positions is another
+LOSES_WEIGHT = 3.0  # usual sizes from which on a step counts less: a jump
+ROUNDS = 5  # of weights, noise, and what is not linear in lag and turn
+# sigmas of the lag of velocities, s, of the square of their filter, s^2 (a mean over 0.8 s has 0.027; a receiver once a
+# second had 0.15), and of their bias, m/s
+LAG_SIGMA, FILTER_SIGMA, BIAS_SIGMA = 0.3, 0.1, 0.05
+FARTHEST = 0.5  # of lag, s, of a turn, rad, and of logarithms of factors: beyond, other things are wrong
+
+FACTOR, STRETCH, TURN, LAG, FILTER, BIAS_NORTH, BIAS_WEST = range(7)
+N_FOUND, N_UNKNOWN = 3, 7
+_PRIOR = np.array([FARTHEST] * N_FOUND + [LAG_SIGMA, FILTER_SIGMA, BIAS_SIGMA, BIAS_SIGMA]) ** -2.0
+_LEAST = np.array([LEAST_SHARE, 0.5 * LEAST_SHARE, LEAST_TURN])  # of one axis against the other a stretch is the double
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """What makes the velocities of a session agree with its positions.
+
+    value (3,): logarithm of the factor of both axes; by how much that of north is above it, and that of west below;
+    and the turn, rad, anticlockwise. Zero where nothing is to be undone. sigma (3,).
+    """
+
+    value: Array
+    sigma: Array
+
+    @property
+    def is_found(self) -> bool:
+        """Whether anything is to be undone."""
+        return bool(np.any(self.value))
+
+
+NOTHING = Disagreement(np.zeros(N_FOUND), np.full(N_FOUND, np.inf))
+
+
+def disagreement(session: Session) -> Disagreement:
+    """Find how the velocities of the fixes are turned and scaled against their positions; nothing where few tell."""
+    steps = _steps_of(session)
+    if steps is None:
+        return NOTHING
+    value, covariance = _compared(steps)
+    return _significant(value, covariance) if np.all(np.abs(value) < FARTHEST) else NOTHING
+
+
+def in_agreement(session: Session, found: Disagreement) -> Session:
+    """Return the session with the velocities of its fixes turned and scaled to their positions."""
+    if not found.is_found:
+        return session
+    sent = session.gnss.velocity_n
+    velocity_n = np.column_stack([_mapped(sent[:, :2], found.value), sent[:, 2]])
+    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
+
+
+def disagreement_problems(found: Disagreement) -> tuple[Problem, ...]:
+    """Say what was turned and scaled, and by how much."""
+    problems = []
+    if found.value[TURN]:
+        side, size, sigma = "right" if found.value[TURN] > 0.0 else "left", *np.abs([found.value, found.sigma])[:, TURN]
+        text = (
+            f"the velocities of the fixes point {size / DEG:.2f} ± {sigma / DEG:.2f} deg to the {side} of the way "
+            "their positions go; turned back. Record the true course, not a magnetic one or one of a grid"
+        )
+        problems.append(Problem(TURNED, text))
+    if found.value[STRETCH]:
+        north, west = (_percent(found.value[FACTOR] + sign * found.value[STRETCH]) for sign in (1.0, -1.0))
+        text = (
+            f"the velocities of the fixes are {north} to the north and {west} to the east than their positions go; "
+            "scaled to them. Make degrees of metres by WGS-84, not by a sphere or one factor"
+        )
+        problems.append(Problem(SCALED, text))
+    elif found.value[FACTOR]:
+        text = (
+            f"the speeds of the fixes are {_percent(found.value[FACTOR])} (± {100.0 * found.sigma[FACTOR]:.2f} %) than "
+            "their positions go; scaled to them. Record the receiver's own speed, not a wheel's, and true seconds"
+        )
+        problems.append(Problem(SCALED, text))
+    return tuple(problems)
+
+
+def _percent(factor: float) -> str:
+    """By how much velocities are faster or slower that a factor, of which this is the logarithm, makes right."""
+    share = 100.0 * math.expm1(-factor)
+    return f"{abs(share):.2f} % {'faster' if share > 0.0 else 'slower'}"
+
+
+def _mapped(level: Array, value: Array) -> Array:
+    """Vectors `level` (N, 2) turned, and then scaled."""
+    cos, sin = math.cos(value[TURN]), math.sin(value[TURN])
+    axes = np.exp([value[FACTOR] + value[STRETCH], value[FACTOR] - value[STRETCH]])
+    return np.asarray(level @ np.array([[cos, sin], [-sin, cos]]) * axes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """S steps between places at speed: by how much positions, the way by the velocities, velocities and accelerations
+    change in each, (S, 2); how long it lasts, (S,) s; where it is, (S, 2) m.
+    """
+
+    position: Array
+    way: Array
+    velocity: Array
+    acceleration: Array
+    lasts: Array
+    middle: Array
+
+    @cached_property
+    def place(self) -> IntArray:
+        """Number (S,) of the place of each step."""
+        cells = np.floor(self.middle / PLACE).astype(np.int64)
+        _, number = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_inverse=True)
+        return np.asarray(number, dtype=np.int64)
+
+
+def _steps_of(session: Session) -> _Steps | None:
+    """Steps of a session, None where they are too few, or in too few places, to tell anything."""
+    t, position_n, velocity_n = session.gnss.t, session.fix_position_n[:, :2], session.gnss.velocity_n[:, :2]
+    known = np.flatnonzero(says_velocity(position_n) & says_velocity(velocity_n))
+    runs = [rows for rows in unbroken_runs(t, known) if t[rows[-1]] - t[rows[0]] > 2.0 * STEP]
+    parts = [
+        _steps(t[rows], position_n[rows], velocity_n[rows]) for rows in runs if median(np.diff(t[rows])) < SLOWEST_FIXES
+    ]
+    if not parts:
+        return None
+    steps = _Steps(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    is_enough = len(steps.lasts) >= FEWEST_STEPS and steps.place.max() + 1 >= FEWEST_PLACES
+    return steps if is_enough else None
+
+
+def _steps(t: Array, position: Array, velocity: Array) -> tuple[Array, ...]:
+    """Columns of the steps of fixes at t (M,) s without a gap; position, velocity (M, 2)."""
+    # straight lines between velocities would be shorter than a bend, by 0.3 % where a kart turns by 0.2 rad from one to
+    # the next
+    spline = CubicSpline(t, velocity)
+    columns = np.column_stack([t, position, spline.antiderivative()(t), velocity, spline(t, 1)])
+    first = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], AVERAGED)))
+    averaged = np.add.reduceat(columns, first) / np.diff(np.append(first, len(t)))[:, None]
+    at = averaged[np.unique(np.searchsorted(averaged[:, 0], np.arange(averaged[0, 0], averaged[-1, 0], STEP)))]
+    steps, middle = np.diff(at, axis=0), 0.5 * (at[1:, 1:3] + at[:-1, 1:3])
+    lasts = steps[:, 0]
+    told = (lasts < 2.0 * STEP) & (np.hypot(steps[:, 3], steps[:, 4]) > MOVING * lasts)
+    steps = steps[told]
+    return (*(steps[:, k : k + 2] for k in (1, 3, 5, 7)), steps[:, 0], middle[told])
+
+
+def _compared(steps: _Steps) -> tuple[Array, Array]:
+    """What is unknown (7,) by least squares, and covariance (3, 3) of what is to be found."""
+    count = len(steps.lasts)
+    x, weight, variance = np.zeros(N_UNKNOWN), np.ones(count), 1.0
+    for _ in range(ROUNDS):
+        left, design = _linearised(steps, x)
+        weighted = design * weight[:, None, None]
+        covariance = np.linalg.inv(np.einsum("sai,saj->ij", weighted, design) / variance + np.diag(_PRIOR))
+        change = covariance @ (np.einsum("sai,sa->i", weighted, left) / variance - _PRIOR * x)
+        x = np.clip(x + change, -FARTHEST, FARTHEST)
+        left = left - design @ change
+        size = np.hypot(left[:, 0], left[:, 1])
+        weight = np.minimum(1.0, (LOSES_WEIGHT * MEDIAN_TO_SIGMA * median(size) / np.maximum(size, 1e-9)) ** 2)
+        variance = float(np.sum(weight * size**2) / max(2.0 * np.sum(weight) - N_UNKNOWN, 1.0)) + 1e-8
+    score = np.einsum("sai,sa,s->si", design, left, weight) / variance
+    robust = [covariance @ together @ covariance for together in (_of_places(score, steps.place), _lasting(score))]
+    wider = np.sqrt(np.max([np.diag(other) / np.diag(covariance) for other in robust], axis=0))
+    covariance = covariance * np.outer(*[np.maximum(wider, 1.0)] * 2)
+    return x, covariance[:N_FOUND, :N_FOUND]
+
+
+def _linearised(steps: _Steps, x: Array) -> tuple[Array, Array]:
+    """What positions change by (S, 2) m beyond what the unknowns x (7,) explain, and its derivatives (S, 2, 7)."""
+    way, velocity, acceleration = (_mapped(v, x) for v in (steps.way, steps.velocity, steps.acceleration))
+    bias, lag = x[BIAS_NORTH:], x[LAG]
+    explained = way + lag * velocity + (0.5 * lag**2 + x[FILTER]) * acceleration + bias * steps.lasts[:, None]
+    design = np.zeros((*way.shape, N_UNKNOWN))
+    design[:, :, FACTOR] = way
+    design[:, 0, STRETCH], design[:, 1, STRETCH] = way[:, 0], -way[:, 1]
+    design[:, 0, TURN], design[:, 1, TURN] = -way[:, 1], way[:, 0]
+    design[:, :, LAG] = velocity + lag * acceleration
+    design[:, :, FILTER] = acceleration
+    design[:, 0, BIAS_NORTH] = design[:, 1, BIAS_WEST] = steps.lasts
+    return steps.position - explained, design
+
+
+def _of_places(score: Array, place: IntArray) -> Array:
+    """Information (7, 7) of scores (S, 7), of which those of one place (S,) are one. Source: Liang and Zeger 1986."""
+    count = int(place.max()) + 1
+    of_each = np.stack([np.bincount(place, column, count) for column in score.T])
+    return np.asarray(of_each @ of_each.T * count / max(count - N_UNKNOWN, 1))
+
+
+def _lasting(score: Array) -> Array:
+    """Information (7, 7) of scores (S, 7) that last for some steps. Source: Newey and West 1987."""
+    total = score.T @ score
+    for k in range(1, LASTING):
+        together = score[k:].T @ score[:-k]
+        total += (1.0 - k / LASTING) * (together + together.T)
+    return np.asarray(total)
+
+
+def _significant(value: Array, covariance: Array) -> Disagreement:
+    """What of the value (3,) is beyond doubt, and counts; found anew with the rest, as if it were none, left out.
+
+    A factor of both axes stays beside a stretch: with it, each of them has its own.
+    """
+    value, kept = value[:N_FOUND].copy(), np.ones(N_FOUND, dtype=np.bool_)
+    covariance = covariance.copy()
+    for _ in range(N_FOUND):
+        sigma = np.sqrt(np.diag(covariance))
+        beyond = np.minimum(np.abs(value) / (SIGMAS * np.maximum(sigma, 1e-12)), np.abs(value) / _LEAST)
+        beyond[~kept] = np.inf
+        if kept[STRETCH] and beyond[STRETCH] >= 1.0:
+            beyond[FACTOR] = np.inf
+        least = int(np.argmin(beyond))
+        if beyond[least] >= 1.0:
+            break
+        kept[least] = False
+        gain = covariance[:, least] / covariance[least, least]
+        value = np.where(kept, value - gain * value[least], 0.0)
+        covariance = covariance - np.outer(gain, covariance[least])
+    return Disagreement(value, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
