@@ -31,7 +31,7 @@ from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
 from smoother.estimate.graph.imu import BinnedImu, DensePath
-from smoother.estimate.graph.inertial_noise import ROUND, Shape
+from smoother.estimate.graph.inertial_noise import ROUND, InertialNoise, Shape
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
@@ -145,6 +145,10 @@ def _same(value: Any, *_: Any) -> Any:
 
 def _same_everywhere(*_: Any) -> None:
     return None
+
+
+def _usual_walks(_: Any, noise: InertialNoise, _usual: InertialNoise) -> InertialNoise:
+    return noise
 
 
 def _one_by_one(*_: Any) -> float:
@@ -298,6 +302,7 @@ EFFECTS = (
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
     Effect("noise that follows the vibration", patches=((components, "_share", _no_share),)),
     Effect("force noisier in places", patches=((components, "local_level", _same_everywhere),)),
+    Effect("walks of the biases as the session shows", patches=((solve, "bias_walks", _usual_walks),)),
     Effect("noise of each direction its own", patches=((components, "_shape", _as_round),)),
     Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),

@@ -21,6 +21,7 @@ WORLD_OF = {
     "two fixes to a keyframe beyond 10 Hz": "kart, quick receiver on a long arm",
     "GPS offset as the fixes show it beforehand": "white",
     "velocities that err for a while": "kart, quick receiver that errs for a while",
+    "walks of the biases as the session shows": "kart, box that warms up",
     "reported accuracies": "kart, poor sky at times",
     "more noise where samples miss": "kart, no samples at times",
     "receivers that go straight on": "kart, receiver that goes straight on",

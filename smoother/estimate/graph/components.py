@@ -19,7 +19,7 @@ from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
-from smoother.estimate.graph.state import ROW_CONSTANTS_SIZE
+from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROW_CONSTANTS_SIZE
 
 # bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
 SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
@@ -53,6 +53,7 @@ LOCAL = 2.0  # s of residuals that tell how noisy force is in their midst
 LOCAL_EVERY = 0.4  # s from one interval that tells it to the next
 LOCAL_COUNT = 10.0  # residuals, of about 6 to an interval, that say that it is as everywhere
 LOCAL_BOUNDS = 0.25, 4.0  # of the variance
+WALK_COUNT = 2.0  # residuals that say that biases walk as those of such sensors do
 SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
 TOGETHER = 256  # rows whose covariances are worked on together
 
@@ -373,6 +374,25 @@ def _offset_ratio(solved: Solved) -> Array:
     if np.mean(has_height) < MOST_HEIGHTS:  # level ground has none, and says nothing of the receiver's
         ratio[2] = 1.0
     return ratio
+
+
+def bias_walks(solved: Solved, noise: InertialNoise, usual: InertialNoise) -> InertialNoise:
+    """Return the noise with the walks of the biases one step on; WALK_COUNT residuals say that they are as `usual`.
+
+    A sensor that warms up drifts by more than such sensors do on average. None walks by less: two modules in one car
+    seem to, but lean apart by more than they say if that is believed. A drift that goes one way is no walk.
+    """
+    duration, solution = np.diff(solved.state.t)[:, None], solved.solution
+    found = []
+    of_biases = (ACCEL_BIAS, solved.state.accel_bias_s), (GYRO_BIAS, solved.state.gyro_bias_s)
+    for (part, bias), walk, expected in zip(of_biases, noise.walks, usual.walks, strict=True):
+        own, cross = (np.einsum("kii->ki", block)[:, part] for block in (solution.covariance, solution.cross))
+        given = walk**2 * duration
+        squares = float(np.sum(np.diff(bias, axis=0) ** 2 / given))
+        redundancy = float(np.sum(1.0 - (own[1:] + own[:-1] - 2.0 * cross) / given))
+        ratio = (squares + WALK_COUNT * (expected / walk) ** 2) / (max(redundancy, 0.0) + WALK_COUNT)
+        found.append(max(walk * float(np.clip(math.sqrt(ratio) ** HASTE, 1.0 / 3.0, 3.0)), expected))
+    return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
 def slip_update(solved: Solved, noise: SlipNoise) -> SlipNoise:

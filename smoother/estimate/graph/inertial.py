@@ -106,9 +106,10 @@ class InertialGraph:
         self._last_whitening = noise, self._own_whitening
 
     def serves(self, noise: InertialNoise) -> bool:
-        """Whether `noise` is so close to what was preintegrated with that scaling the covariances will do.
+        """Whether `noise` is so close to what was preintegrated with that correcting the covariances will do.
 
-        Where force is noisier than elsewhere they are scaled by as much as that may be, to 3 % of a variance as well.
+        For walks it always does: within an interval, biases hardly move anything but themselves. Where force is noisier
+        than elsewhere they are scaled by as much as that may be, to 3 % of a variance as well.
         """
         densities = [noise.accel / self.noise.accel, noise.gyro / self.noise.gyro]
         densities += [one / two for one, two in zip(noise.calm, self.noise.calm, strict=True)]
@@ -175,6 +176,7 @@ class InertialGraph:
         """Likewise, by covariances for densities that are not far from those preintegrated with."""
         T, out = self._increments.T, np.empty_like(self._covariance)
         force, rate = self._more_white(noise)
+        walked = T * np.repeat([now**2 - was**2 for now, was in zip(noise.walks, self.noise.walks, strict=True)], 3)
         for here in pieces(len(out), PIECE):
             covariance = self._covariance[here]
             if noise != self.noise:
@@ -182,6 +184,7 @@ class InertialGraph:
                     rate[here], self._force[here] - self._accel_bias, T
                 )
                 covariance = covariance + more
+                np.einsum("kii->ki", covariance)[:, _BIASES] += walked
             out[here] = in_left_axes(self._increments, inverse_of_lower(np.linalg.cholesky(covariance)), here)
         return out
 

@@ -59,6 +59,11 @@ class InertialNoise:
         return replace(self, accel=self.accel * math.sqrt(float(np.mean(self.local.ratio))), local=None)
 
     @property
+    def walks(self) -> tuple[float, float]:
+        """Densities of the walks of the biases of force and rate."""
+        return self.accel_bias_walk, self.gyro_bias_walk
+
+    @property
     def calm(self) -> tuple[float, float]:
         """Densities without vibration."""
         return self.accel * math.sqrt(1.0 - self.accel_share), self.gyro * math.sqrt(1.0 - self.gyro_share)

@@ -19,7 +19,7 @@ from smoother.estimate.graph.batch import (
     variances,
 )
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
-from smoother.estimate.graph.components import OWN_SCATTER, Scatter, slip_update, update_noise
+from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -271,7 +271,10 @@ def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter, *
     better = update_noise(
         solved, noise, start.binned, scatter, doppler, force_is_stated=is_stated, by_place=by_place and not is_stated
     )
-    inertial = better.inertial
+    inertial = bias_walks(solved, better.inertial, start.noise.inertial)
+    for name in ("accel_bias_walk", "gyro_bias_walk"):
+        if getattr(stated, name):
+            inertial = replace(inertial, **{name: getattr(stated, name)})
     if stated.accel_noise:
         inertial = replace(inertial, accel=stated.accel_noise, accel_share=0.0, accel_shape=ROUND)
     if stated.gyro_noise:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph import components
+from smoother.estimate.graph import components, solve
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.fit.running import gaussian_mean
 from smoother.frames import euler_from_rotation, wrap_angle
@@ -71,6 +71,22 @@ class TestFlaws:
         leaning = [np.sqrt(np.mean(s.euler_error[driving, :2] ** 2)) for s in (known, unknown)]
         assert leaning[0] < 0.92 * leaning[1]
         assert horizontal_rms(known.velocity_error_n[driving]) < horizontal_rms(unknown.velocity_error_n[driving])
+
+    def test_a_sensor_that_warms_up_leans_nobody(self, clean: Smoothed, monkeypatch: pytest.MonkeyPatch) -> None:
+        """By 0.9 m/s^2 to the end of the drive, several times what such sensors walk in that time."""
+        imu = clean.session.imu
+        assert imu is not None
+        warm = (1.0 - np.exp(-(imu.t - imu.t[0]) / 30.0))[:, None]
+        drifting = imu.specific_force_s + 1.0 * warm * [1.0, -0.7, 0.4]
+        session = replace(clean.session, imu=replace(imu, specific_force_s=drifting))
+        known = smoothed(clean.simulation, session)
+        monkeypatch.setattr(solve, "bias_walks", lambda _solved, noise, _usual: noise)
+        unknown = smoothed(clean.simulation, session)
+        leaning = [np.sqrt(np.mean(s.euler_error[:, :2] ** 2)) for s in (known, unknown)]
+        assert leaning[0] < 0.6 * leaning[1]
+        sigma = known.trajectory.sigmas
+        assert sigma is not None
+        assert np.sqrt(np.mean((known.euler_error[:, :2] / sigma.attitude[:, :2]) ** 2)) < 1.6
 
     def test_without_a_magnetometer_only_the_yaw_at_rest_suffers(self, clean: Smoothed) -> None:
         s = flawed(mag=None)
