@@ -193,13 +193,17 @@ def _require_clock(path: Path, t: Array) -> None:
 
 
 def _of_table(table: Table, prefix: str) -> Iterator[Problem]:
-    """What to say of the table as a whole: columns that are there twice, and a last row that is cut."""
+    """What to say of the table as a whole: columns that are there twice, header lines in between, a last row cut."""
     if table.repeated:
         what, count = listed(table.repeated), len(table.repeated)
         text = f"{what}: more than one column of that name; the first is used"
         if count > 1:
             text = f"{what}: more than one column of each of these names; the first is used"
         yield Problem(f"{prefix}_repeated_column", f"{table.file}: {text}", count)
+    if table.headers:
+        lines = counted(table.headers, "header line")
+        text = f"{table.file}: {lines} once more between the rows; left out. Were files joined?"
+        yield Problem(f"{prefix}_header_again", text, table.headers)
     if table.cut:
         yield Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")
 

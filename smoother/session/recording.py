@@ -43,7 +43,10 @@ SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 # said of files whose columns may be right all the same
-OF_NO_COLUMN = ("gps_row_cut", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved", "gps_repeated_time")
+OF_NO_COLUMN = (
+    *("gps_row_cut", "gps_header_again", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved"),
+    "gps_repeated_time",
+)
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 GAP_TIMES = 1.5  # usual steps

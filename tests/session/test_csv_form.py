@@ -303,6 +303,21 @@ def test_a_column_with_a_unit_in_each_cell_or_words_is_said_to_be_unread(tmp_pat
     assert np.all(np.isnan(fixes.alt_m))
 
 
+def test_a_header_that_stands_between_the_rows_again_is_said_once(tmp_path: Path) -> None:
+    rows, again = gps_rows(40), f" {GPS_HEADER.upper()} "
+    fixes, problems = read_fixes(save(tmp_path, gps_table([*rows[:20], again, *rows[20:], again]), "gps.csv"))
+    assert [(problem.code, problem.count) for problem in problems] == [("gps_header_again", 2)]
+    assert problems[0].text == "gps.csv: 2 header lines once more between the rows; left out. Were files joined?"
+    assert len(fixes) == 40 and np.isfinite(fixes.alt_m).all()
+    imu, problems = read_imu(save(tmp_path, imu_table([*imu_rows(300), IMU_HEADER]), "imu.csv"))
+    assert codes(problems) == {"imu_header_again": 1} and imu.t.size == 300
+
+
+def test_a_row_with_some_of_the_names_is_a_damaged_row(tmp_path: Path) -> None:
+    _, problems = read_fixes(save(tmp_path, gps_table([*gps_rows(40), "t_s,lat_deg,lon_deg,8,1,0,1,9,3"]), "gps.csv"))
+    assert codes(problems) == {"gps_invalid": 1}
+
+
 @pytest.mark.parametrize("cell", ["52.1177N", "52.1177°", "52° 7' 3"])
 def test_positions_that_are_no_numbers_are_shown(tmp_path: Path, cell: str) -> None:
     table = save(tmp_path, f"t_s,lat_deg,lon_deg\n0,{cell},12\n1,{cell},12\n", "gps.csv")
