@@ -29,6 +29,7 @@ from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
 from smoother.session.inertial import FEWEST_IMU_SAMPLES
+from smoother.session.leap_seconds import with_learnt_leap_seconds
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
@@ -82,7 +83,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
-    recording = replace(recording, gnss=dated)
+    recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
