@@ -6,6 +6,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, also the value of 1 g in sensor full scales
 KMH = 1.0 / 3.6  # m/s
 MPH = 0.44704  # m/s
 KNOT = 1852.0 / 3600.0  # m/s
+FOOT = 0.3048  # m
 MICROSECOND = 1e-6  # s
 MILLISECOND = 1e-3  # s
 DAY = 86400.0  # s

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.laps.against import driven_against
 from smoother.laps.follow import Followed, follow, refollow
 from smoother.laps.line import BESIDE, best_place, both_ways, line_across, meeting_places, oriented
 from smoother.laps.loop import find_loop
@@ -181,6 +182,7 @@ def _with_lines(
     else:
         start = line_across(curve, 0.0, "start/finish", _spread(curve, followed))
     sectors = () if lines is None or given is None else _given_sectors(curve, lines, problems)
+    problems += driven_against(path, curve, followed)
     return Circuit(curve, followed, start, sectors, None, tuple(problems))
 
 

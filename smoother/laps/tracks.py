@@ -25,9 +25,9 @@ from smoother.frames import Origin, geodetic_to_nwu
 from smoother.laps.line import meeting_places
 from smoother.laps.reference import Curve
 from smoother.laps.results import GivenLines
+from smoother.units import FOOT
 
 ENDINGS = (".json", ".geojson")
-FOOT = 0.3048  # m
 ALIKE = 0.75  # of difflib, 1 for the same: a letter or two of a name are wrong
 LONGEST_LINE = 500.0  # m; beyond, latitude and longitude were swapped or a point is wrong
 _NUMBER = re.compile(r"\d{1,9}")

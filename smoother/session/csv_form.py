@@ -12,7 +12,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import turned_to_metres, turned_to_radians
+from smoother.session.plausible import are_exchanged, turned_to_metres, turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
@@ -53,20 +53,24 @@ def read_imu_and_unit(
     """
     table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    cut = [*_of_table(table, "imu"), *turned_to_radians(gyro, path.name)]
+    problems = list(_of_table(table, "imu"))
     _require_numbers(path, "t_s", t)
     _require_clock(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
     t, said = in_seconds(t, unit, "imu", path.name)
-    said += turned_to_metres(accel, t, path.name)
+    if are_exchanged(accel, gyro, t):
+        accel, gyro = gyro, accel
+        text = "gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
+        problems.append(Problem("imu_exchanged", f"{path.name}: {text}"))
+    problems += [*turned_to_radians(gyro, path.name), *said, *turned_to_metres(accel, t, path.name)]
     if shifts is not None:
         t, used = over_restarts(t, shifts)
         t, accel, gyro = t[used], accel[used], gyro[used]
     t, joined = joined_where_set_back(t, "imu", path.name) if may_be_set_back else (t, [])
-    imu, problems = screen_imu(path.name, t, accel, gyro)
-    return imu, [*cut, *said, *joined, *problems], unit
+    imu, of_rows = screen_imu(path.name, t, accel, gyro)
+    return imu, [*problems, *joined, *of_rows], unit
 
 
 def read_mag(
@@ -193,13 +197,17 @@ def _require_clock(path: Path, t: Array) -> None:
 
 
 def _of_table(table: Table, prefix: str) -> Iterator[Problem]:
-    """What to say of the table as a whole: columns that are there twice, and a last row that is cut."""
+    """What to say of the table as a whole: columns that are there twice, header lines in between, a last row cut."""
     if table.repeated:
         what, count = listed(table.repeated), len(table.repeated)
         text = f"{what}: more than one column of that name; the first is used"
         if count > 1:
             text = f"{what}: more than one column of each of these names; the first is used"
         yield Problem(f"{prefix}_repeated_column", f"{table.file}: {text}", count)
+    if table.headers:
+        lines = counted(table.headers, "header line")
+        text = f"{table.file}: {lines} once more between the rows; left out. Were files joined?"
+        yield Problem(f"{prefix}_header_again", text, table.headers)
     if table.cut:
         yield Problem(f"{prefix}_row_cut", f"{table.file}: 1 row cut short at the end of the file; dropped")
 

@@ -12,7 +12,7 @@ from smoother.session.fix_columns import fix_columns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.rows import LATEST
-from smoother.units import DEG, KMH, KNOT, MPH, STANDARD_GRAVITY
+from smoother.units import DEG, FOOT, KMH, KNOT, MPH, STANDARD_GRAVITY
 
 FASTEST_FIXES = 1000.0  # Hz; nothing writes more, and no receiver makes more than 100
 SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
@@ -22,7 +22,7 @@ SPEED_UNITS = {
     **dict.fromkeys(("mph", "mi/h", "mi/hr"), MPH),
     **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
 }
-LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": 0.3048}
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": FOOT}
 ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
 RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
 

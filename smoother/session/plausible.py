@@ -24,6 +24,10 @@ FEWEST_LEFT = 100  # samples
 SHORTEST_UNIT = 20.0  # s; a box is spun in the hand, or a kart round itself, for less
 LEAST_TURN = 0.1  # of the fastest usual rates, that rates in deg/s are once they are converted
 FASTEST = 90.0  # per cent of the windows
+FEWEST_WINDOWS, FEWEST_OF_WINDOW = 4, 20  # samples, to tell forces from rates
+ALWAYS = 10.0  # per cent of the windows may have less: a box is turned over, or put down, in a few
+GRAVITY_ALWAYS, GRAVITY_MOSTLY = 0.8, 1.3  # of gravity: what is always there, and mostly no more, is a force
+CALM_RATE = 0.5  # rad/s, that some windows stay below: karts stand, or drive straight on; no force does, even in g
 GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
 
 
@@ -79,6 +83,32 @@ def _sensors(imu: RawImu) -> tuple[_Sensor, _Sensor]:
         _Sensor(imu.accel, imu.accel_scale, PLAUSIBLE_FORCE, force, has_gravity=True),
         _Sensor(imu.gyro, imu.gyro_scale, PLAUSIBLE_RATE, rate, DEG),
     )
+
+
+def are_exchanged(accel: Array, gyro: Array, t: Array) -> bool:
+    """Whether what stays of the turn rates (N, 3) is gravity in m/s^2, at all times, and nothing of the accelerations.
+
+    t (N,) s, as written. Rates of a circle in deg/s may be as large, but not at rest, and beside them there is gravity.
+    """
+    forces, rates = _window_means(gyro, t), _window_means(accel, t)
+    if len(forces) < FEWEST_WINDOWS or len(rates) < FEWEST_WINDOWS:
+        return False
+    always = float(np.percentile(forces, ALWAYS)) / STANDARD_GRAVITY
+    mostly = median(forces) / STANDARD_GRAVITY
+    is_gravity = always > GRAVITY_ALWAYS and mostly < GRAVITY_MOSTLY
+    return is_gravity and float(np.percentile(rates, ALWAYS)) < CALM_RATE
+
+
+def _window_means(values: Array, t: Array) -> Array:
+    """Length (K,) of the mean of samples (N, 3) at t (N,) s over each WINDOW; of a long recording over more."""
+    step = max(1, len(values) // ENOUGH_SAMPLES)
+    some, times = thinned(values, step), thinned(t, step)
+    known = np.isfinite(some).all(axis=1) & np.isfinite(times)
+    some, times = some[known], times[known]
+    lasts = float(times[-1] - times[0]) if len(times) else 0.0
+    count = max(FEWEST_OF_WINDOW, round(len(some) * WINDOW / lasts)) if lasts > 0.0 else FEWEST_OF_WINDOW
+    whole = len(some) // count * count
+    return np.asarray(np.linalg.norm(np.mean(some[:whole].reshape(-1, count, 3), axis=1), axis=1))
 
 
 def turned_to_radians(gyro: Array, file: str) -> list[Problem]:

@@ -29,6 +29,7 @@ from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
 from smoother.session.inertial import FEWEST_IMU_SAMPLES
+from smoother.session.leap_seconds import with_learnt_leap_seconds
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
@@ -43,7 +44,10 @@ SLOWEST_FIXES = 20.0  # s from one to the next; likewise
 MANY_HEIGHTS = 50  # of which two would differ by a digit if they were measured
 NO_RECEPTION = ("gps_no_fix", "gps_null_island")  # what a receiver writes that does not see its satellites
 # said of files whose columns may be right all the same
-OF_NO_COLUMN = ("gps_row_cut", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved", "gps_repeated_time")
+OF_NO_COLUMN = (
+    *("gps_row_cut", "gps_header_again", "gps_time_unit", "gps_clock_set_back", "gps_blocks_moved"),
+    "gps_repeated_time",
+)
 FEWEST_FIXES_FOR_CLOCK = 32
 SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
 GAP_TIMES = 1.5  # usual steps
@@ -79,7 +83,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     _require_fixes(recording)
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
-    recording = replace(recording, gnss=dated)
+    recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
     imu = _usable_imu(recording, problems)
     gnss = _with_true_times(recording, problems)
     gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)

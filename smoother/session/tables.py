@@ -42,6 +42,7 @@ ENOUGH_LINES = 20  # to know how many cells a row has
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
+_AGAIN = "header again"  # flag of the rows that are the header once more
 _LONE_RETURN = re.compile(rb"(?<=[^\r\n])\r(?=[^\r\n])")  # ends a line like those of old Macs, among others
 _DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
@@ -77,7 +78,8 @@ class Table:
     `empty` maps the required columns to (N,) bool: the cell holds nothing at all, rather than something unreadable.
     `unread` counts, for each optional column, the cells that hold something which is no number, or no time.
     `cut` : the last row was cut short, as by a loss of power, and is left out. `repeated` : names of columns that are
-    there more than once; the first of each is in `columns`.
+    there more than once; the first of each is in `columns`. `headers` counts the lines between the rows that are the
+    header once more, as of files that were joined; they are no rows.
     """
 
     file: str
@@ -87,6 +89,7 @@ class Table:
     unread: dict[str, int]
     cut: bool = False
     repeated: tuple[str, ...] = ()
+    headers: int = 0
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -151,14 +154,14 @@ def read_table(
     numbers = tuple(name for name in (*required, *optional) if name in header)
     times = tuple(name for name in iso_times if name in header)
     separator = _separator(_header_line(path))
-    columns, flags, cut = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
+    columns, flags, cut, headers = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
     length = len(columns[required[0]])
     if length == 0:
         raise NoRowsError(f"{path.name}: a header line, but no rows; was the recording started?")
     empty = {name: flags[f"empty {name}"] for name in required}
     unread = {name: int(flags[f"unread {name}"].sum()) for name in (*numbers, *times) if name not in required}
     repeated = tuple(name for name in (*numbers, *times) if _repeated(name) in header)
-    return Table(path.name, columns, empty, length, unread, cut, repeated)
+    return Table(path.name, columns, empty, length, unread, cut, repeated, headers)
 
 
 def _require_columns(file: str, header: Sequence[str], required: Sequence[str], head: str) -> None:
@@ -213,8 +216,9 @@ def _require_points(file: str, header: Sequence[str], head: str) -> None:
         )
 
 
-def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray], bool]:
-    """The columns by name, those of true and false, and whether a last row was cut; of a long file from all parts."""
+def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, BoolArray], bool, int]:
+    """The columns by name, those of true and false, whether a last row was cut, and how many headers stand between the
+    rows; of a long file from all parts."""
     names = (*wanted.numbers, *wanted.times)
     try:
         source, is_quoted = _source(path), '"' in _text_head(path)
@@ -226,18 +230,20 @@ def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, 
         if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
             if is_quoted:
                 source = _unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
-            frame = _read_cells(source, wanted)
+            frame, headers = _read_cells(source, wanted)
             flagged = {name: frame[name].to_numpy() for name in wanted.flags}
-            return {name: _column(frame, name) for name in names}, flagged, cut
+            return {name: _column(frame, name) for name in names}, flagged, cut, headers
         growing = {name: Growing() for name in names}
-        flags = {name: Growing(dtype=np.bool_) for name in wanted.flags}
+        flags, headers = {name: Growing(dtype=np.bool_) for name in wanted.flags}, 0
         for part in _parts(path, end):
-            frame = _read_cells(_unquoted(part, wanted.separator) if is_quoted else part, wanted)
+            frame, again = _read_cells(_unquoted(part, wanted.separator) if is_quoted else part, wanted)
+            headers += again
             for name, column in growing.items():
                 column.add(_column(frame, name))
             for name, column in flags.items():
                 column.add(frame[name].to_numpy())
-        return {name: column.rows for name, column in growing.items()}, {n: c.rows for n, c in flags.items()}, cut
+        flagged = {name: column.rows for name, column in flags.items()}
+        return {name: column.rows for name, column in growing.items()}, flagged, cut, headers
     except pl.exceptions.PolarsError as error:
         raise SessionError(f"{path.name}: not readable as a CSV table ({str(error).splitlines()[0]})") from error
     except OSError as error:
@@ -300,15 +306,17 @@ def _length_cut(tail: bytes, separator: bytes) -> int:
     return len(last) if is_cut else 0
 
 
-def _read_cells(source: Path | bytes, wanted: _Wanted) -> pl.DataFrame:
-    """The columns and flags of a table: as numbers throughout, or else cell by cell."""
+def _read_cells(source: Path | bytes, wanted: _Wanted) -> tuple[pl.DataFrame, int]:
+    """The columns and flags of a table: as numbers throughout, or else cell by cell; and how many headers it lost."""
     of_times = [f"unread {name}" for name in wanted.times]
     nothing = [pl.lit(value=False).alias(flag) for flag in wanted.flags if flag not in of_times]
     clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
     frame = clean.collect(engine="streaming")
     if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
-        return frame
-    return _lenient(source, wanted).collect(engine="streaming")
+        return frame, 0
+    frame = _lenient(source, wanted).collect(engine="streaming")
+    headers = int(frame[_AGAIN].sum())
+    return (frame.filter(~pl.col(_AGAIN)) if headers else frame), headers
 
 
 def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) -> pl.LazyFrame:
@@ -334,6 +342,7 @@ def _lenient(source: Path | bytes, wanted: _Wanted) -> pl.LazyFrame:
         *_times(wanted),
         *(blank[name].alias(f"empty {name}") for name in wanted.required),
         *(_is_unread(name).alias(f"unread {name}") for name in wanted.others if name not in wanted.times),
+        pl.all_horizontal(_is_named(name) for name in (*wanted.numbers, *wanted.times)).alias(_AGAIN),
     ]
     return _scan(source, wanted).filter(~pl.all_horizontal(blank.values())).select(chosen)
 
@@ -349,6 +358,11 @@ def _number(name: str) -> pl.Expr:
 
 def _is_blank(name: str) -> pl.Expr:
     return _cell(name).is_null() | (_cell(name) == "")
+
+
+def _is_named(name: str) -> pl.Expr:
+    """Whether a cell holds the name of its column."""
+    return (_cell(name).str.to_lowercase() == name).fill_null(value=False)
 
 
 def _is_unread(name: str) -> pl.Expr:

@@ -277,6 +277,18 @@ def test_speeds_that_contradict_the_positions_as_no_unit_does_are_left_out(tmp_p
     assert "times those of its positions; not used. What is their unit?" in problem.text
 
 
+def test_accelerations_and_rates_that_are_exchanged_are_exchanged_back_and_said(tmp_path: Path) -> None:
+    rows = imu_rows(6000)
+    imu, problems = read_imu(save(tmp_path, imu_table(rows), "imu.csv"))
+    assert problems == []
+    header = "t_s,gx,gy,gz,ax,ay,az"
+    exchanged, problems = read_imu(save(tmp_path, "\n".join([header, *rows]) + "\n", "imu.csv"))
+    np.testing.assert_array_equal(exchanged.accel, imu.accel)
+    np.testing.assert_array_equal(exchanged.gyro, imu.gyro)
+    text = "imu.csv: gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
+    assert [(problem.code, problem.text) for problem in problems] == [("imu_exchanged", text)]
+
+
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_speeds_that_nearly_fit_the_positions_are_left_as_they_are(tmp_path: Path, factor: float) -> None:
     fixes, problems, speed = straight(tmp_path, factor)
@@ -301,6 +313,21 @@ def test_a_column_with_a_unit_in_each_cell_or_words_is_said_to_be_unread(tmp_pat
         ("gps_unread", "gps.csv: fix of 3 rows is no number; not used"),
     ]
     assert np.all(np.isnan(fixes.alt_m))
+
+
+def test_a_header_that_stands_between_the_rows_again_is_said_once(tmp_path: Path) -> None:
+    rows, again = gps_rows(40), f" {GPS_HEADER.upper()} "
+    fixes, problems = read_fixes(save(tmp_path, gps_table([*rows[:20], again, *rows[20:], again]), "gps.csv"))
+    assert [(problem.code, problem.count) for problem in problems] == [("gps_header_again", 2)]
+    assert problems[0].text == "gps.csv: 2 header lines once more between the rows; left out. Were files joined?"
+    assert len(fixes) == 40 and np.isfinite(fixes.alt_m).all()
+    imu, problems = read_imu(save(tmp_path, imu_table([*imu_rows(300), IMU_HEADER]), "imu.csv"))
+    assert codes(problems) == {"imu_header_again": 1} and imu.t.size == 300
+
+
+def test_a_row_with_some_of_the_names_is_a_damaged_row(tmp_path: Path) -> None:
+    _, problems = read_fixes(save(tmp_path, gps_table([*gps_rows(40), "t_s,lat_deg,lon_deg,8,1,0,1,9,3"]), "gps.csv"))
+    assert codes(problems) == {"gps_invalid": 1}
 
 
 @pytest.mark.parametrize("cell", ["52.1177N", "52.1177°", "52° 7' 3"])

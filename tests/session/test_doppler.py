@@ -330,6 +330,26 @@ def test_velocities_upwards_that_contradict_the_heights_are_not_used(tmp_path: P
     assert np.isnan(fixes.velocity_n[:, 2]).all() == bool(said) and np.isfinite(fixes.velocity_n[:, :2]).all()
 
 
+@pytest.mark.parametrize(
+    ("factor", "is_feet"), [(1.0, False), (1.2, False), (2.5, False), (1.0 / 0.3048, True), (3.8, False), (10.0, False)]
+)
+def test_heights_in_feet_are_told_by_the_velocities_upwards_and_turned_into_metres(
+    tmp_path: Path, factor: float, is_feet: bool
+) -> None:
+    height = 120.0 + np.cumsum(CLIMB) * 0.2 + 0.3 * np.random.default_rng(8).standard_normal(600)
+    fixes, told = lap(tmp_path, alt_m=factor * height, vel_u_mps=CLIMB)
+    assert list(told) == (["gps_height_unit"] if is_feet else [])
+    np.testing.assert_allclose(fixes.alt_m, height if is_feet else factor * height, atol=1e-3)
+    assert np.isfinite(fixes.velocity_n[:, 2]).all()
+    assert told.get("gps_height_unit", "as if in feet; taken as such").endswith("as if in feet; taken as such")
+
+
+def test_heights_of_noise_alone_are_not_taken_for_feet(tmp_path: Path) -> None:
+    noise = np.random.default_rng(8).standard_normal(600)
+    _, told = lap(tmp_path, alt_m=(0.05 * np.cumsum(CLIMB) * 0.2 + noise) / 0.3048, vel_u_mps=0.05 * CLIMB)
+    assert told == {}
+
+
 def test_velocities_upwards_that_wander_as_much_as_they_climb_do_not_clearly_contradict_the_heights(
     tmp_path: Path,
 ) -> None:

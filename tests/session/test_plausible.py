@@ -7,6 +7,7 @@ from smoother.arrays import Array
 from smoother.samples import Problem, RawImu
 from smoother.session.plausible import (
     SHORTEST_UNIT,
+    are_exchanged,
     implausible_units,
     turned_to_metres,
     turned_to_radians,
@@ -41,6 +42,29 @@ def test_rates_as_large_as_of_a_kart_in_degrees_are_taken_for_such(factor: float
     said = turned_to_radians(given, "imu.csv")
     np.testing.assert_allclose(given, rate if is_taken else factor * rate)
     assert [problem.code for problem in said] == ["imu_gyro_unit"] * is_taken
+
+
+@pytest.mark.parametrize("of_force", [1.0, 1.0 / STANDARD_GRAVITY, 1e3])
+@pytest.mark.parametrize("of_rate", [1.0, 1.0 / DEG, 131.0 / DEG])
+@pytest.mark.parametrize("rest", [0.0, 40.0, 100.0])
+def test_forces_and_rates_are_exchanged_where_gravity_is_with_the_rates(
+    of_force: float, of_rate: float, rest: float
+) -> None:
+    force, rate = samples(rest)
+    t = np.arange(len(force)) / RATE
+    assert not are_exchanged(of_force * force, of_rate * rate, t)
+    force[RATE * 30 : RATE * 40, 2] *= -1.0  # turned over in the hand
+    known = np.ones(len(t), dtype=np.bool_) if rest else t > 50.0
+    assert are_exchanged(rate[known], force[known], t[known])
+    assert not are_exchanged(rate[:50], force[:50], t[:50]), "too few to tell"
+
+
+@pytest.mark.parametrize("force_unit", [1.0, 1.0 / STANDARD_GRAVITY])
+def test_a_circle_that_is_driven_all_the_time_is_not_gravity(force_unit: float) -> None:
+    """At 9.8 deg/s, written in deg/s, the rates are as large; gravity is where it belongs."""
+    force, rate = samples(rest=0.0)
+    rate += [0.0, 0.0, STANDARD_GRAVITY * DEG]
+    assert not are_exchanged(force_unit * force, rate / DEG, np.arange(len(force)) / RATE)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1.0 / STANDARD_GRAVITY, 100.0 / STANDARD_GRAVITY, 1e-3])

@@ -168,3 +168,14 @@ def test_more_cells_than_names_are_no_decimal_commas_where_numbers_have_points(t
     path = tmp_path / "gps.csv"
     path.write_text("t_s,x\n" + "".join(f"{i}.5,{i}.25{tail}\n" for i in range(40)))
     assert numbers(path) == [[i + 0.5, i + 0.25] for i in range(40)]
+
+
+def test_headers_between_the_rows_of_a_long_table_are_counted_in_all_its_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "LONG_FILE", 1000)
+    monkeypatch.setattr(tables, "PART_BYTES", 1000)
+    path = tmp_path / "gps.csv"
+    path.write_bytes(b"t_s,x\n" + (b"1,2\n" * 400 + b"t_s,x\n") * 3)
+    table = read_table(path, ("t_s", "x"))
+    assert (table.headers, table.length) == (3, 1200) and np.isfinite(table.column("x")).all()

@@ -84,8 +84,8 @@ STRANGE = (
 
 FAR_APART = (
     "the inertial samples fit the fixes only with the antenna {:.1f} m from the box, which this motion can not tell "
-    "from a delay; smoothed from the fixes alone. Where they are that far apart, state it: [mounting] lever_arm_b in "
-    "session.toml"
+    "from late or averaged speeds; smoothed from the fixes alone. Does the logger average its speeds? Leave speed and "
+    "course out of the file. Are box and antenna that far apart? State it: [mounting] lever_arm_b in session.toml"
 )
 
 

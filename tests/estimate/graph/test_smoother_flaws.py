@@ -226,6 +226,21 @@ def test_an_antenna_farther_from_the_box_than_a_kart_is_long_is_believed_only_wh
     assert stated.mode == "full"
 
 
+def test_speeds_that_the_logger_averages_are_asked_about_and_without_them_the_sensor_is_used() -> None:
+    """Over a second, beside courses that are not: no delay of both explains it, and a long arm nearly does."""
+    session = prepare(simulate_preset("kart", 2, duration=100.0, gnss_outages=()).raw)
+    fixes = session.gnss
+    speed = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1])
+    averaged = np.convolve(np.append(np.full(4, speed[0]), speed), np.full(5, 0.2), "valid")
+    velocity_n = fixes.velocity_n * (averaged / np.maximum(speed, 1e-6))[:, None]
+    velocity_n[:, 2] = np.nan
+    found = GraphSmoother().estimate(replace(session, gnss=replace(fixes, velocity_n=velocity_n))).report
+    (said,) = [p.text for p in found.problems if p.code == "arm_too_long"]
+    assert "Does the logger average its speeds? Leave speed and course out of the file" in said
+    without = replace(fixes, velocity_n=np.full_like(velocity_n, np.nan))
+    assert GraphSmoother().estimate(replace(session, gnss=without)).report.mode == "full"
+
+
 def test_a_box_on_the_steering_wheel_is_named_and_its_roll_and_yaw_are_as_unsure_as_the_wheel_makes_them() -> None:
     changes = {"motion_standstill": None, "motion_steering": 10.0 * DEG}
     simulation = simulate_preset("kart", 1, duration=100.0, **changes)
