@@ -8,10 +8,10 @@ from smoother.estimate.graph.smoother import GraphSmoother
 from ..roads import FORCE_NOISE, LATENCY, RATE, hilly_oval
 
 
-@pytest.mark.parametrize("hills", [0.0, 0.7])
-def test_delays_do_not_run_away_on_an_oval_over_hills(hills: float) -> None:
+@pytest.mark.parametrize(("hills", "height"), [(0.0, 0.35), (0.7, 0.35), (1.0, 0.5)])
+def test_delays_do_not_run_away_on_an_oval_over_hills(hills: float, height: float) -> None:
     """The antenna is above the box, as nobody knows: hills swing it, and something else has to answer for that."""
-    report = GraphSmoother().estimate(hilly_oval(hills, height=0.35).session).report
+    report = GraphSmoother().estimate(hilly_oval(hills, height).session).report
     for name in ("gps_position_latency", "gps_velocity_latency"):
         found = report.identified[name]
         assert isinstance(found.value, float)
