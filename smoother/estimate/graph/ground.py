@@ -4,6 +4,8 @@ Noise, drift and the driver differ from lap to lap, the ground does not. Owns wh
 it is, and what it says of the mounting, is up to others.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from smoother.arrays import Array, IntArray
@@ -13,25 +15,60 @@ DIRECTIONS = 8  # that a place is driven in: the way back, or a crossing, falls 
 AWAY = 10.0  # s; whoever comes back later has been elsewhere. From 4 to 40 s the same
 
 
-def variance_of_places(t: Array, position_n: Array, velocity_n: Array, angle: Array) -> tuple[float, int]:
-    """Variance, rad^2, of what `angle` has of the place, and how many rows are at places that were driven twice.
-
-    t (N,) s, position_n (N, 3) m, velocity_n (N, 3) m/s, angle (N,) rad with a mean of about zero. The mean product of
-    two visits to one place, in which what differs from visit to visit cancels out; below zero where chance has it so.
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """Which rows belong to one visit to one place: order (N,) of the rows, by place and time, visit (N,) of each in
+    that order, and place (V,) of each visit.
     """
-    place = _places(position_n, velocity_n)
-    order = np.lexsort((t, place))
-    place, at, angle = place[order], t[order], angle[order]
-    begins = np.concatenate([[True], (np.diff(place) != 0) | (np.diff(at) > AWAY)])
-    visit, of_visit = np.cumsum(begins) - 1, place[begins]
-    mean = np.bincount(visit, angle) / np.bincount(visit)
-    visits, total, squares = np.bincount(of_visit), np.bincount(of_visit, mean), np.bincount(of_visit, mean**2)
-    again = visits > 1
-    rows = np.bincount(place)[again]
-    if not len(rows):
-        return 0.0, 0
-    product = (total[again] ** 2 - squares[again]) / (visits[again] * (visits[again] - 1))
-    return float(np.average(product, weights=rows)), int(np.sum(rows))
+
+    order: IntArray
+    visit: IntArray
+    place: IntArray
+
+    @staticmethod
+    def of(t: Array, position_n: Array, velocity_n: Array) -> "Visits":
+        """Of rows at t (N,) s, position_n (N, 3) m, velocity_n (N, 3) m/s."""
+        place = _places(position_n, velocity_n)
+        order = np.lexsort((t, place))
+        place, at = place[order], t[order]
+        begins = np.ones(len(t), dtype=np.bool_)
+        begins[1:] = (np.diff(place) != 0) | (np.diff(at) > AWAY)
+        return Visits(order, np.cumsum(begins) - 1, place[begins])
+
+    @property
+    def rows(self) -> int:
+        """How many rows are at places that were driven twice."""
+        return int(np.sum(self._rows))
+
+    @property
+    def each(self) -> float:
+        """How often such a place was driven, on average over its rows; once where there is none."""
+        again = self._visits[self._visits > 1]
+        return float(np.average(again, weights=self._rows)) if len(again) else 1.0
+
+    def variance(self, angle: Array) -> float:
+        """Variance, rad^2, of what `angle` (N,) rad, with a mean of about zero, has of the place.
+
+        The mean product of two visits to one place, in which what differs from visit to visit cancels out; below zero
+        where chance has it so, zero where no place was driven twice.
+        """
+        mean = np.bincount(self.visit, angle[self.order]) / np.bincount(self.visit)
+        total, squares = np.bincount(self.place, mean), np.bincount(self.place, mean**2)
+        visits, again = self._visits, self._visits > 1
+        if not np.any(again):
+            return 0.0
+        product = (total[again] ** 2 - squares[again]) / (visits[again] * (visits[again] - 1))
+        return float(np.average(product, weights=self._rows))
+
+    @property
+    def _visits(self) -> IntArray:
+        """Number of visits to each place."""
+        return np.bincount(self.place)
+
+    @property
+    def _rows(self) -> IntArray:
+        """Number of rows at each place that was driven twice."""
+        return np.asarray(np.bincount(self.place[self.visit])[self._visits > 1])
 
 
 def _places(position_n: Array, velocity_n: Array) -> IntArray:

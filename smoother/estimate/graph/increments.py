@@ -159,23 +159,25 @@ def linearize_increments(done: Increments, state: ChainState) -> LinearIncrement
 
 
 @_quietly
-def levelled(linear: LinearIncrements, state: ChainState, acceleration_n: Array) -> LinearIncrements:
-    """Return `linear` with attitudes that turn the force of a kart which accelerates as expected, and level.
+def as_expected(linear: LinearIncrements, state: ChainState, acceleration_n: Array) -> LinearIncrements:
+    """Return `linear` with attitudes that turn the force of a kart which accelerates as expected.
 
-    acceleration_n (N, 3) m/s^2: expected means over the intervals, of which up is not used. Keyframes move by that and
-    by noise of the samples, which goes with itself whichever way the sensor points: in slow karts, whose motion is no
-    more than it, it would pass for most of what is known of yaw, and hold every step back by as much. (Errors in
-    variables; Fuller 1987. The most probable motion is no part of what it misses; Berkson 1950.)
+    acceleration_n (N, 3) m/s^2: expected means over the intervals. Keyframes move by that and by noise of the samples,
+    which goes with itself whichever way the sensor points: in slow karts, whose motion is no more than it, it would
+    pass for most of what is known of yaw, and hold every step back by as much. (Errors in variables; Fuller 1987. The
+    most probable motion is no part of what it misses; Berkson 1950.)
 
-    Fixes hardly tell how a kart moves up and down: keyframes have it from the samples, noise and all. By as little as
-    that noise goes together with what is left in the residuals ahead and to the side, or is taken to do so by a noise
-    that was not quite identified, an attitude would be pulled, the same way everywhere: the kart seems tilted by
-    degrees, with a bias in front of it and a crooked gyroscope to make up for that. Without noise that motion is a
-    small part of gravity, up as often as down, and its mean is nothing.
+    Up and down too. Fixes hardly tell how a kart moves there: keyframes have it from the samples, noise and all. By as
+    little as that noise goes together with what is left in the residuals ahead and to the side, or is taken to do so by
+    a noise that was not quite identified, an attitude would be pulled, the same way everywhere: the kart seems tilted
+    by degrees, with a bias in front of it and a crooked gyroscope to make up for that. But nor may the hills be left
+    out. What they add to the force turns with a tilt, and on an oval goes with the push of the bends, lap after lap:
+    then scale and misalignment, which have that push, answer for what the tilt does not own up to, each making the
+    other greater, and delays go with them by tenths of a second while the fit gets worse.
     """
     T, p, v = linear.T, state.position_n, state.velocity_n
-    faster = v[1:] - v[:-1] - T * acceleration_n * [1.0, 1.0, 0.0]
-    farther = p[1:] - p[:-1] - T * v[:-1] - 0.5 * T**2 * acceleration_n * [1.0, 1.0, 0.0]
+    faster = v[1:] - v[:-1] - T * acceleration_n
+    farther = p[1:] - p[:-1] - T * v[:-1] - 0.5 * T**2 * acceleration_n
     beyond_s = np.stack([farther, faster], axis=1) @ state.R_ns[:-1]  # in axes of the left keyframe
     by_rotation = linear.by_rotation_left.copy()
     by_rotation[:, 1:] += linear.by_left[:, None] @ so3.skew(beyond_s)

@@ -12,7 +12,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu, shaken
-from smoother.estimate.graph.increments import felt_by, in_left_axes, increments, levelled, linearize_increments
+from smoother.estimate.graph.increments import as_expected, felt_by, in_left_axes, increments, linearize_increments
 from smoother.estimate.graph.inertial_noise import InertialNoise, Shape, shared_densities
 from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.state import (
@@ -128,14 +128,14 @@ class InertialGraph:
         there to measure. By the measured ones it would multiply their noise too, which is in the residual as well, and
         the fit would make the scale small to make the noise small (errors in variables; Fuller 1987). What attitudes
         turn is likewise free of the noise where acceleration_n (K-1, 3) m/s^2 is given, the expected means over the
-        intervals (:func:`levelled`); with None it is what the samples say.
+        intervals (:func:`as_expected`); with None it is what the samples say.
         """
         n, whitening = len(self._covariance), self._whitening_with(noise)
         felt = felt_by(state)
         linear = LinearInertial(np.empty((n, 15, _WIDTH)))
         bare = linearize_increments(self._increments, state)
         if acceleration_n is not None:
-            bare = levelled(bare, state, acceleration_n)
+            bare = as_expected(bare, state, acceleration_n)
         J, errors = np.zeros((min(PIECE, n), 15, _WIDTH)), state.constants.as_vector() - self.constants.as_vector()
         for here in pieces(n, PIECE):
             some = J[: here.stop - here.start]

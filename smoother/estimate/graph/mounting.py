@@ -4,7 +4,8 @@ A kart that neither slides nor leans points along its path and stands level. It 
 acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
 and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
 with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
-are taken to be level on average. How far they are from level here and there says how well that can hold.
+are taken to be level on average. How far they are from level here and there says how well that can hold, and how well
+what leans by itself is told from ground that happens to fall to one side where a track bends.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.align import MIN_SPEED
-from smoother.estimate.graph.ground import variance_of_places
+from smoother.estimate.graph.ground import CELL, Visits
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
@@ -35,6 +36,11 @@ ROCKING = 0.2 * DEG
 # However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
 # (FIA, Appendix O to the International Sporting Code, 7.5)
 CROSSFALL = 0.022
+BANK = 2.0 * CELL  # m, after which ground may fall to another side
+# rad at 1 g by which a vehicle leans, either way: what is known of that before it is driven. Karts lean outwards by up
+# to 1.2 deg, cars by 2 to 6; and how far from in proportion to the push
+LEAN = np.array([3.0, 1.0]) * DEG
+FOUND, MOST_ROUNDS = 0.01, 100  # relative change of the ground's variance from one round to the next; each is quick
 STEERED = 0.6  # least correlation of that with slip
 # A calm hand moves the wheel by less, and the box still leans into each bend: on the columns of a simulator of other
 # making by 1.3 to 7 deg per g of push. Frames lean outwards, by up to 1.2, and on banks of 12 % inwards, by 1 to 2
@@ -109,22 +115,67 @@ def on_its_ground(
     unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`. Ground that falls
     by a degree more here than there was not made level to a tenth of it on average: that the mean over the lap is off
     by about as much as places differ is taken for granted. What falls to one side everywhere and alike does not show.
+
+    Where all turns go to one side, roll without a push is read off beyond all that was felt, by a slope that the ground
+    has a part in: by what is known of it (:class:`_Leaning`) roll is moved, and unsure.
     """
     use = _are_fitted(state, missing)
     t, position_n, velocity_n = state.t[use], state.position_n[use], state.velocity_n[use]
+    visits = Visits.of(t, position_n, velocity_n)
+    if visits.rows < MIN_KEYFRAMES:
+        return mounting
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
     R_nb = state.R_ns[use] @ mounting.R_bs.T
-    push = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n)
-    # beside the push its signed square: frames that give by more or less than in proportion do so to both sides alike
-    leaning = np.stack([np.ones(len(push)), push, push * np.abs(push)], axis=1)
-    _, residual, _ = _robust_line(leaning, R_nb[:, 2, 1])
-    of_place, rows = variance_of_places(t, position_n, velocity_n, residual)
+    push = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n) / STANDARD_GRAVITY
+    lap = float(np.sum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]))) * state.interval / visits.each
     # errors that last for minutes come back with the next lap as well: those are in the sigma already
-    unlevel = of_place - unsure - ROCKING**2
-    if rows < MIN_KEYFRAMES or unlevel <= 0.0:
+    leaning = _Leaning.of(push, R_nb[:, 2, 1], visits, unsure + ROCKING**2, max(lap / BANK, 1.0))
+    if leaning is None:
         return mounting
-    roll = np.hypot(mounting.sigma[0], min(np.sqrt(unlevel), CROSSFALL))
-    return replace(mounting, sigma=np.array([roll, *mounting.sigma[1:]]))
+    variance = min(leaning.unlevel, CROSSFALL**2) + leaning.variance
+    sigma = np.array([np.hypot(mounting.sigma[0], np.sqrt(variance)), *mounting.sigma[1:]])
+    return replace(mounting, R_bs=so3.exp(np.array([leaning.upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Leaning:
+    """Roll of a kart that nothing pushes, rad, its variance by what it leans, and the variance of the ground, rad^2."""
+
+    upright: float
+    variance: float
+    unlevel: float
+
+    @staticmethod
+    def of(push: Array, roll: Array, visits: Visits, rest: float, stretches: float) -> "_Leaning | None":
+        """Tell what leans from the ground; None where that is level.
+
+        push (N,) g to the left, roll (N,) rad. rest, rad^2: of what comes back with the place and is no ground;
+        stretches: of ground, each of which may fall its own way, on a lap. A straight line through roll takes from the
+        ground what happens to go with push there, by as much as they are few, and each counts once however often it
+        was driven: the line has what is known beforehand beside it (LEAN), and the ground all that the line leaves,
+        and what that is unsure by. Source: Foerstner 1979, of a line with a prior; the expected squares are those of
+        the EM algorithm (Dempster, Laird and Rubin 1977).
+        """
+        # beside the push its signed square: frames that give by more or less than in proportion do so to both sides
+        design = np.stack([push, push * np.abs(push)], axis=1)
+        _, _, weight = _robust_line(np.column_stack([np.ones(len(push)), design]), roll)
+        weight = weight / np.sum(weight)
+        mean_push, mean_roll = weight @ design, float(weight @ roll)
+        design, roll = design - mean_push, roll - mean_roll
+        weighted = (design * weight[:, None]).T
+        spread, together = weighted @ design, weighted @ roll
+        slopes, covariance, unlevel = np.zeros(len(LEAN)), np.diag(LEAN**2), np.inf
+        for _ in range(MOST_ROUNDS):
+            before = unlevel
+            unlevel = visits.variance(roll - design @ slopes) - rest + float(np.trace(spread @ covariance))
+            if unlevel <= 0.0:
+                return None
+            known = stretches / unlevel
+            covariance = np.linalg.inv(np.diag(LEAN**-2.0) + known * spread)
+            slopes = covariance @ (known * together)
+            if abs(unlevel - before) < FOUND * unlevel:
+                break
+        return _Leaning(mean_roll - float(mean_push @ slopes), float(mean_push @ covariance @ mean_push), unlevel)
 
 
 def _are_fitted(state: ChainState, missing: Array | None) -> BoolArray:

@@ -35,6 +35,10 @@ from smoother.samples import MagSamples, Problem, Session
 
 WELL_KNOWN = 0.15  # of a sigma, which further steps would still move by; it adds 1 % to the error
 CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
+# Of a sigma: a step that moves constants by more has them still on their way. On an oval the alignment may be half a
+# second off, and steps from there are short by the noise that they take from what is still wrong, which hardly changes
+# from turn to turn. So many times the usual turns they have, at most; where the start is near none is added
+ON_THE_WAY, FARTHER = 0.5, 4
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
@@ -114,7 +118,7 @@ def _settle(
     graph = batch.graph(state, noise)
     state = batch.converge(graph, state, noise, options.iterations)
     before, steps = np.zeros(CONSTANTS_SIZE), NoiseSteps()
-    for turn in range(options.rounds):
+    for turn in range(FARTHER * options.rounds):
         graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
@@ -122,8 +126,8 @@ def _settle(
         better = steps.towards(_reestimated(solved, noise, start, scatter), noise)
         settled = noise.change(better) < SETTLED
         noise = better
-        say(0.7 * (turn + 1) / options.rounds)
-        if settled:
+        say(0.7 * min((turn + 1) / options.rounds, 1.0))
+        if (settled or turn + 1 >= options.rounds) and constants_moved(solved.solution) < ON_THE_WAY:
             break
     return state, noise
 

@@ -12,10 +12,10 @@ from smoother.estimate.graph.chain import inverse_of_lower
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.increments import (
     Increments,
+    as_expected,
     in_left_axes,
     increments,
     left_jacobian_inverse,
-    levelled,
     linearize_increments,
     right_jacobian,
     slope_of_inverse,
@@ -94,7 +94,7 @@ def test_residuals_and_jacobians_are_gtsam_s(seed: int, crooked: float) -> None:
 
 @pytest.mark.parametrize("expected", [1.0, 0.3, 0.0])
 @pytest.mark.parametrize("seed", range(2))
-def test_attitudes_turn_what_a_level_path_is_expected_to_feel(seed: int, expected: float) -> None:
+def test_attitudes_turn_what_the_path_is_expected_to_feel(seed: int, expected: float) -> None:
     """Both ends turned by the same small turn in n: change of the residual of velocity, in n.
 
     expected: share of what the keyframes accelerate by that is not noise.
@@ -104,11 +104,11 @@ def test_attitudes_turn_what_a_level_path_is_expected_to_feel(seed: int, expecte
     state = replace(drive.state, accel_bias_s=accel_bias, gyro_bias_s=gyro_bias)
     R, change = state.R_ns, np.diff(state.velocity_n, axis=0)
     linear = linearize_increments(drive.increments(), state)
-    levelled(linear, state, expected * change / T).put(J, slice(0, K - 1))
+    as_expected(linear, state, expected * change / T).put(J, slice(0, K - 1))
     assert np.all(np.abs(change[:, 2]) > 0.01)  # it does not stay level
     for k in range(K - 1):
         turned = R[k + 1] @ (J[k, 6:9, 0:3] @ R[k].T + J[k, 6:9, 15:18] @ R[k + 1].T)
-        felt = np.array([*expected * change[k, :2], -T * GRAVITY_N[2]])  # dv - g T, without what goes up and down
+        felt = expected * change[k] - T * GRAVITY_N
         np.testing.assert_allclose(turned, -so3.skew(felt), atol=1e-9)
 
 
@@ -119,7 +119,7 @@ def test_a_kart_that_stays_level_has_gtsam_s_slopes() -> None:
     position_n[:, 2] = 0.3 * drive.state.t
     state = replace(drive.state, velocity_n=velocity_n, position_n=position_n)
     linear = linearize_increments(drive.increments(), state)
-    found = levelled(linear, state, np.diff(velocity_n, axis=0) / T)
+    found = as_expected(linear, state, np.diff(velocity_n, axis=0) / T)
     for rows in (0, 2):  # turn and velocity; position as at steady acceleration
         np.testing.assert_allclose(found.by_rotation_left[:, rows], linear.by_rotation_left[:, rows], atol=1e-12)
 

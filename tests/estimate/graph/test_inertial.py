@@ -127,7 +127,7 @@ def test_another_noise_is_a_scaled_covariance(ratio: float, shape: Shape) -> Non
 def test_jacobians_are_the_numerical_ones_of_the_chain_s_own_retraction(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inertial, "levelled", lambda linear, *_: linear)
+    monkeypatch.setattr(inertial, "as_expected", lambda linear, *_: linear)
     state, binned = drive(seed)
     graph = inertial_graph(state, binned)
     linear = graph.linearize(state, NOISE)
