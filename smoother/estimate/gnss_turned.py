@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from smoother.arrays import Array, IntArray, median
 from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity, unbroken_runs
+from smoother.fit.spline import CubicSpline
 from smoother.samples import Problem, Session
 from smoother.units import DEG
 
@@ -164,7 +164,7 @@ def _steps(t: Array, position: Array, velocity: Array) -> tuple[Array, ...]:
     # straight lines between velocities would be shorter than a bend, by 0.3 % where a kart turns by 0.2 rad from one to
     # the next
     spline = CubicSpline(t, velocity)
-    columns = np.column_stack([t, position, spline.antiderivative()(t), velocity, spline(t, 1)])
+    columns = np.column_stack([t, position, spline.integral(), velocity, spline.with_slope(t)[1]])
     first = np.unique(np.searchsorted(t, np.arange(t[0], t[-1], AVERAGED)))
     averaged = np.add.reduceat(columns, first) / np.diff(np.append(first, len(t)))[:, None]
     at = averaged[np.unique(np.searchsorted(averaged[:, 0], np.arange(averaged[0, 0], averaged[-1, 0], STEP)))]

@@ -44,6 +44,12 @@ class CubicSpline:
         slope += linear
         return value.T, slope.T
 
+    def integral(self) -> Array:
+        """Integral (K, c) from the first of the points to each."""
+        h, (constant, linear, quadratic, cubic) = np.diff(self._x), self._powers
+        pieces = h * (constant + h * (linear / 2.0 + h * (quadratic / 3.0 + h * cubic / 4.0)))
+        return np.concatenate([np.zeros((1, len(pieces))), np.cumsum(pieces.T, axis=0)])
+
     def _piece(self, x: Array) -> tuple[Array, Array]:
         """Distance (N,) from the point before x (N,), and the coefficients (4, c, N) of its powers there."""
         k = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)

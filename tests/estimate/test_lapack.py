@@ -25,6 +25,8 @@ def test_where_the_extension_is_not_found_the_whole_package_comes(monkeypatch: p
 
 
 def test_smoothing_fixes_does_not_wait_for_the_rest_of_scipy_and_numpy() -> None:
-    code = "import smoother.estimate.gnss_chains, sys; print({'scipy.linalg', 'numpy.f2py'} & set(sys.modules))"
+    modules = "smoother.estimate.gnss_chains, smoother.estimate.graph.smoother, smoother.laps.analysis"
+    slow = "{'scipy.linalg', 'scipy.interpolate', 'scipy.signal', 'numpy.f2py'}"
+    code = f"import {modules}, sys; print({slow} & set(sys.modules))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "set()"

@@ -24,6 +24,7 @@ def test_a_spline_is_the_one_the_library_finds(spacing: str, is_closed: bool) ->
     value, slope = found.with_slope(at)
     np.testing.assert_array_equal(value, found(at))
     np.testing.assert_allclose(slope, expected(at, nu=1), atol=1e-8)
+    np.testing.assert_allclose(found.integral(), expected.antiderivative()(x), atol=1e-7)
 
 
 def test_a_cubic_is_reproduced_up_to_both_ends() -> None:
