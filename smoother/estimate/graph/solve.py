@@ -40,6 +40,7 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 # from turn to turn. So many times the usual turns they have, at most; where the start is near none is added
 ON_THE_WAY, FARTHER = 0.5, 4
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
+LARGE = 2.0  # of either: steps that are another one's beginning, whatever the proportion
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within an eighth of it
@@ -257,13 +258,14 @@ def are_settled(steps: Sequence[tuple[float, float]], change: float = 0.0) -> bo
     """Whether further steps no longer matter, by what the last two moved keyframes and constants, in sigmas.
 
     change: of the noise from the last step but one to the last, relative.
-    Steps that shrink in proportion: those to come add up to the last one times ratio / (1 - ratio).
+    Steps that shrink in proportion: those to come add up to the last one times ratio / (1 - ratio). The larger the last
+    one is, the less is left to that proportion.
     """
     if len(steps) < 2 or change > STEADY:
         return False
     limits = WELL_KNOWN, CONSTANTS_WELL_KNOWN
     return all(
-        last < TINY * limit or (last < limit and last**2 < limit * (before - last))
+        last < TINY * limit or (last < LARGE * limit and last**2 * max(1.0, last / limit) < limit * (before - last))
         for before, last, limit in zip(*steps[-2:], limits, strict=True)
     )
 

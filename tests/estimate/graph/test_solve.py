@@ -25,6 +25,12 @@ class TestAreSettled:
         assert not are_settled([(0.1, 3.0), (0.01, 2.0)])
         assert are_settled([(0.1, 3.0), (0.01, 0.2)])
 
+    def test_a_large_step_may_be_the_last_where_they_shrink_quickly(self) -> None:
+        limit = CONSTANTS_WELL_KNOWN
+        assert are_settled([(0.3, 9.0 * limit), (0.08, 1.15 * limit)])
+        assert not are_settled([(0.3, 2.0 * limit), (0.08, 1.15 * limit)])
+        assert not are_settled([(0.3, 99.0 * limit), (0.08, 2.1 * limit)])
+
     def test_small_steps_to_and_fro_are_an_end(self) -> None:
         small = 0.9 * TINY * WELL_KNOWN, 0.9 * TINY * CONSTANTS_WELL_KNOWN
         assert are_settled([small, small])
