@@ -276,7 +276,7 @@ EFFECTS = (
         patches=((components, "_row_sigma", _as_given), (solve, "doppler_noise", _no_doppler)),
     ),
     Effect("noise of velocity and force found together", patches=((solve, "doppler_noise", _no_doppler),)),
-    Effect("attitudes turn the force of a level path", patches=((inertial, "levelled", _same),)),
+    Effect("attitudes turn the expected force", patches=((inertial, "as_expected", _same),)),
     Effect(
         "scale and misalignment",
         options={"sensor_error_sigma": OFF},
