@@ -147,7 +147,7 @@ def _same_everywhere(*_: Any) -> None:
     return None
 
 
-def _usual_walks(_: Any, noise: InertialNoise, _usual: InertialNoise) -> InertialNoise:
+def _usual_walks(_: Any, noise: InertialNoise, *_usual: Any) -> InertialNoise:
     return noise
 
 

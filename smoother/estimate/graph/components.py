@@ -376,18 +376,18 @@ def _offset_ratio(solved: Solved) -> Array:
     return ratio
 
 
-def bias_walks(solved: Solved, noise: InertialNoise, usual: InertialNoise) -> InertialNoise:
+def bias_walks(solved: Solved, noise: InertialNoise, usual: InertialNoise, duration: Array) -> InertialNoise:
     """Return the noise with the walks of the biases one step on; WALK_COUNT residuals say that they are as `usual`.
 
     A sensor that warms up drifts by more than such sensors do on average. None walks by less: two modules in one car
-    seem to, but lean apart by more than they say if that is believed. A drift that goes one way is no walk.
+    seem to, but lean apart by more than they say if that is believed. A drift that goes one way is no walk. duration
+    (K-1,) s: for which biases walk in each interval, with the pause that may be cut out of it.
     """
-    duration, solution = np.diff(solved.state.t)[:, None], solved.solution
-    found = []
+    solution, found = solved.solution, []
     of_biases = (ACCEL_BIAS, solved.state.accel_bias_s), (GYRO_BIAS, solved.state.gyro_bias_s)
     for (part, bias), walk, expected in zip(of_biases, noise.walks, usual.walks, strict=True):
         own, cross = (np.einsum("kii->ki", block)[:, part] for block in (solution.covariance, solution.cross))
-        given = walk**2 * duration
+        given = walk**2 * duration[:, None]
         squares = float(np.sum(np.diff(bias, axis=0) ** 2 / given))
         redundancy = float(np.sum(1.0 - (own[1:] + own[:-1] - 2.0 * cross) / given))
         ratio = (squares + WALK_COUNT * (expected / walk) ** 2) / (max(redundancy, 0.0) + WALK_COUNT)

@@ -277,7 +277,8 @@ def _reestimated(solved: Solved, noise: Noise, start: Start, scatter: Scatter, *
     better = update_noise(
         solved, noise, start.binned, scatter, doppler, force_is_stated=is_stated, by_place=by_place and not is_stated
     )
-    inertial = bias_walks(solved, better.inertial, start.noise.inertial)
+    duration = solved.state.interval + start.data.pauses.between(solved.state.t)
+    inertial = bias_walks(solved, better.inertial, start.noise.inertial, duration)
     for name in ("accel_bias_walk", "gyro_bias_walk"):
         if getattr(stated, name):
             inertial = replace(inertial, **{name: getattr(stated, name)})

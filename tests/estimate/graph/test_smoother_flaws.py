@@ -80,7 +80,7 @@ class TestFlaws:
         drifting = imu.specific_force_s + 1.0 * warm * [1.0, -0.7, 0.4]
         session = replace(clean.session, imu=replace(imu, specific_force_s=drifting))
         known = smoothed(clean.simulation, session)
-        monkeypatch.setattr(solve, "bias_walks", lambda _solved, noise, _usual: noise)
+        monkeypatch.setattr(solve, "bias_walks", lambda _solved, noise, *_: noise)
         unknown = smoothed(clean.simulation, session)
         leaning = [np.sqrt(np.mean(s.euler_error[:, :2] ** 2)) for s in (known, unknown)]
         assert leaning[0] < 0.6 * leaning[1]
