@@ -379,9 +379,9 @@ def _offset_ratio(solved: Solved) -> Array:
 def bias_walks(solved: Solved, noise: InertialNoise, usual: InertialNoise, duration: Array) -> InertialNoise:
     """Return the noise with the walks of the biases one step on; WALK_COUNT residuals say that they are as `usual`.
 
-    A sensor that warms up drifts by more than such sensors do on average. None walks by less: two modules in one car
-    seem to, but lean apart by more than they say if that is believed. A drift that goes one way is no walk. duration
-    (K-1,) s: for which biases walk in each interval, with the pause that may be cut out of it.
+    A sensor that warms up drifts by more than such sensors do on average. None is taken to walk by less: two modules in
+    one car seem to, but lean apart by more than they say if that is believed. duration (K-1,) s: for which biases walk
+    in each interval, with the pause that may be cut out of it.
     """
     solution, found = solved.solution, []
     of_biases = (ACCEL_BIAS, solved.state.accel_bias_s), (GYRO_BIAS, solved.state.gyro_bias_s)

@@ -120,7 +120,7 @@ def _settle(
     state = batch.converge(graph, state, noise, options.iterations)
     before, steps = np.zeros(CONSTANTS_SIZE), NoiseSteps()
     for turn in range(FARTHER * options.rounds):
-        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        graph = _serving(batch, graph, state, noise)
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
         state = solved.state
@@ -148,7 +148,7 @@ def finish(
     steps: list[tuple[float, float]] = []
     change, noise_steps, known = 0.0, NoiseSteps(), np.empty((0, 0))
     for turn in range(options.final_rounds):
-        graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+        graph = _serving(batch, graph, state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
         solved = batch.step(graph, state, noise, before)
         before = solved.state.constants.as_vector() - state.constants.as_vector()
@@ -162,7 +162,7 @@ def finish(
         change, noise = noise.change(better), better
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
-            graph = graph if graph.serves(noise.inertial) else batch.graph(state, noise)
+            graph = _serving(batch, graph, state, noise)
             state, held = _settled(batch, graph, state, noise, before, steps, known, options.final_rounds)
             rolling = with_lasting(rolling, start, scatter, state, known)
             return on_wheels(batch, graph, state, held, rolling)
@@ -175,7 +175,7 @@ def finish(
     del solved
     if rolling.slip is not None:
         return on_wheels(batch, graph, state, held, rolling)
-    graph = graph if graph.serves(rolling.inertial) else batch.graph(state, rolling)
+    graph = _serving(batch, graph, state, rolling)
     return batch.step(graph, state, rolling, held=held), rolling
 
 
@@ -202,6 +202,11 @@ def _settled(
         steps.append((moved(step, known), constants_moved(step)))
         if are_settled(steps) or len(steps) >= most:
             return state, step.constants_covariance
+
+
+def _serving(batch: Batch, graph: InertialGraph, state: ChainState, noise: Noise) -> InertialGraph:
+    """The graph, or where `noise` is too far from its own, one that is preintegrated with it about `state`."""
+    return graph if graph.serves(noise.inertial) else batch.graph(state, noise)
 
 
 def with_lasting(noise: Noise, start: Start, scatter: Scatter, state: ChainState, known: Array) -> Noise:
@@ -231,7 +236,7 @@ def on_wheels(
     for in latencies and lever arm. Where the rows do not fit, what comes back is without them again.
     """
     assert noise.slip is not None
-    graph = graph if graph.serves(noise.inertial) else batch.graph(without, noise)
+    graph = _serving(batch, graph, without, noise)
     found = batch.step(graph, without, noise, held=held, free=SLIP, was_without_wheels=True)
     for _ in range(SLIP_ROUNDS):
         noise, state = replace(noise, slip=slip_update(found, noise.slip)), found.state
