@@ -14,6 +14,7 @@ from pathlib import Path
 from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
+from smoother.session.dates import day_of
 from smoother.session.foreign import (
     LENGTH_UNITS,
     SPEED_UNITS,
@@ -31,16 +32,8 @@ MARK = "aim csv file"
 TIME, LATITUDE, LONGITUDE = "time", "gps latitude", "gps longitude"
 OPTIONAL = ("gps speed", "gps nsat", "gps heading", "gps altitude", "gps posaccuracy", "gps spdaccuracy")
 INERTIAL = ("inlineacc", "lateralacc", "rollrate", "yawrate")
-MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,]\d*)?)?\s*([ap]m)?", re.IGNORECASE)
-NAMED_DATE = (  # April 11, 2026; 11 April 2026; 11-Apr-2026
-    re.compile(r"\b(?P<month>[a-z]{3})[a-z]*\.?\s+(?P<day>\d{1,2}),?\s+(?P<year>\d{4})\b"),
-    re.compile(r"\b(?P<day>\d{1,2})\.?[\s-]+(?P<month>[a-z]{3})[a-z]*\.?,?[\s-]+(?P<year>\d{4})\b"),
-)
-YEAR_FIRST = re.compile(r"\b(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})\b")
-YEAR_LAST = re.compile(r"\b(\d{1,2})([-/.])(\d{1,2})\2(\d{4})\b")
 SEPARATORS = ",;\t"  # of as many the first
-OLDEST_YEAR = 1990  # of a date that is one: GPS is little older
 OWN_UTC = "time is utc."  # as this program's own export says
 
 
@@ -96,7 +89,7 @@ def read_aim(path: Path) -> ForeignReading:
 
 def _start(file: str, about: dict[str, str]) -> tuple[float | None, list[Problem]]:
     """UTC at which the log began, to the minute or second it was written to, and what had to be assumed for it."""
-    day, clock = _day(about.get("date", "")), _clock(about.get(TIME, ""))
+    day, clock = day_of(about.get("date", "")), _clock(about.get(TIME, ""))
     if day is None or clock is None:
         return None, [date_note(file, "no date and time of day in it that can be read one way; laps have none")]
     moment = dt.datetime.combine(day, clock)
@@ -116,29 +109,6 @@ def _clock(text: str) -> dt.time | None:
     hour = hour % 12 + 12 * (half == "pm") if half else hour
     try:
         return dt.time(hour, int(match[2]), int(match[3] or 0))
-    except ValueError:
-        return None
-
-
-def _day(text: str) -> dt.date | None:
-    """The day of a date in English words or in numbers, None where the order of day and month is anybody's guess."""
-    text = text.lower()
-    for pattern in NAMED_DATE:
-        for match in pattern.finditer(text):
-            if match["month"] in MONTHS:
-                return _date(int(match["year"]), MONTHS.index(match["month"]) + 1, int(match["day"]))
-    if iso := YEAR_FIRST.search(text):
-        return _date(int(iso[1]), int(iso[2]), int(iso[3]))
-    if numbers := YEAR_LAST.search(text):
-        first, second, year = int(numbers[1]), int(numbers[3]), int(numbers[4])
-        days = {_date(year, second, first), *([] if numbers[2] == "." else [_date(year, first, second)])} - {None}
-        return days.pop() if len(days) == 1 else None
-    return None
-
-
-def _date(year: int, month: int, day: int) -> dt.date | None:
-    try:
-        return dt.date(year, month, day) if year >= OLDEST_YEAR else None
     except ValueError:
         return None
 

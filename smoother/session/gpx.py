@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.fix_columns import fix_columns, metres
+from smoother.session.course_of_way import course_note, course_of_way
+from smoother.session.fix_columns import fix_columns
 from smoother.session.foreign import ForeignReading, fixes_from, seconds_since_first
 from smoother.words import counted
 
@@ -32,12 +32,6 @@ VALUES = {  # element, wherever in the point it stands: column
     "course": "course_deg",
     "bearing": "course_deg",
 }
-
-
-LONGEST_CHORD = 0.42  # s; of two steps of 5 Hz
-SHORTEST_CHORD = 1.0  # m
-FEWEST_CHORDS = 50
-DELAYS = np.arange(-0.3, 0.501, 0.02)  # s of speeds behind their positions
 
 
 @dataclass
@@ -81,50 +75,16 @@ def read_gpx(path: Path) -> ForeignReading:
         timeless = f"{path.name}: {counted(points.untimed, 'point')} without time, which cannot be smoothed"
         raise SessionError(flaw or (timeless if points.untimed else f"{path.name}: no track points in it"))
     t = seconds_since_first(unix)
-    course_deg = _course(t, columns)
+    course_deg = course_of_way(fix_columns(t, **columns))
     gnss, problems = fixes_from(path.name, t, **{**columns, "course_deg": course_deg})
     if np.isfinite(course_deg).any() and not np.isfinite(columns["course_deg"]).any():
-        text = f"{path.name}: its speeds have no course; taken from the way between the points"
-        problems = [Problem("gps_course_of_way", text), *problems]
+        problems = [course_note(path.name), *problems]
     if points.untimed:
         text = f"{path.name}: {counted(points.untimed, 'point')} without a time; dropped"
         problems = [Problem("gps_no_time", text, points.untimed), *problems]
     if flaw is not None:
         problems = [Problem("gps_file_cut", f"{flaw}; the points that are whole are used"), *problems]
     return ForeignReading(gnss, problems)
-
-
-def _course(t: Array, c: dict[str, Array]) -> Array:
-    """Course (N,) deg of the points at t (N,) s, where none says it that of the way between their neighbours.
-
-    Speeds come behind their positions, or before them: the course is that of the way which was as fast. Only where
-    points come so often that a chord points as its middle does.
-    """
-    speed = c["speed"]
-    if np.isfinite(c["course_deg"]).any() or t.size < 2 * FEWEST_CHORDS or not np.all(np.diff(t) > 0.0):
-        return c["course_deg"]
-    usual = float(np.median(np.diff(t)))
-    if usual > LONGEST_CHORD / 2.0:
-        return c["course_deg"]
-    north, east = metres(fix_columns(t, c["lat_deg"], c["lon_deg"]))
-    reach = max(1, int(LONGEST_CHORD / usual / 2.0))
-    run, north, east = (values[2 * reach :] - values[: -2 * reach] for values in (t, north, east))
-    good = (run > 0.0) & (run < 2.0 * LONGEST_CHORD) & (np.hypot(north, east) > SHORTEST_CHORD)
-    good &= np.isfinite(speed[reach:-reach])
-    if np.count_nonzero(good) < FEWEST_CHORDS:
-        return c["course_deg"]
-    at, run, north, east = t[reach:-reach][good], run[good], north[good], east[good]
-    rate = np.hypot(north, east) / run
-    off = [np.median(np.abs(np.interp(at - delay, at, rate) - speed[reach:-reach][good])) for delay in DELAYS]
-    course = np.interp(t - DELAYS[int(np.argmin(off))], at, np.unwrap(np.arctan2(east, north)))
-    near = np.min(np.abs(np.stack([t - at[k] for k in _beside(at, t)])), axis=0) < LONGEST_CHORD
-    return np.where(near, np.degrees(course) % 360.0, np.nan)
-
-
-def _beside(at: Array, t: Array) -> tuple[IntArray, IntArray]:
-    """The last of the times at (K,) s before each of t (N,) s, and the next one."""
-    right = np.clip(np.searchsorted(at, t), 0, at.size - 1)
-    return np.maximum(right - 1, 0), right
 
 
 def _stream(path: Path, points: _Points) -> None:
