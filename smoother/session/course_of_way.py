@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, IntArray, median
 from smoother.samples import Problem
+from smoother.session.doppler import SAME_SPEED
 from smoother.session.fix_columns import FixColumns, metres
 
 LONGEST_CHORD = 0.42  # s; of two steps of 5 Hz
@@ -32,11 +33,22 @@ def course_of_way(c: FixColumns) -> Array:
     if np.count_nonzero(good) < FEWEST_CHORDS:
         return c.course_deg
     at, run, north, east = t[reach:-reach][good], run[good], north[good], east[good]
-    rate = np.hypot(north, east) / run
-    off = [np.median(np.abs(np.interp(at - delay, at, rate) - speed[reach:-reach][good])) for delay in DELAYS]
+    rate, sent = np.hypot(north, east) / run, speed[reach:-reach][good]
+    sent = sent * _in_another_unit(rate, sent)
+    off = [np.median(np.abs(np.interp(at - delay, at, rate) - sent)) for delay in DELAYS]
     course = np.interp(t - DELAYS[int(np.argmin(off))], at, np.unwrap(np.arctan2(east, north)))
     near = np.min(np.abs(np.stack([t - at[k] for k in _beside(at, t)])), axis=0) < LONGEST_CHORD
     return np.where(near, np.degrees(course) % 360.0, np.nan)
+
+
+def _in_another_unit(rate: Array, sent: Array) -> float:
+    """By what speeds (K,) as sent are to be multiplied to be as fast as the way (K,) m/s; 1 where they are in m/s.
+
+    What their unit is will be said when they are compared with the positions; here it must not pass for a delay.
+    """
+    typical = median(sent)
+    scale = median(rate) / typical if typical > 0.0 else 1.0
+    return 1.0 if SAME_SPEED[0] < 1.0 / scale < SAME_SPEED[1] else scale
 
 
 def _beside(at: Array, t: Array) -> tuple[IntArray, IntArray]:

@@ -48,15 +48,18 @@ def test_points_come_with_time_height_and_the_speed_of_the_extension(tmp_path: P
 
 @pytest.mark.parametrize("rate", [5, 10, 18])
 @pytest.mark.parametrize("delay", [0.0, 0.14])
-def test_speeds_without_a_course_get_that_of_the_way_which_was_as_fast(tmp_path: Path, rate: int, delay: float) -> None:
-    """Round a circle of 20 m, slower and faster; the speeds come `delay` s behind the positions."""
+@pytest.mark.parametrize("unit", [1.0, 3.6])
+def test_speeds_without_a_course_get_that_of_the_way_which_was_as_fast(
+    tmp_path: Path, rate: int, delay: float, unit: float
+) -> None:
+    """Round a circle of 20 m, slower and faster; the speeds come `delay` s behind the positions, in m/s or km/h."""
     t = np.round(np.arange(0.0, 59.0, 1.0 / rate), 3)
 
     def angle(t: np.ndarray) -> np.ndarray:
         return 0.5 * t - 0.3 * np.cos(t)
 
     lat, lon = 45 + 20.0 * np.sin(angle(t)) / 111_195, 13 + 20.0 * np.cos(angle(t)) / 111_195 / np.cos(np.pi / 4)
-    speed = 20.0 * (0.5 + 0.3 * np.sin(t - delay))
+    speed = unit * 20.0 * (0.5 + 0.3 * np.sin(t - delay))
     points = [
         f'<trkpt lat="{a:.8f}" lon="{o:.8f}"><time>2026-04-11T11:32:{s:06.3f}Z</time><speed>{v:.3f}</speed></trkpt>'
         for s, a, o, v in zip(t, lat, lon, speed, strict=True)
@@ -66,9 +69,9 @@ def test_speeds_without_a_course_get_that_of_the_way_which_was_as_fast(tmp_path:
     off = (reading.gnss.course_deg - true + 180.0) % 360.0 - 180.0
     assert np.nanmax(np.abs(off)[rate:-rate]) < 1.0  # by rounding of the delay, 0.02 s at 45 deg/s
     assert np.isfinite(reading.gnss.velocity_n[rate:-rate, :2]).all()
-    assert [problem.text for problem in reading.problems] == [
-        "track.gpx: its speeds have no course; taken from the way between the points"
-    ]
+    said = [problem.text for problem in reading.problems]
+    assert said[0] == "track.gpx: its speeds have no course; taken from the way between the points"
+    assert len(said) == (1 if unit == 1.0 else 2) and all("as if in km/h" in text for text in said[1:])
 
 
 def test_points_that_come_rarely_or_say_a_course_get_none(tmp_path: Path) -> None:
