@@ -8,12 +8,13 @@ from typing import Literal
 
 from smoother.errors import SessionError
 from smoother.session.encoding import in_utf8
+from smoother.session.table_layout import layout_of
 from smoother.session.tables import read_header
 from smoother.session.unknown_table import about_table, holds_places
 
-Foreign = Literal["vbo", "racechrono", "aim", "gpx"]
-Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx"]
-FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx")  # what holds most stands first
+Foreign = Literal["vbo", "racechrono", "aim", "gpx", "table"]
+Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx", "table"]
+FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx", "table")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
 OF_A_SESSION = ("mag.csv", "mag.csv.gz", "official.csv")  # tables that stand for the session they lie beside
@@ -21,6 +22,7 @@ OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are
 RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write
 HEAD_BYTES = 4096
+TABLE_BYTES = 65536  # of a table, in which its names stand
 SENTENCE_BYTES = 1 << 20  # GnssLogger of Android describes its columns first, and writes other lines between sentences
 SENTENCE = re.compile(rb"\$\0?G\0?(?:[A-Z]\0?){4},")  # in one byte a character or in two
 WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as it is called for people
@@ -33,7 +35,9 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
     "racechrono": "RaceChrono .csv",
     "aim": "AiM .csv",
     "gpx": "*.gpx",
+    "table": "a .csv with latitude, longitude and time",
 }
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
 PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
 
@@ -90,7 +94,14 @@ class SessionFiles:
         """gps.csv, or the table of fixes that was named; none if a log of sentences was."""
         if self._chosen_as("sentences") or self._is_foreign:
             return None
-        return self._chosen_as("fixes") or self.find("gps.csv", "gps.csv.gz")
+        own = self.find("gps.csv", "gps.csv.gz")
+        if self._chosen_as("fixes") is None and own is not None and self._is_of_another(own):
+            return None
+        return self._chosen_as("fixes") or own
+
+    def _is_of_another(self, table: Path) -> bool:
+        """Whether a table is called as this project's, and has the columns of another program; alone it is read so."""
+        return self.find(*IMU_NAMES) is None and foreign_kind(table) is not None
 
     def sentence_logs(self) -> list[Path]:
         """The logs of NMEA sentences, largest first; only the one that was named, if any."""
@@ -204,17 +215,22 @@ def foreign_kind(path: Path) -> Foreign | None:
         return "vbo"
     if name.endswith(".gpx"):
         return "gpx"
-    if not name.endswith(".csv"):
+    if not name.endswith(TABLE_SUFFIXES):
         return None
     try:
         with path.open("rb") as file:
-            head = in_utf8(file.read(HEAD_BYTES)).lower()
+            head = in_utf8(file.read(TABLE_BYTES)).decode("utf-8", errors="replace").lstrip("\ufeff \r\n")
     except OSError:
         return None  # whoever needs the file will say so
-    first = head.lstrip(b"\xef\xbb\xbf \r\n").partition(b"\n")[0]
-    if first.startswith(b"this file is created using") or b"\nformat,3" in head:
+    first, lower = head.partition("\n")[0].lower(), head[:HEAD_BYTES].lower()
+    is_racechrono = first.startswith("this file is created using")
+    if "\nformat,3" in lower:
         return "racechrono"
-    return "aim" if b"aim csv file" in first else None
+    if "aim csv file" in first:
+        return "aim"
+    if layout_of(head) is not None:
+        return "table"
+    return "racechrono" if is_racechrono else None
 
 
 def _role(path: Path) -> Role | None:

@@ -18,11 +18,11 @@ FASTEST_FIXES = 1000.0  # Hz; nothing writes more, and no receiver makes more th
 SLOWEST_FIXES = 30.0  # s between fixes; a kart is somewhere else by then
 SPEED_UNITS = {
     **dict.fromkeys(("km/h", "kmh", "kph", "km/hr"), KMH),
-    **dict.fromkeys(("m/s", "mps", "m/sec"), 1.0),
+    **dict.fromkeys(("m/s", "mps", "m/sec", "meters/second", "metres/second"), 1.0),
     **dict.fromkeys(("mph", "mi/h", "mi/hr"), MPH),
     **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
 }
-LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": FOOT}
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": FOOT, "feet": FOOT}
 ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
 RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
 

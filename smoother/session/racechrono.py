@@ -91,7 +91,7 @@ def read_racechrono(path: Path) -> ForeignReading:
         "unix_s": unix,
     }
     rows = np.flatnonzero(has_position)  # rows of other sensors alone are no fixes that failed
-    measured = _measured(t[rows], chosen["course_deg"][rows])
+    measured = measured_by_bearing(t[rows], chosen["course_deg"][rows])
     note = interpolated_note(path.name, rows.size - measured.size)
     rows = rows[measured]
     gnss, problems = fixes_from(
@@ -106,7 +106,7 @@ def read_racechrono(path: Path) -> ForeignReading:
     return ForeignReading(gnss, [*records.problems(path.name), *imu_problems, *note, *problems], imu)
 
 
-def _measured(t: Array, bearing: Array) -> IntArray:
+def measured_by_bearing(t: Array, bearing: Array) -> IntArray:
     """Which rows of t (N,) s are fixes, all unless there is one at the stamps of other sensors too.
 
     Position and speed are interpolated there, the bearing is that of the fix before.
@@ -171,7 +171,7 @@ def _imu(file: str, t: Array, values: Sequence[Array], units: Sequence[str]) -> 
     accel = np.stack(values[:3], axis=-1) * factor(units[0], ACCELERATION_UNITS, "g")
     gyro = np.stack(values[3:], axis=-1) * factor(units[3], RATE_UNITS, "deg/s")
     gyro = _at_accelerations(t, accel, gyro)
-    rows = _sampled(t, [*accel.T, *gyro.T])
+    rows = sampled_rows(t, [*accel.T, *gyro.T])
     return imu_from(file, t[rows], accel[rows], gyro[rows])
 
 
@@ -192,7 +192,7 @@ def _at_accelerations(t: Array, accel: Array, gyro: Array) -> Array:
     return np.where((forced & ~turned & near)[:, None], between, gyro)
 
 
-def _sampled(t: Array, channels: Sequence[Array]) -> IntArray:
+def sampled_rows(t: Array, channels: Sequence[Array]) -> IntArray:
     """Which rows of t (N,) s are samples of the channels (N,), all unless many lie between samples, interpolated.
 
     Noise keeps six channels that were measured from lying on the lines between their neighbours.

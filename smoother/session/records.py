@@ -5,7 +5,7 @@ long to be one ends the reading, so that memory stays small whatever the file ho
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -27,13 +27,17 @@ LARGEST_WIDE = 256 << 20  # bytes of a file that is read as a whole, twice that 
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """Columns by name, each (N,), NaN where a cell is no number; and how many rows had too many or too few cells."""
+    """Columns by name, each (N,), NaN where a cell is no number; and how many rows had too many or too few cells.
+
+    texts : the cells (N,) of columns that were asked for as they stand.
+    """
 
     columns: dict[str, Array]
     length: int
     misfits: int
     expected: int
     found: int  # cells in the first row that does not fit
+    texts: dict[str, pl.Series] = field(default_factory=dict)
 
     def column(self, name: str) -> Array:
         """Column (N,), NaN throughout if the file has no such column."""
@@ -83,9 +87,19 @@ def head_of(path: Path, is_last: Callable[[str], bool], what: str) -> tuple[list
 
 
 def read_records(
-    path: Path, offset: int, names: Sequence[str], wanted: Sequence[str], separator: str | None, what: str
+    path: Path,
+    offset: int,
+    names: Sequence[str],
+    wanted: Sequence[str],
+    separator: str | None,
+    what: str,
+    *,
+    texts: Sequence[str] = (),
+    comment: bytes = b"",
 ) -> Records:
-    """Read the rows from byte `offset` on; the columns `wanted` of all `names` are kept.
+    """Read the rows from byte `offset` on; the columns `wanted` of all `names` are kept, and `texts` as they stand.
+
+    comment : what lines begin with that are no rows.
 
     separator : what stands between cells, None for any white space. Quotation marks are ignored. With semicolons or
     tabs a comma is the decimal point. Raises SessionError where no row fits, or a line is endless.
@@ -93,6 +107,8 @@ def read_records(
     parts: list[pl.DataFrame] = []
     length = misfits = found = 0
     for lines in _line_blocks(path, offset, what):
+        if comment:
+            lines = [line for line in lines if not line.lstrip(b' "').startswith(comment)]
         rows, widths = _split(lines, separator)
         fits = widths == len(names)
         if not fits.all():
@@ -100,7 +116,7 @@ def read_records(
             found = found or int(widths[~fits][0])
             rows = [row for row, fit in zip(rows, fits.tolist(), strict=True) if fit]
         if rows:
-            parts.append(_numbers(rows, names, wanted))
+            parts.append(_numbers(rows, names, wanted, texts))
             length += len(rows)
     if length == 0:
         if misfits:
@@ -108,7 +124,7 @@ def read_records(
         raise SessionError(f"{path.name}: a header, but no rows; was the recording started?")
     table = pl.concat(parts)
     columns = {name: _finite(table[name]) for name in wanted}
-    return Records(columns, length, misfits, len(names), found)
+    return Records(columns, length, misfits, len(names), found, {name: table[_as_text(name)] for name in texts})
 
 
 def _line_blocks(path: Path, offset: int, what: str) -> Iterator[list[bytes]]:
@@ -143,18 +159,21 @@ def _split(lines: list[bytes], separator: str | None) -> tuple[list[bytes], np.n
     return rows, np.array([row.count(b",") + 1 for row in rows], dtype=np.int64)
 
 
-def _numbers(rows: list[bytes], names: Sequence[str], wanted: Sequence[str]) -> pl.DataFrame:
-    places = [names.index(name) for name in wanted]
+def _as_text(name: str) -> str:
+    """The name of a column of cells as they stand, beside its numbers."""
+    return f"{name} as text"
+
+
+def _numbers(rows: list[bytes], names: Sequence[str], wanted: Sequence[str], texts: Sequence[str]) -> pl.DataFrame:
+    places = [names.index(name) for name in dict.fromkeys((*wanted, *texts))]
     header = ",".join(f"c{i}" for i in range(len(names))).encode()
     data = BytesIO(b"\n".join((header, *rows)))
     frame = pl.read_csv(
         data, infer_schema=False, quote_char=None, encoding="utf8-lossy", columns=[f"c{i}" for i in places]
     )
-    chosen = [
-        pl.col(f"c{i}").str.strip_chars().cast(pl.Float64, strict=False).alias(name)
-        for i, name in zip(places, wanted, strict=True)
-    ]
-    return frame.select(chosen)
+    cells = {name: pl.col(f"c{names.index(name)}").str.strip_chars() for name in (*wanted, *texts)}
+    numbers = [cells[name].cast(pl.Float64, strict=False).alias(name) for name in wanted]
+    return frame.select(*numbers, *(cells[name].alias(_as_text(name)) for name in texts))
 
 
 def _finite(series: pl.Series) -> Array:

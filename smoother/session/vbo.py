@@ -32,6 +32,7 @@ from smoother.session.foreign import (
     seconds_since_first,
     speed_unit_note,
 )
+from smoother.session.moments import time_of_day
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.rows import over_midnight
 from smoother.units import DAY
@@ -167,7 +168,7 @@ def _utc(file: str, clock: Array) -> tuple[Array, list[Problem]]:
     known = np.isfinite(clock)
     if not known.any():
         return clock, []
-    of_day, problems = _time_of_day(clock), []
+    of_day, problems = time_of_day(clock), []
     no_time = np.count_nonzero(known & np.isnan(of_day)) / np.count_nonzero(known)
     if no_time > FEW_NO_TIMES and np.all((clock[known] >= 0.0) & (clock[known] <= DAY)):
         of_day = np.round(clock, 6)
@@ -178,15 +179,6 @@ def _utc(file: str, clock: Array) -> tuple[Array, list[Problem]]:
     good = np.isfinite(of_day)
     of_day[good] = over_midnight(of_day[good]) if good.any() else of_day[good]
     return of_day, problems
-
-
-def _time_of_day(clock: Array) -> Array:
-    """Seconds (N,) since midnight from HHMMSS.sss as a number; NaN where that is no time."""
-    clock = np.where(np.abs(clock) < 1e6, clock, np.nan)
-    with np.errstate(invalid="ignore"):
-        hours, minutes, seconds = clock // 10_000, clock // 100 % 100, clock % 100
-        good = (clock >= 0.0) & (hours < 24) & (minutes < 60) & (seconds < 61)
-    return np.where(good, np.round(hours * 3600 + minutes * 60 + seconds, 6), np.nan)
 
 
 def _fixes(file: str, head: _Head, columns: dict[str, Array], t: Array, utc: Array) -> tuple[GnssFixes, list[Problem]]:

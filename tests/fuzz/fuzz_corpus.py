@@ -136,6 +136,17 @@ def _aim() -> Files:
     return {"session.csv": "".join([*head, *rows]).encode()}
 
 
+def _table() -> Files:
+    """A table of a program without a reader of its own, as RaceBox writes it."""
+    head = "Format,RaceBox CSV\nLaps,1\n\nRecord,Time,Latitude,Longitude,Altitude,Speed,GForceX,GForceY,GForceZ,Lap"
+    rows = []
+    for k in range(FIXES):
+        lat, lon = place(k, 10.0)
+        moment = f"2026-04-11T11:{32 + k // 600:02d}:{k // 10 % 60:02d}.{k % 10}00Z"
+        rows.append(f"{k},{moment},{lat:.7f},{lon:.7f},4.5,36.00,0.01,-0.02,1.00,1,0.10,-0.20,0.30")
+    return {"session.csv": "\n".join([f"{head},GyroX,GyroY,GyroZ", *rows, ""]).encode()}
+
+
 def gpx_points() -> list[str]:
     """Return the elements of a GPX track, a string for each point."""
     points = []
@@ -164,6 +175,7 @@ CORPUS: dict[str, Callable[[], Files]] = {
     "vbo": cache(_vbo),
     "racechrono": cache(_racechrono),
     "aim": cache(_aim),
+    "table": cache(_table),
     "gpx": cache(_gpx),
 }
 

@@ -99,7 +99,10 @@ def test_every_kind_that_is_read_is_named_where_none_is_found(folder: Folder) ->
     assert list(WANTED) == list(get_args(Role))
     folder.write(notes__md="nothing")
     for file in ("", "notes.md"):
-        with pytest.raises(SessionError, match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* or \*\.gpx$"):
+        with pytest.raises(
+            SessionError,
+            match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* \*\.gpx or a \.csv with latitude, longitude and time$",
+        ):
             folder.load(file)
 
 
@@ -257,20 +260,20 @@ def test_a_path_that_is_no_recording_is_one_clear_line(folder: Folder, name: str
         folder.load(name)
 
 
-RACEBOX = "Format,RaceBox CSV\nLaps,1\nRecord,Time,Latitude,Longitude,Speed\n1,10:00:00.000,45.0,12.0,36.0\n"
+UNKNOWN = "Format,some CSV\nLaps,1\nRecord,Stamp,Latitude,Longitude,Speed\n1,10:00:00.000,45.0,12.0,36.0\n"
 
 
 @pytest.mark.parametrize("beside", ["", "a.nmea", "gps.csv"])
 def test_a_table_that_no_reader_knows_is_named_with_its_columns_and_what_is_wanted(folder: Folder, beside: str) -> None:
-    folder.write(**{"racebox.csv": RACEBOX}, **({beside: gps_csv()} if beside else {}))
+    folder.write(**{"heat.csv": UNKNOWN}, **({beside: gps_csv()} if beside else {}))
     columns = (
-        r"its columns are Record, Time, Latitude, Longitude, Speed; wanted t_s \(seconds\), lat_deg and lon_deg: "
+        r"its columns are Record, Stamp, Latitude, Longitude, Speed; wanted t_s \(seconds\), lat_deg and lon_deg: "
         r"rename Latitude and Longitude and the times, and leave out the 2 lines before the names"
     )
-    with pytest.raises(SessionError, match=rf"racebox.csv: no known kind of recording; {columns}"):
-        folder.load("racebox.csv")
+    with pytest.raises(SessionError, match=rf"heat.csv: no known kind of recording; {columns}"):
+        folder.load("heat.csv")
     if not beside:
-        with pytest.raises(SessionError, match=rf"heat2: no recording found, but racebox.csv; {columns}"):
+        with pytest.raises(SessionError, match=rf"heat2: no recording found, but heat.csv; {columns}"):
             folder.load()
 
 
