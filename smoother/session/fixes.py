@@ -8,7 +8,7 @@ from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
 from smoother.session.fix_columns import ESTIMATED, FixColumns, metres, sent_speed
 from smoother.session.heights import without_height_jumps
-from smoother.session.interpolated import measured_rows, rows_at_knots
+from smoother.session.interpolated import measured_rows, on_drawn_lines, rows_at_knots
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.words import counted
 
@@ -32,8 +32,11 @@ ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
 
 
-def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Problem]]:
-    """Return the usable fixes of a file in time order (maybe none) and what was wrong with the others."""
+def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = False) -> tuple[GnssFixes, list[Problem]]:
+    """Return the usable fixes of a file in time order (maybe none) and what was wrong with the others.
+
+    has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
+    """
     rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)
@@ -57,6 +60,10 @@ def screen_fixes(columns: FixColumns, file: str) -> tuple[GnssFixes, list[Proble
     if measured is not None:
         rows.problems += interpolated_note(file, time.size - measured.size)
         time, ordered = time[measured], ordered.take(measured)
+    if measured is not None or has_rows_between:
+        drawn = _on_drawn_lines(time, ordered)
+        rows.problems += _drawn_note(file, int(np.count_nonzero(drawn)))
+        time, ordered = time[~drawn], ordered.take(np.flatnonzero(~drawn))
     return _to_fixes(rows, time, ordered), rows.problems
 
 
@@ -70,6 +77,18 @@ def _measured(t: Array, c: FixColumns) -> IntArray | None:
     if by_stamps is None and is_increasing(c.unix_s):
         return measured_rows(c.unix_s - c.unix_s[:1], channels)
     return by_stamps
+
+
+def _on_drawn_lines(t: Array, c: FixColumns) -> BoolArray:
+    """Mask (N,) of the fixes that are on the line which an exporter drew over an outage."""
+    north, east = metres(c)
+    way = np.append(0.0, np.hypot(np.diff(north), np.diff(east)))
+    return on_drawn_lines(t, [c.lat_deg, c.lon_deg, c.speed], way)
+
+
+def _drawn_note(file: str, count: int) -> list[Problem]:
+    text = f"{file}: {counted(count, 'fix')} on straight lines that the exporter drew over outages; left out"
+    return [Problem("gps_drawn", text, count)] if count else []
 
 
 def interpolated_note(file: str, count: int) -> list[Problem]:

@@ -40,9 +40,14 @@ class ForeignReading:
     unix_at_zero: float | None = None
 
 
-def fixes_from(file: str, t: Array, lat_deg: Array, lon_deg: Array, **known: Array) -> tuple[GnssFixes, list[Problem]]:
-    """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd."""
-    gnss, problems = screen_fixes(fix_columns(t, lat_deg, lon_deg, **known), file)
+def fixes_from(
+    file: str, t: Array, lat_deg: Array, lon_deg: Array, *, has_rows_between: bool = False, **known: Array
+) -> tuple[GnssFixes, list[Problem]]:
+    """Screen columns (N,) of fixes, `known` by their names in FixColumns. Raises SessionError if t is absurd.
+
+    has_rows_between : rows that the exporter interpolated between fixes were left out.
+    """
+    gnss, problems = screen_fixes(fix_columns(t, lat_deg, lon_deg, **known), file, has_rows_between=has_rows_between)
     _require_sane_times(file, t, gnss, problems)
     return gnss, problems
 

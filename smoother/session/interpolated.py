@@ -24,6 +24,9 @@ SLIGHT = 0.1  # of the bend beside it: a knot some per cent of a step from a row
 CLEARLY = 2.0  # roundings that most knots are off their chord; in a bend that hardly shows, every third row may be
 LONGEST_RUN = 2  # rows beside a knot that are off their chord; measured ones follow one another
 FEW_RUNS = 0.05  # share that may be longer
+# s, rows and m of a straight line that is no kart's way: noise bends that of the fixes of any receiver
+LONGEST_LINE, MOST_ON_LINE, LONG_WAY = 2.0, 8, 20.0
+FEW_ON_LINE = 0.1  # share of the other fixes in motion that may be on the line beside them, where lines tell something
 FEW_BETWEEN = 0.05  # share of samples that may lie between others by chance
 
 
@@ -133,3 +136,20 @@ def between_samples(t: Array, channels: Sequence[Array]) -> BoolArray:
     change = np.any([np.diff(values) != 0.0 for values in channels], axis=0)
     changing = np.append(False, change) & np.append(change, False)
     return np.asarray(changing & (off_chord(t, channels) == 0.0))
+
+
+def on_drawn_lines(t: Array, channels: Sequence[Array], way: Array) -> BoolArray:
+    """Mask (N,) of fixes that an exporter which interpolates put on the straight line over an outage.
+
+    t (N,) s, increasing. channels (N,) : what of them is interpolated. way (N,) m : from the fix before. Fixes at rest
+    are on a line too, and stay.
+    """
+    on = (off_chord(t, channels) == 0.0) & (np.arange(t.size) > 0) & (np.arange(t.size) < t.size - 1)
+    drawn = np.zeros(t.size, dtype=np.bool_)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
+    for first, end in zip(edges[0::2], edges[1::2], strict=True):  # end : the next that is on no line
+        is_long = t[end] - t[first - 1] >= LONGEST_LINE and end - first >= MOST_ON_LINE
+        drawn[first:end] = is_long and np.sum(way[first : end + 1]) >= LONG_WAY
+    others = ~drawn & (way > 0.0)
+    tells = np.count_nonzero(others) >= FEWEST_KNOTS and np.mean(on[others]) <= FEW_ON_LINE
+    return drawn if tells else np.zeros(t.size, dtype=np.bool_)

@@ -76,18 +76,19 @@ def read_named_table(path: Path) -> ForeignReading:
     raw = _fix_columns(table, clock.seconds, utc)
     rows = _rows_of_fixes(table, raw)
     raw, t, unit_said = _in_seconds(table, clock, raw, rows)
+    between: list[Problem] = []
     if _is_racechrono(layout):  # it interpolates positions to the stamps of other sensors; bearings it repeats
         measured = measured_by_bearing(raw.t, raw.course_deg)
-        unit_said += interpolated_note(path.name, raw.t.size - measured.size)
+        between = interpolated_note(path.name, raw.t.size - measured.size)
         raw = raw.take(measured)
     require_degrees(path.name, raw)
     course_deg, course_said = _course(path.name, raw)
     known = {name: getattr(raw, name) for name in _KNOWN} | {"course_deg": course_deg}
-    gnss, problems = fixes_from(path.name, raw.t, raw.lat_deg, raw.lon_deg, **known)
+    gnss, problems = fixes_from(path.name, raw.t, raw.lat_deg, raw.lon_deg, has_rows_between=bool(between), **known)
     if "speed" in columns:
         said = [*said, *speed_unit_note(path.name, table.unit("speed"), _usual_speed(table))]
     imu, of_imu = _imu(table, t)
-    problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *course_said, *problems]
+    problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *between, *course_said, *problems]
     return ForeignReading(gnss, problems, imu)
 
 

@@ -95,7 +95,12 @@ def read_racechrono(path: Path) -> ForeignReading:
     note = interpolated_note(path.name, rows.size - measured.size)
     rows = rows[measured]
     gnss, problems = fixes_from(
-        path.name, t[rows], value("latitude")[rows], value("longitude")[rows], **{k: v[rows] for k, v in chosen.items()}
+        path.name,
+        t[rows],
+        value("latitude")[rows],
+        value("longitude")[rows],
+        has_rows_between=bool(note),
+        **{k: v[rows] for k, v in chosen.items()},
     )
     if (speed := places["speed"]) is not None:
         note += speed_unit_note(path.name, columns.units[speed], "m/s")

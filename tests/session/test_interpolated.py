@@ -7,7 +7,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.session.csv_form import read_fixes
-from smoother.session.interpolated import between_samples, measured_rows
+from smoother.session.interpolated import between_samples, measured_rows, on_drawn_lines
 from smoother.session.load import load_raw
 
 FOLDERS = (
@@ -152,3 +152,32 @@ def test_rows_between_fixes_are_found_by_utc_where_stamps_are_those_of_the_arriv
     assert "gps_interpolated" in {problem.code for problem in problems}
     assert len(fixes) == pytest.approx(t.size / 10, abs=2)
     np.testing.assert_allclose(fixes.unix_s % 1.0, 0.0, atol=1e-3)
+
+
+def lines_over(first: int, last: int, *, still: bool = False, rate: float = 10.0) -> tuple[Array, list[Array], Array]:
+    """Fixes with a straight line in place of those between two, and the way from each to the next."""
+    t, (lat, lon, _, speed) = drive(rate)
+    for values in (lat, lon, speed):
+        values[first : last + 1] = np.interp(t[first : last + 1], t[[first, last]], values[[first, last]])
+        if still:
+            values[first : last + 1] = values[first]
+    way = np.append(0.0, 111_195.0 * np.hypot(np.diff(lat), np.diff(lon) * np.cos(np.radians(lat[0]))))
+    return t, [np.round(lat, 8), np.round(lon, 8), np.round(speed, 4)], way
+
+
+def test_fixes_on_a_line_drawn_over_an_outage_are_found() -> None:
+    drawn = on_drawn_lines(*lines_over(300, 340))
+    assert np.flatnonzero(drawn).tolist() == list(range(301, 340))
+
+
+@pytest.mark.parametrize(("last", "still"), [(310, False), (340, True)])
+def test_a_short_line_and_a_kart_at_rest_stay(last: int, still: bool) -> None:
+    assert not on_drawn_lines(*lines_over(300, last, still=still)).any()
+
+
+def test_where_lines_tell_nothing_all_stay() -> None:
+    """Straight on at constant speed, or with digits as coarse as the noise, every fix is on a line."""
+    t, channels, way = lines_over(300, 340)
+    coarse = [np.round(channel, digits) for channel, digits in zip(channels, (4, 4, 0), strict=True)]
+    assert not on_drawn_lines(t, coarse, way).any()
+    assert not on_drawn_lines(t, [1e-4 * t, 1e-4 * t, np.full(t.size, 15.0)], np.full(t.size, 1.5)).any()

@@ -1,6 +1,7 @@
 """Tables of programs without a reader of their own: RaceBox, TrackAddict, Harry's LapTimer, phones, self-made ones."""
 
 import datetime as dt
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -281,22 +282,33 @@ def test_six_axes_in_the_same_rows_are_a_motion_sensor(tmp_path: Path, names: st
     np.testing.assert_allclose(reading.gnss.t, 0.1 * np.arange(COUNT), atol=1e-6)
 
 
+def racechrono_rows(fixes: Sequence[Fix]) -> str:
+    """A row 100 times a second: positions are interpolated between fixes, the bearing is that of the fix before."""
+    rows = []
+    for before, after in itertools.pairwise(fixes):
+        steps = round(100 * (after.t - before.t))
+        for k in range(steps):
+            t = before.t + k / 100
+            ends = zip((before.lat, before.lon, before.speed), (after.lat, after.lon, after.speed), strict=True)
+            lat, lon, speed = (a + k / steps * (b - a) for a, b in ends)
+            values = f"{speed:.4f},7.5,{before.course:.2f},{t:.2f},{lat:.8f},{lon:.8f},12,3,1.1,99.0"
+            rows.append(f"{START + t:.3f},0,1,,{values}")
+    return "\n".join([*RACECHRONO_HEAD, RACECHRONO, *rows, ""])
+
+
 def test_racechrono_rows_of_other_sensors_are_no_fixes(tmp_path: Path) -> None:
-    """Positions are interpolated to their stamps, the bearing is that of the fix before."""
-
-    def row(k: int) -> str:
-        before, after, share = FIXES[k // 10], FIXES[k // 10 + 1], k % 10 / 10
-        lat, lon, speed = (
-            (1 - share) * a + share * b
-            for a, b in zip((before.lat, before.lon, before.speed), (after.lat, after.lon, after.speed), strict=True)
-        )
-        return (f"{START + k / 100:.3f},0,1,,{speed:.4f},7.5,{before.course:.2f},{k / 100:.2f},"
-                f"{lat:.8f},{lon:.8f},12,3,1.1,99.0")  # fmt: skip
-
-    rows = [row(k) for k in range(10 * COUNT - 10)]
-    reading = read(tmp_path, "\n".join([*RACECHRONO_HEAD, RACECHRONO, *rows, ""]))
+    reading = read(tmp_path, racechrono_rows(FIXES))
     np.testing.assert_allclose(reading.gnss.t, 0.1 * np.arange(COUNT - 1), atol=1e-3)
     assert [problem.code for problem in reading.problems] == ["gps_interpolated"]
+
+
+def test_a_line_drawn_over_an_outage_is_no_fixes(tmp_path: Path) -> None:
+    """Neither the places nor that they were measured: a motion sensor would have to follow them."""
+    gnss = (reading := read(tmp_path, racechrono_rows([*FIXES[:150], *FIXES[185:]]))).gnss
+    gap = int(np.argmax(np.diff(gnss.t)))
+    assert gnss.t[gap] == pytest.approx(14.9, abs=0.11) and gnss.t[gap + 1] == pytest.approx(18.5, abs=0.11)
+    assert len(gnss) == pytest.approx(COUNT - 36, abs=2)
+    assert [problem.code for problem in reading.problems] == ["gps_interpolated", "gps_drawn"]
 
 
 def test_midnight_and_zones(tmp_path: Path) -> None:
