@@ -15,7 +15,7 @@ WORDS: dict[str, tuple[str, ...]] = {  # quantity: letters and digits of its nam
     "latitude": ("gpslatitude", "gpslat", "latitude", "lat", "breite", "breitengrad"),
     "longitude": (
         *("gpslongitude", "gpslong", "gpslon", "gpslng", "longitude", "long", "lon", "lng"),
-        *("länge", "laenge", "längengrad", "laengengrad"),
+        *("länge", "laenge", "längengrad", "laengengrad", "lnge", "lngengrad"),  # the last of a text that lost its ä
     ),
     "time": (
         *("time", "timestamp", "utctime", "timeutc", "utc", "gpstime", "gpstimestamp", "fixtime", "datetime"),
@@ -31,7 +31,7 @@ WORDS: dict[str, tuple[str, ...]] = {  # quantity: letters and digits of its nam
         *("gpsheading", "gpscourse", "gpsbearing", "heading", "course", "bearing", "direction", "cog"),
         *("courseoverground", "trackangle", "richtung", "kurs"),
     ),
-    "altitude": ("gpsaltitude", "gpsalt", "altitude", "alt", "height", "elevation", "ele", "höhe", "hoehe"),
+    "altitude": ("gpsaltitude", "gpsalt", "altitude", "alt", "height", "elevation", "ele", "höhe", "hoehe", "hhe"),
     "accuracy": (
         *("horizontalaccuracy", "hacc", "gpsaccuracy", "gpsposaccuracy", "posaccuracy", "accuracy"),
         *("horizontalegenauigkeit", "genauigkeit"),

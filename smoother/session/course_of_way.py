@@ -5,10 +5,10 @@ import numpy as np
 from smoother.arrays import Array, IntArray, median
 from smoother.samples import Problem
 from smoother.session.doppler import SAME_SPEED
-from smoother.session.fix_columns import FixColumns, metres
+from smoother.session.fix_columns import METRES_PER_DEGREE, FixColumns
 
 LONGEST_CHORD = 0.42  # s; of two steps of 5 Hz
-SHORTEST_CHORD = 1.0  # m
+SHORTEST_CHORD, LONGEST_WAY = 1.0, 100.0  # m; nothing that has a driver goes farther in a chord's time
 FEWEST_CHORDS = 50
 DELAYS = np.arange(-0.3, 0.501, 0.02)  # s of speeds behind their positions
 
@@ -25,11 +25,11 @@ def course_of_way(c: FixColumns) -> Array:
     usual = float(np.median(np.diff(t)))
     if usual > LONGEST_CHORD / 2.0:
         return c.course_deg
-    north, east = metres(c)
+    north, east = _metres(c)
     reach = max(1, int(LONGEST_CHORD / usual / 2.0))
     run, north, east = (values[2 * reach :] - values[: -2 * reach] for values in (t, north, east))
     good = (run > 0.0) & (run < 2.0 * LONGEST_CHORD) & (np.hypot(north, east) > SHORTEST_CHORD)
-    good &= np.isfinite(speed[reach:-reach])
+    good &= np.isfinite(speed[reach:-reach]) & (np.hypot(north, east) < LONGEST_WAY)
     if np.count_nonzero(good) < FEWEST_CHORDS:
         return c.course_deg
     at, run, north, east = t[reach:-reach][good], run[good], north[good], east[good]
@@ -39,6 +39,13 @@ def course_of_way(c: FixColumns) -> Array:
     course = np.interp(t - DELAYS[int(np.argmin(off))], at, np.unwrap(np.arctan2(east, north)))
     near = np.min(np.abs(np.stack([t - at[k] for k in _beside(at, t)])), axis=0) < LONGEST_CHORD
     return np.where(near, np.degrees(course) % 360.0, np.nan)
+
+
+def _metres(c: FixColumns) -> tuple[Array, Array]:
+    """North and east (N,) m from the middle of the fixes: the first may be at 0, 0, where there was none yet."""
+    lat, lon = median(c.lat_deg), median(c.lon_deg)
+    east = np.mod(c.lon_deg - lon + 180.0, 360.0) - 180.0
+    return (c.lat_deg - lat) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(lat))
 
 
 def _in_another_unit(rate: Array, sent: Array) -> float:

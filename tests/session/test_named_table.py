@@ -346,6 +346,22 @@ def test_marks_and_two_bytes_a_character(tmp_path: Path, name: str, encoding: st
     assert len(load_raw(tmp_path).gnss) == COUNT
 
 
+def test_places_before_the_first_fix_do_not_turn_the_course(tmp_path: Path) -> None:
+    """A receiver without a fix is at 0, 0: how long a degree of longitude is there says nothing of the track."""
+    nowhere = [f"{k},{Fix(k / RATE - 5.0).moment(ISO)}Z,0.0,0.0,0.0,0.0,0,0,1,1,0,0,0" for k in range(50)]
+    head, *rows = text_of("racebox").split(f"{RACEBOX}\n")
+    course = read(tmp_path, "".join([head, f"{RACEBOX}\n", "\n".join([*nowhere, ""]), *rows])).gnss.course_deg
+    off = (course - [fix.course for fix in FIXES] + 180.0) % 360.0 - 180.0
+    assert np.nanmax(np.abs(off[10:-10])) < 2.0
+
+
+def test_german_names_that_lost_their_letters(tmp_path: Path) -> None:
+    """As Excel saves them, in one byte a character."""
+    (tmp_path / "x.csv").write_text(text_of("german"), encoding="cp1252")
+    assert len(load_raw(tmp_path).gnss) == COUNT
+    np.testing.assert_allclose(read_named_table(tmp_path / "x.csv").gnss.alt_m, 7.5)
+
+
 def test_a_table_in_a_text_file_is_read_too(tmp_path: Path) -> None:
     (tmp_path / "DATALOG.TXT").write_text(text_of("arduino"))
     assert len(load_raw(tmp_path).gnss) == len(load_raw(tmp_path / "DATALOG.TXT").gnss) == COUNT
