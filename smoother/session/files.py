@@ -12,9 +12,9 @@ from smoother.session.table_layout import layout_of
 from smoother.session.tables import read_header
 from smoother.session.unknown_table import about_table, holds_places
 
-Foreign = Literal["vbo", "racechrono", "aim", "gpx", "table"]
-Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx", "table"]
-FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx", "table")  # what holds most stands first
+Foreign = Literal["vbo", "racechrono", "aim", "gpx", "ubx", "table"]
+Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "aim", "gpx", "ubx", "table"]
+FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx", "ubx", "table")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
 OF_A_SESSION = ("mag.csv", "mag.csv.gz", "official.csv")  # tables that stand for the session they lie beside
@@ -35,8 +35,10 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
     "racechrono": "RaceChrono .csv",
     "aim": "AiM .csv",
     "gpx": "*.gpx",
+    "ubx": "*.ubx",
     "table": "a .csv with latitude, longitude and time",
 }
+UBX_SYNC = b"\xb5\x62"
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
 PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
@@ -215,6 +217,8 @@ def foreign_kind(path: Path) -> Foreign | None:
         return "vbo"
     if name.endswith(".gpx"):
         return "gpx"
+    if name.endswith(".ubx"):
+        return "ubx" if _shows_messages(path) else None
     if not name.endswith(TABLE_SUFFIXES):
         return None
     try:
@@ -231,6 +235,16 @@ def foreign_kind(path: Path) -> Foreign | None:
     if layout_of(head) is not None:
         return "table"
     return "racechrono" if is_racechrono else None
+
+
+def _shows_messages(path: Path) -> bool:
+    """Whether a file of a u-blox receiver has its own messages, and no sentences beside them, which are read."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(SENTENCE_BYTES)
+    except OSError:
+        return False
+    return UBX_SYNC in head and SENTENCE.search(head) is None
 
 
 def _role(path: Path) -> Role | None:

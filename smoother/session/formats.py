@@ -187,6 +187,10 @@ def _foreign_reader(kind: Foreign) -> Callable[[Path], ForeignReading]:
             from smoother.session.gpx import read_gpx
 
             return read_gpx
+        case "ubx":
+            from smoother.session.ubx import read_ubx
+
+            return read_ubx
         case "table":
             from smoother.session.named_table import read_named_table
 

@@ -101,7 +101,7 @@ def test_every_kind_that_is_read_is_named_where_none_is_found(folder: Folder) ->
     for file in ("", "notes.md"):
         with pytest.raises(
             SessionError,
-            match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* \*\.gpx or a \.csv with latitude, longitude and time$",
+            match=r"\*\.klg, out\.txt, gps\.csv, .*\*\.vbo, .* \*\.ubx or a \.csv with latitude, longitude and time$",
         ):
             folder.load(file)
 
