@@ -419,10 +419,11 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     unit.select_by_value("km/h")
 
 
-def test_the_table_of_laps_fits_a_small_laptop(opened: Any) -> None:
+def test_the_tables_of_laps_and_of_residuals_fit_a_small_laptop(opened: Any) -> None:
     with sized(opened, 1280, 800):
-        table = "document.querySelector('#laps ~ .scroll')"
-        assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth")
+        for place in ("#laps ~ .scroll", "#quality ~ .pair .scroll:last-child"):
+            table = f"document.querySelector('{place}')"
+            assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth"), place
 
 
 def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:
