@@ -102,7 +102,7 @@ def _charts(told: words.Told, numbers: Document) -> list[Element]:
 def _picker(told: words.Told) -> Element:
     laps = told.laps
     if laps is None or laps.traces is None:
-        return picker(["whole session"], [])
+        return picker(["whole session"], [], "Shown")
     return picker([lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps))
 
 

@@ -464,6 +464,7 @@ def test_accelerations_of_fixes_had_no_gravity_in_them(session: Session, traject
     gps = replace(trajectory, report=replace(trajectory.report, mode="gps-only"))
     with_sensor, without = (page(Report(session, one, None, None, GOOD)) for one in (trajectory, gps))
     assert "From the motion sensor, gravity removed." in with_sensor
+    assert "Laps shown" not in with_sensor  # of a session without laps
     assert "From the smoothed GPS speed." in without
 
 
