@@ -22,6 +22,7 @@ OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
 SETTINGS, OFFICIAL = "session.toml", "official.csv"
 TABLES = ("imu.csv", "gps.csv", "mag.csv", "imu.csv.gz", "gps.csv.gz", "mag.csv.gz")
 WHOLE = (*TABLES, "out.txt", "magcalib.txt", "mag_calib.txt")
+MOST_NAMED = 3  # of folders without a recording
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         yield _task(_of_file(root), (name,), root.parent, out)
         return
     avoid = None if out is None else out.resolve()
+    depths: set[int] = set()
+    bare: list[Path] = []
     for folder, below, _ in os.walk(root, onerror=lambda error: problems.append(_unsearched(error))):
         here = Path(folder)
         if here == avoid or _holds_results(here):
@@ -111,6 +114,18 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         parts = (name, *here.relative_to(root).parts)
         for recording in recordings:
             yield _task(recording, parts, here, out)
+        if recordings:
+            depths.add(len(parts))
+        elif not below and not is_there(here / CALIBRATION):
+            bare.append(here.relative_to(root))
+    if missing := sorted(str(one) for one in bare if len(one.parts) + 1 in depths):
+        problems.append(f"{root}: {_without_recording(missing)}")
+
+
+def _without_recording(folders: Sequence[str]) -> str:
+    """A line about folders beside sessions that hold none: else nobody misses a kart whose card was not copied."""
+    more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
+    return f"no recording in {', '.join(folders[:MOST_NAMED])}{more}"
 
 
 def _holds_results(folder: Path) -> bool:

@@ -237,9 +237,15 @@ def _row(entry: Entry, directory: Path) -> Element:
         _cell(lap_clock(_known(facts.best_s)), "number", **_value(facts.best_s)),
         _number(facts.best_sigma_s, 3),
         _cell(DASH if speed is None else number(speed / KMH, 1), "number", **top),
-        _cell(STATES[entry.state], "bad" if is_bad else ""),
+        _cell(_result(entry), "bad" if is_bad else ""),
         class_="waiting" if entry.state == "waiting" else "",
     )
+
+
+def _result(entry: Entry) -> str:
+    """What became of it; a kart that is in none of the tables above has a reason."""
+    lapless = entry.state == "done" and not entry.facts.laps
+    return f"{STATES[entry.state]}, no lap counts" if lapless else STATES[entry.state]
 
 
 def _number(value: float | None, digits: int) -> Element:

@@ -26,7 +26,7 @@ from smoother.samples import (
     RawMag,
     RawSession,
 )
-from smoother.session.clock import regularize
+from smoother.session.clock import are_fix_gaps, regularize
 from smoother.session.inertial import dead_axes
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted, span
@@ -160,14 +160,16 @@ def _check_gnss(fixes: GnssFixes, limits: CheckLimits) -> _Part:
         text = "no GPS fix; wait in the open until the receiver has found its satellites"
         return _Part([Finding("stop", "GPS", text)], {"fixes": float(len(fixes))})
     lasts, limit = float(fixes.t[-1] - fixes.t[0]), max(limits.fix_gap, 2.5 * float(np.median(np.diff(fixes.t))))
-    interval, gaps = _interval_and_gaps(fixes.t, limit)
+    interval, without = _interval_and_gaps(fixes.t, limit)
+    steps = np.diff(fixes.t)
+    gaps = steps[are_fix_gaps(steps)]  # as the reader counts them; what is lost with them is judged by longer ones
     measures = {
         "duration_s": lasts,
         "fixes": float(len(fixes)),
         "fix_rate_hz": 1.0 / interval,
         "fix_gaps": float(gaps.size),
         "fix_gap_longest_s": float(np.max(gaps, initial=0.0)),
-        "fix_gap_share": float(np.sum(gaps)) / lasts,
+        "fix_gap_share": float(np.sum(without)) / lasts,
         "accuracy_median_m": _median(fixes.sigma_horizontal),
         "satellites_median": _median(_known_satellites(fixes)),
         "speed_known_share": float(np.mean(_have_speed(fixes))),

@@ -124,6 +124,11 @@ def _lap_name(one: Compared, i: int) -> str:
     return f"{one.name} lap {one.analysis.laps[i].number}"
 
 
+def _named(one: Compared, more: str) -> Element:
+    """The name of a session, which a narrow column parts at its signs, and what follows it."""
+    return element("span", *parted(one.name), more)
+
+
 def _numbers(drawn: list[tuple[Compared, list[int]]]) -> Document:
     """What the script draws; `drawn` holds the sessions that have laps, the first of all among them."""
     first = drawn[0][0]
@@ -267,10 +272,11 @@ def _corners(compared: Sequence[Compared]) -> list[Element]:
         said, mine = one.statistics, one.analysis.corners
         assert said is not None and said.best_lap is not None
         best = said.best_lap
-        lost.append(row(_lap_name(one, best), *(_lost_in(one, corner, best) for corner in mine)))
+        lap = f" lap {one.analysis.laps[best].number}"
+        lost.append(row(_named(one, lap), *(_lost_in(one, corner, best) for corner in mine)))
         counting = [i for i, lap in enumerate(one.analysis.laps) if lap.is_valid and i != one.reference]
-        usual.append(row(f"{one.name}, {counted(len(counting), 'lap')}", *(_usual(c, counting) for c in mine)))
-        slowest.append(row(_lap_name(one, best), *(speed_cell(float(corner.min_speed[best])) for corner in mine)))
+        usual.append(row(_named(one, f", {counted(len(counting), 'lap')}"), *(_usual(c, counting) for c in mine)))
+        slowest.append(row(_named(one, lap), *(speed_cell(float(corner.min_speed[best])) for corner in mine)))
     unit = element("span", "km/h", class_="speed-unit")
     return [
         element("h2", "Corners", id="corners"),

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -99,9 +100,11 @@ def overview(shown: Shown) -> Figure:
     close, speed_axes = (figure.add_subplot(grid[row, 1]) for row in (0, 1))
     step = 4.0 * _metres_a_pixel(whole, *_limits(shown))
     path = style.thinned_path(*_map(shown.smoothed), shown.smoothed.speed / KMH, step=step)
-    line = style.coloured_line(whole, *path, linewidth=1.8)
+    top, highest = float(shown.smoothed.speed[fastest_row(shown.smoothed)]) / KMH, float(np.max(path[2]))
+    line = style.coloured_line(whole, *path, top=top, linewidth=1.8)
     _frame(whole, *_limits(shown))
-    figure.colorbar(line, cax=bar, orientation="horizontal", label="speed (km/h)")
+    beyond: Literal["max", "neither"] = "max" if highest > top else "neither"
+    figure.colorbar(line, cax=bar, orientation="horizontal", label="speed (km/h)", extend=beyond)
     whole.set_title("Smoothed track, coloured by speed")
     _draw_close_up(close, whole, shown)
     _draw_speed(speed_axes, shown)
@@ -430,8 +433,9 @@ def _draw_speed(axes: Axes, shown: Shown, part: tuple[float, float] | None = Non
     fixes = shown.session.gnss
     here = slice(*np.searchsorted(fixes.t, window))
     raw = np.hypot(fixes.velocity_n[here, 0], fixes.velocity_n[here, 1])
-    size = 2.5 if len(raw) < MANY_FIXES else 1.0
-    axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
+    if np.isfinite(raw).any():  # else the legend would name what is nowhere seen
+        size = 2.5 if len(raw) < MANY_FIXES else 1.0
+        axes.plot(fixes.t[here] - shown.start, raw / KMH, ".", markersize=size, color=style.RAW, label="GPS")
     if shown.baseline is not None:
         _line(axes, shown, shown.baseline, shown.baseline.speed / KMH, "baseline", style.BASELINE, line="--", part=part)
     _line(axes, shown, shown.smoothed, shown.smoothed.speed / KMH, "smoothed", style.SMOOTHED, part=part)

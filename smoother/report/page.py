@@ -102,7 +102,7 @@ def _charts(told: words.Told, numbers: Document) -> list[Element]:
 def _picker(told: words.Told) -> Element:
     laps = told.laps
     if laps is None or laps.traces is None:
-        return picker(["whole session"], [])
+        return picker(["whole session"], [], "Shown")
     return picker([lap_name(laps.laps[i]) for i in drawn_laps(laps)], stretches(laps))
 
 
@@ -118,10 +118,11 @@ def _left_out(told: words.Told) -> list[Element]:
 
 
 def _circle_words(told: words.Told) -> str:
-    source = "the smoothed GPS speed" if told.smoothed.report.mode == "gps-only" else "the motion sensor"
+    is_of_fixes = told.smoothed.report.mode == "gps-only"
+    source = "the smoothed GPS speed" if is_of_fixes else "the motion sensor, gravity removed"
     return (
         "Each dot is a moment: up is driving, down is braking, left and right are corners to that side. Grey: the "
-        f"whole session; in colour: the laps and the part of the track shown above. From {source}, gravity removed."
+        f"whole session; in colour: the laps and the part of the track shown above. From {source}."
     )
 
 

@@ -63,7 +63,7 @@ def grip(words: str) -> Element:
     return element("div", circle, element("p", words, class_="soft"), class_="pair")
 
 
-def picker(names: Sequence[str], parts: Sequence[Part]) -> Element:
+def picker(names: Sequence[str], parts: Sequence[Part], legend: str = "Laps shown") -> Element:
     """Which laps are drawn, which of them colours the map, and which part of the track is shown."""
     boxes = [
         element("label", element("input", type="checkbox", value=str(i)), element("svg"), name, class_="lap")
@@ -73,7 +73,7 @@ def picker(names: Sequence[str], parts: Sequence[Part]) -> Element:
     choices += [element("option", name, value=str(i)) for i, (name, _) in enumerate(parts)]
     choices.append(element("option", "own choice", value="own", disabled="disabled"))
     kind = "picker many" if len(names) >= LONG else "picker"
-    fields = element("fieldset", element("legend", "Laps shown"), element("div", *boxes, class_=kind), id="laps-picked")
+    fields = element("fieldset", element("legend", legend), element("div", *boxes, class_=kind), id="laps-picked")
     coloured = element("label", "Speed colours: ", element("select", id="coloured"))
     part = element("label", "Part: ", element("select", *choices, id="stretch"))
     return element("div", fields, element("div", coloured, part, class_="settings"))

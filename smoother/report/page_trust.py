@@ -125,7 +125,7 @@ def residual_table(told: Told) -> Element:
         "Residuals. In sigma around 1 or below is as it should be, since the path is fitted to them; far above, the "
         "noise was taken too small"
     )
-    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption)
+    return table(["", "count", "rms", "in sigma", "hardly believed"], rows, caption, "tight")
 
 
 _RESIDUALS = {
@@ -175,7 +175,7 @@ def _identified(name: str, found: Identified) -> Element:
     called = _NAMES.get(name, name.replace("_", " ").replace("gps", "GPS"))
     if told != slice(None):
         called = called.replace(", up", " (up is not known)")
-    return row(called, shown[0], shown[1] or DASH, unit, found.source)
+    return row(called, shown[0], shown[1] or DASH, unit.replace("^2", "²").replace("sqrt(Hz)", "√Hz"), found.source)
 
 
 def _flat(numbers: object, factor: float) -> list[float]:

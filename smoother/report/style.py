@@ -249,10 +249,16 @@ def limits_around(values: Array, margin: float = 0.08, least: float = 0.0) -> tu
     return low - space, high + space
 
 
-def coloured_line(axes: Axes, x: Array, y: Array, colour_by: Array, **style: Any) -> LineCollection:
-    """Draw a line whose colour follows a third quantity (N,); return it for the colour bar."""
-    top = max(float(np.max(colour_by[np.isfinite(colour_by)], initial=0.0)), 1e-9)
-    shade = np.floor(np.nan_to_num(colour_by[:-1]) / top * SHADES)
+def coloured_line(
+    axes: Axes, x: Array, y: Array, colour_by: Array, *, top: float | None = None, **style: Any
+) -> LineCollection:
+    """Draw a line whose colour follows a third quantity (N,); return it for the colour bar.
+
+    top : where the scale ends, the highest value if None; what is higher has the colour of the top.
+    """
+    highest = float(np.max(colour_by[np.isfinite(colour_by)], initial=0.0))
+    top = max(highest if top is None else top, 1e-9)
+    shade = np.floor(np.minimum(np.nan_to_num(colour_by[:-1]) / top, 1.0) * SHADES)
     first = np.flatnonzero(np.diff(shade, prepend=-1.0))
     points = np.stack([x, y], axis=1)
     parts = [points[i : j + 1] for i, j in zip(first, np.append(first[1:], len(shade)), strict=True)]

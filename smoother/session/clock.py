@@ -46,6 +46,10 @@ SHORTEST_BIN = 30.0  # s
 LARGEST_DRIFT = 2e-3  # of one clock against the other; more is not a clock
 WORST_ENVELOPE = 0.02  # s; how far the least delays may lie off the line
 ODD_UTC = 1.0  # s; a fix whose UTC is off by more (leap seconds not yet known) keeps its receive time
+SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
+GAP_TIMES = 1.5  # usual steps
+STEPS_BESIDE = 15  # on either side of one, which tell the rate there
+SLOWEST_RATE = 1.0  # s from one fix to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +136,19 @@ def find_gaps(base: TimeBase) -> BoolArray:
         mask[part] = np.diff(base.t[part.start : part.stop + 1]) > longest
         release(base.t)
     return mask
+
+
+def are_fix_gaps(steps: Array) -> BoolArray:
+    """Mask (N,) of the steps from fix to fix, s, that are gaps beside those around them: receivers change their rate.
+
+    Fixes that come slower than usual, and slower than SLOWEST_RATE, for a while are no other rate.
+    """
+    gaps = steps > SHORTEST_GPS_GAP
+    long = np.flatnonzero(gaps)
+    around = np.clip(long[:, None] + np.arange(-STEPS_BESIDE, STEPS_BESIDE + 1), 0, steps.size - 1)
+    local = np.minimum(np.median(steps[around], axis=1), max(float(np.median(steps)), SLOWEST_RATE))
+    gaps[long] = steps[long] > GAP_TIMES * local
+    return gaps
 
 
 def describe_time_base(base: TimeBase, prefix: str, file: str) -> list[Problem]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, median
+from smoother.arrays import Array, median
 from smoother.config import SessionConfig
 from smoother.disc import kept, release, settle
 from smoother.errors import SessionError
@@ -24,7 +24,7 @@ from smoother.samples import (
     RawMag,
     RawSession,
 )
-from smoother.session.clock import describe_time_base, regularize, true_fix_times
+from smoother.session.clock import are_fix_gaps, describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
@@ -49,10 +49,6 @@ OF_NO_COLUMN = (
     "gps_repeated_time",
 )
 FEWEST_FIXES_FOR_CLOCK = 32
-SHORTEST_GPS_GAP = 1.0  # s; single lost fixes at 10 or 25 Hz are not worth a word
-GAP_TIMES = 1.5  # usual steps
-STEPS_BESIDE = 15  # on either side of one, which tell the rate there
-SLOWEST_RATE = 1.0  # s from one fix to the next
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -221,24 +217,11 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
         if (usual := float(np.median(steps))) > SLOWEST_FIXES:
             text = f"{recording.gnss_file}: a fix only every {usual:.0f} s; is t_s in seconds?"
             problems.append(Problem("gps_too_slow", text))
-        gaps = steps[_are_gaps(steps, usual)]
+        gaps = steps[are_fix_gaps(steps)]
         if gaps.size:
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
-
-
-def _are_gaps(steps: Array, usual: float) -> BoolArray:
-    """Mask (N,) of the steps from fix to fix, s, that are gaps beside those around them: receivers change their rate.
-
-    usual s : of all of them. Fixes that come slower, and slower than SLOWEST_RATE, for a while are no other rate.
-    """
-    gaps = steps > SHORTEST_GPS_GAP
-    long = np.flatnonzero(gaps)
-    around = np.clip(long[:, None] + np.arange(-STEPS_BESIDE, STEPS_BESIDE + 1), 0, steps.size - 1)
-    local = np.minimum(np.median(steps[around], axis=1), max(usual, SLOWEST_RATE))
-    gaps[long] = steps[long] > GAP_TIMES * local
-    return gaps
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:

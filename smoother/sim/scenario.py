@@ -216,6 +216,7 @@ def _split(key: str) -> tuple[str | None, str]:
         known.update({f"{group}.{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
         known.update({f"{group}_{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
     if key not in known:
-        nearest = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+        figures = [name for name in known if name not in _GROUPS]  # a group is none by itself
+        nearest = difflib.get_close_matches(key, figures, n=1, cutoff=0.0)
         raise UsageError(f"no figure named {key!r}; the nearest is {nearest[0]!r}")
     return known[key]

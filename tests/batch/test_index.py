@@ -138,6 +138,11 @@ def test_names_of_files_are_text_in_the_page_and_links_lead_to_reports(day: list
     assert all(path.is_file() for path in wanted)
 
 
+def test_a_session_that_is_in_no_table_of_best_laps_says_why(tmp_path: Path) -> None:
+    write_index(tmp_path, "day", [entry(tmp_path, "day/a", 60.0), entry(tmp_path, "day/b", None, laps=0)])
+    assert Page(tmp_path / PAGE).text.count("ok, no lap counts") == 1
+
+
 def test_the_document_and_the_table_say_the_same(day: list[Entry], tmp_path: Path) -> None:
     made = write_index(tmp_path, "day", day)
     document = json.loads((tmp_path / DOCUMENT).read_text(encoding="utf-8"))

@@ -1,6 +1,7 @@
 """`check` on simulated recordings, sound ones and ones with a single known flaw."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from smoother.prepare import prepare
 from smoother.report.page import recorded_check
 from smoother.samples import IMU_AXES_UNKNOWN, GnssFixes, Problem, RawImu, RawSession
 from smoother.session.clock import describe_time_base, regularize
+from smoother.session.load import load_raw
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import span
@@ -61,6 +63,16 @@ def test_one_outage_is_a_warning_with_its_length(kart: RawSession) -> None:
     result = check(kart)
     assert "1 gap, the longest 5" in texts(result, "warning")
     assert result.measures["fix_gap_longest_s"] == pytest.approx(5.2, abs=0.3)  # 5 s and the step around it
+
+
+def test_gaps_of_a_slow_receiver_are_those_that_reading_tells(tmp_path: Path) -> None:
+    """At 1 Hz one fix is missing, then four."""
+    t = [k for k in range(90) if k != 30 and not 60 <= k < 64]
+    rows = [f"{k},{45.0 + 9e-5 * k:.7f},12" for k in t]
+    (tmp_path / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg", *rows]) + "\n")
+    raw = load_raw(tmp_path)
+    assert "2 gaps in the fixes, the longest 5 s" in [p.text.partition(": ")[2] for p in raw.problems]
+    assert "2 gaps, the longest 5.0 s" in texts(check(raw), "warning")
 
 
 def test_a_recording_without_fixes_is_not_good(kart: RawSession) -> None:

@@ -79,6 +79,12 @@ def test_a_name_is_text_wherever_it_stands(compared: list[Compared]) -> None:
     assert not re.findall(r"(?:href|src)=[\"'](?!#)", text)
 
 
+def test_names_in_narrow_columns_may_be_parted_at_their_signs(compared: list[Compared]) -> None:
+    text = comparison([replace(one, name=f"kart{k}/run1") for k, one in enumerate(compared)])
+    assert len(re.findall(r"<td><span>kart\d<wbr>/run1 lap \d+</span>", text)) == 4  # time lost, and slowest speed
+    assert len(re.findall(r"<td><span>kart\d<wbr>/run1, \d+ laps?</span>", text)) == 2
+
+
 def test_a_loss_is_called_real_only_where_it_is(compared: list[Compared]) -> None:
     text = comparison(compared)
     starred = len(re.findall(r"<td class=\"(?:slower|faster)\">[+-][0-9.]+\*", text))

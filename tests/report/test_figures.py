@@ -8,6 +8,8 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib import image
+from matplotlib.collections import LineCollection
+from matplotlib.colorbar import Colorbar
 from matplotlib.patches import Rectangle
 
 from smoother.cli.pipeline import FIGURE_NAMES
@@ -244,13 +246,42 @@ def test_the_frame_on_the_map_is_what_the_close_up_shows(
         assert west <= left < left + width <= east and south <= bottom < bottom + height <= north
 
 
-def test_a_spike_that_is_not_sure_is_left_out_of_the_scale_of_speed(session: Session, trajectory: Trajectory) -> None:
+@pytest.fixture(scope="module")
+def spiked(trajectory: Trajectory) -> Trajectory:
+    """It with spikes that are known to be unsure."""
     assert trajectory.sigmas is not None
     velocity, sigma = trajectory.velocity_n.copy(), trajectory.sigmas.speed.copy()
-    velocity[500], sigma[500] = [120.0, 0.0, 0.0], 100.0
-    stepped = replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
-    plain, spiked = (_speed_limits(session, one) for one in (trajectory, stepped))
-    assert spiked == pytest.approx(plain)
+    velocity[500:520], sigma[500:520] = [120.0, 0.0, 0.0], 100.0
+    return replace(trajectory, velocity_n=velocity, sigmas=replace(trajectory.sigmas, speed=sigma))
+
+
+def test_a_spike_that_is_not_sure_is_left_out_of_the_scale_of_speed(
+    session: Session, trajectory: Trajectory, spiked: Trajectory
+) -> None:
+    assert _speed_limits(session, spiked) == pytest.approx(_speed_limits(session, trajectory))
+
+
+def test_a_spike_that_is_not_sure_is_left_out_of_the_colours_of_the_map(
+    session: Session, trajectory: Trajectory, spiked: Trajectory
+) -> None:
+    plain, bar = (_colours(session, one) for one in (trajectory, spiked))
+    assert bar.vmax == pytest.approx(plain.vmax, rel=0.02)  # ends of lines beside the spike are thinned otherwise
+    assert (plain.extend, bar.extend) == ("neither", "max")
+
+
+def _colours(session: Session, trajectory: Trajectory) -> Colorbar:
+    figure = overview(Shown(session, trajectory, None, "x"))
+    (line,) = (line for line in figure.axes[0].collections if isinstance(line, LineCollection))
+    assert line.colorbar is not None
+    return line.colorbar
+
+
+def test_a_receiver_without_speed_is_not_named_beside_the_speed(session: Session, trajectory: Trajectory) -> None:
+    unknown = np.full_like(session.gnss.velocity_n, np.nan)
+    mute = replace(session, gnss=replace(session.gnss, velocity_n=unknown))
+    for one, named in ((session, ["GPS", "smoothed"]), (mute, ["smoothed"])):
+        legend = figures.speed(Shown(one, trajectory, None, "x")).axes[0].get_legend()
+        assert legend is not None and [text.get_text() for text in legend.get_texts()] == named
 
 
 def _speed_limits(session: Session, trajectory: Trajectory) -> tuple[float, float]:

@@ -410,6 +410,12 @@ def test_fixes_alone_list_no_place_of_a_box(report: Report) -> None:
     assert "antenna from the box" in told["full"] and "antenna from the box" not in told["gps-only"]
 
 
+def test_units_of_what_was_identified_are_written_as_on_paper(report: Report) -> None:
+    noise = {"accel_noise": Identified(0.2, None, "m/s^2/sqrt(Hz)", True, "identified")}
+    text = page(replace(report, smoothed=replace(report.smoothed, report=EstimateReport(identified=noise))))
+    assert ">m/s²/√Hz<" in text and "sqrt(Hz)" not in text
+
+
 def test_the_page_says_the_length_of_the_drive_as_the_terminal_does(report: Report) -> None:
     trajectory = report.smoothed
     length = float(trajectory.t[-1] - trajectory.t[0])
@@ -452,6 +458,14 @@ def test_a_spike_does_not_make_the_places_that_are_drawn_fewer(
     assert laps.traces is not None
     plain, with_spike = (page_data.grid_columns(one, laps.traces) for one in (trajectory, spiked(trajectory)))
     np.testing.assert_array_equal(plain, with_spike)
+
+
+def test_accelerations_of_fixes_had_no_gravity_in_them(session: Session, trajectory: Trajectory) -> None:
+    gps = replace(trajectory, report=replace(trajectory.report, mode="gps-only"))
+    with_sensor, without = (page(Report(session, one, None, None, GOOD)) for one in (trajectory, gps))
+    assert "From the motion sensor, gravity removed." in with_sensor
+    assert "Laps shown" not in with_sensor  # of a session without laps
+    assert "From the smoothed GPS speed." in without
 
 
 def spiked(trajectory: Trajectory) -> Trajectory:

@@ -308,6 +308,23 @@ def test_every_panel_has_a_scale_of_two_values_at_least(
     assert len(labels) >= 3 and min(labels) >= 2
 
 
+def test_rings_of_grip_are_named_over_the_dots_and_nothing_is_less_than_zero(opened: Any) -> None:
+    over = opened.execute_script(
+        "const dots = [...document.querySelectorAll('#circle path.cloud, #circle path.points')];"
+        "const names = [...document.querySelectorAll('#circle text')].filter(t => / g$/.test(t.textContent));"
+        "return names.length > 1 && names.every(n => dots.every(d => d.compareDocumentPosition(n) & 4))"
+    )
+    assert over
+    cursor = opened.find_element("id", "cursor")
+    said = []
+    for place in range(0, 200, 2):
+        opened.execute_script(
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", cursor, place
+        )
+        said += [cell.text for cell in opened.find_elements("css selector", "#readout td")]
+    assert "+0.00" in said and "-0.00" not in said and "−0.00" not in said
+
+
 def test_spikes_that_are_not_sure_do_not_flatten_the_rest(spiked_page: Path, browser: Any) -> None:
     browser.get(spiked_page.as_uri())
     titles = [str(title.text) for title in browser.find_elements("css selector", "svg text.title")]
@@ -419,10 +436,11 @@ def test_theme_and_unit_are_switched(opened: Any) -> None:
     unit.select_by_value("km/h")
 
 
-def test_the_table_of_laps_fits_a_small_laptop(opened: Any) -> None:
+def test_the_tables_of_laps_and_of_residuals_fit_a_small_laptop(opened: Any) -> None:
     with sized(opened, 1280, 800):
-        table = "document.querySelector('#laps ~ .scroll')"
-        assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth")
+        for place in ("#laps ~ .scroll", "#quality ~ .pair .scroll:last-child"):
+            table = f"document.querySelector('{place}')"
+            assert opened.execute_script(f"return {table}.scrollWidth <= {table}.clientWidth"), place
 
 
 def test_it_fits_a_telephone_and_prints_on_paper(opened: Any) -> None:

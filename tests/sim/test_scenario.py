@@ -21,6 +21,8 @@ def test_a_sensor_can_be_left_out():
 def test_unknown_figure_names_the_nearest():
     with pytest.raises(UsageError, match=r"gnss\.rat.*gnss.rate"):
         with_changes(Scenario(), {"gnss.rat": 1.0})
+    with pytest.raises(UsageError, match=r"the nearest is 'gnss[._]"):  # and never a group of them
+        with_changes(Scenario(), {"gnss.foo": 1.0})
 
 
 def test_figure_of_a_missing_sensor_is_refused():

@@ -43,8 +43,11 @@
     make("text", { x, y, class: kind || "", "text-anchor": anchor || "start" }, parent).textContent = text;
   }
   const factor = () => UNITS[state.unit];
-  const fixed = (value, digits, signed) =>
-    Number.isFinite(value) ? (signed && value >= 0 ? "+" : "") + value.toFixed(digits) : "–";
+  function fixed(value, digits, signed) {
+    if (!Number.isFinite(value)) return "–";
+    const text = value.toFixed(digits), isNothing = Number(text) === 0;
+    return (signed && (value >= 0 || isNothing) ? "+" : "") + (isNothing ? text.replace("-", "") : text);
+  }
   const two = (n) => String(Math.floor(n)).padStart(2, "0");
   const clock = (s) => s < 3600 ? `${Math.floor(s / 60)}:${two(s % 60)}` : `${Math.floor(s / 3600)}:${two(s / 60 % 60)}:${two(s % 60)}`;
   const along = (x) => (data.axis === "time" ? clock(x) : `${x.toFixed(0)} m`);
@@ -401,10 +404,9 @@
     const reach = Math.max(0.5, data.cloud.reach);
     const half = size0 / 2, scale = (half - 26) / reach;
     const X = (v) => half + v * scale, Y = (v) => half - v * scale;
-    for (let r = 0.5; r <= reach * 1.05; r += 0.5) {
-      make("circle", { cx: half, cy: half, r: r * scale, class: "grid" }, svg);
-      write(svg, half + 0.7071 * r * scale + 3, half - 0.7071 * r * scale - 3, `${r} g`);
-    }
+    const rings = [];
+    for (let r = 0.5; r <= reach * 1.05; r += 0.5) rings.push(r);
+    for (const r of rings) make("circle", { cx: half, cy: half, r: r * scale, class: "grid" }, svg);
     make("path", { d: `M20 ${half}H${size0 - 20}M${half} 20V${size0 - 20}`, class: "grid" }, svg);
     const dots = (right, forward) => {
       let d = "";
@@ -419,10 +421,11 @@
       const forward = traces.longitudinal[lap].subarray(first, last + 1).map((v) => v / 9.80665);
       make("path", { d: dots(right, forward), class: `points s${slot % 6}` }, inside);
     }
-    write(svg, half, 14, "driving", "", "middle");
-    write(svg, half, size0 - 6, "braking", "", "middle");
-    write(svg, 4, half - 6, "left");
-    write(svg, size0 - 4, half - 6, "right", "", "end");
+    for (const r of rings) write(svg, half + 0.7071 * r * scale + 3, half - 0.7071 * r * scale - 3, `${r} g`, "over");
+    write(svg, half, 14, "driving", "over", "middle");
+    write(svg, half, size0 - 6, "braking", "over", "middle");
+    write(svg, 4, half - 6, "left", "over");
+    write(svg, size0 - 4, half - 6, "right", "over", "end");
     const marks = [...state.slots].map(([lap, slot]) => [make("circle", { r: 6, class: `dot f${slot % 6}` }, inside), lap]);
     cursors.push((at) => {
       for (const [mark, lap] of marks) {
