@@ -39,9 +39,9 @@ from smoother.estimate.graph.batch import Batch, Noise, constants_moved, moved, 
 from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory, estimated
+from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import make_start
-from smoother.estimate.graph.state import CONSTANTS_SIZE
 from smoother.live.beside import Beside
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
@@ -168,10 +168,9 @@ def told_batch(session: Session, start: LagStart) -> Trajectory:
     fixes = start.position_sigma, start.velocity_sigma, start.offset_sigma, start.offset_tau
     noise = Noise(start.inertial, *fixes, spread)
     batch, state = Batch(begun.data, begun.binned, begun.priors), near_solution(begun, noise, options.approaches)
-    before = np.zeros(CONSTANTS_SIZE)
+    relaxation = Relaxation()
     for turn in range(STEPS):
-        solved = batch.step(batch.graph(state, noise), state, noise, before)
-        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        solved = batch.step(batch.graph(state, noise), state, noise, relaxation)
         state = solved.state
         step = solved.solution
         if turn > 0 and max(moved(step, variances(step)), constants_moved(step)) < SETTLED:

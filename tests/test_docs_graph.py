@@ -189,7 +189,8 @@ def test_doppler_velocity(last: Linearized) -> None:
     u = min(max((rho - 0.001) / 0.003, 0.0), 1.0)
     if u > 0.0:
         tau, arm = math.sqrt(2.0 * rho), path.R_ns @ c.lever_arm_s
-        x = felt.velocity_n[:, :2] + felt.turn_rate[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
+        x = felt.followed.velocity_n[:, :2]
+        x = x + felt.followed.turn_rate[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
         rounded = level(last, low_passed(x, dt, tau), t + tau) - level(last, x, t)
         beta = beta + u**2 * (3.0 - 2.0 * u) * (rounded - beta)
     want = between(state, t).velocity_n + swing + beta + c.doppler_bias_n - data.velocity_n[use]

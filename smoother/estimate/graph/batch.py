@@ -24,6 +24,7 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.slip import (
     Slip,
@@ -46,7 +47,6 @@ from smoother.estimate.graph.state import (
     ROTATION,
     TRANSLATION,
     VELOCITY,
-    VELOCITY_LATENCY,
     ChainState,
 )
 from smoother.estimate.pauses import NO_PAUSES, Pauses
@@ -205,12 +205,10 @@ class Batch:
         return corrected(self._binned, state.constants)
 
     def converge(self, graph: InertialGraph, state: ChainState, noise: Noise, iterations: int) -> ChainState:
-        """Gauss-Newton from `state`, at most `iterations` steps, each shortened where the constants swing back."""
-        before = np.zeros(CONSTANTS_SIZE)
+        """Gauss-Newton from `state`, at most `iterations` steps, shortened where the constants swing."""
+        relaxation = Relaxation()
         for _ in range(iterations):
-            constants = state.constants.as_vector()
-            state, step = self.move(graph, state, noise, before)
-            before = state.constants.as_vector() - constants
+            state, step = self.move(graph, state, noise, relaxation)
             if converged(step.x):
                 break
         return state
@@ -236,7 +234,7 @@ class Batch:
         graph: InertialGraph,
         state: ChainState,
         noise: Noise,
-        before: Array | None = None,
+        relaxation: Relaxation | None = None,
         held: Array | None = None,
         free: slice | None = None,
         *,
@@ -244,13 +242,13 @@ class Batch:
     ) -> Solved:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
-        before (29,) is the previous step of the constants: where they swing back the state goes only half the way.
+        relaxation: what the steps before tell of how far to go; None goes all the way.
         held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
         was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
         system, inertial, rows, slip = self._linearize(graph, state, noise, was_without_wheels=was_without_wheels)
         solution = solve_chain(system, held=held, free=free)
-        share = 1.0 if before is None else swing_share(solution.constants, before)
+        share = 1.0 if relaxation is None else relaxation.share(solution)
         return Solved(
             state.retract(share * solution.x, share * solution.constants),
             solution,
@@ -260,12 +258,12 @@ class Batch:
         )
 
     def move(
-        self, graph: InertialGraph, state: ChainState, noise: Noise, before: Array
+        self, graph: InertialGraph, state: ChainState, noise: Noise, relaxation: Relaxation
     ) -> tuple[ChainState, ChainSolution]:
         """Like :meth:`step`, without a covariance but that of the constants: the state, and the whole step."""
         system, *_ = self._linearize(graph, state, noise)
         solution = solve_chain(system, with_covariance=False)
-        share = swing_share(solution.constants, before)
+        share = relaxation.share(solution)
         return state.retract(share * solution.x, share * solution.constants), solution
 
     def path(self, state: ChainState) -> DensePath:
@@ -415,17 +413,6 @@ def _of_keyframes(system: ChainSystem) -> ChainSystem:
     n_keyframes, n = system.rhs.shape
     none = np.empty((n_keyframes, n, 0))
     return replace(system, border=none, corner=np.empty((0, 0)), rhs_constants=np.empty(0))
-
-
-def swing_share(step: Array, before: Array) -> float:
-    """Share of a step to be gone: half, when the latencies turn back by nearly as much as they went before.
-
-    With few fixes the inertial samples bend the error function enough for full steps to jump to and fro over the
-    minimum.
-    """
-    latencies = slice(POSITION_LATENCY.start, VELOCITY_LATENCY.stop)
-    back = -float(step[latencies] @ before[latencies])
-    return 0.5 if back > 0.3 * float(before[latencies] @ before[latencies]) > 0.0 else 1.0
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:

@@ -59,7 +59,9 @@ LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing
 QUICKEST_TURN = 0.8  # Hz; up to there a kart turns more than its sensors are noisy
 NO_TURN = 4.0  # Hz; from there on a kart does not turn at all
 HANN_POWER = 0.375  # mean square of the taper
-MOST_LEAD = 0.3  # s
+# s, from which on a turn and an acceleration are of other things; it fades from half of it on. A box on the steering
+# wheel turns as early, and what is all on one side of a limit and nothing on the other makes two solutions of one
+MOST_LEAD = 0.3
 # Hz, and what of them slopes are made of where a motion is no less in the latter: no vehicle's is, 0.3 times at most
 DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
 DRIVEN_BELOW = 2.5  # Hz, that the keyframes of receivers up to 10 Hz follow
@@ -245,7 +247,7 @@ def quick_scatter(turning: Transform) -> float:
 def turning_lead(both: Transform) -> float:
     """Time, s, that a turn is ahead of the lateral acceleration that it makes; two channels, acceleration and turn.
 
-    The phase between both grows with frequency; its slope, weighted by what they share.
+    The phase between both grows with frequency; its slope, weighted by what they share. Less of what is long.
     """
     angular = 2.0 * np.pi * both.frequency
     use = (angular > 2.0 * np.pi * SLOWEST_NOISE) & (angular < 2.0 * np.pi * QUICKEST_TURN)
@@ -253,7 +255,7 @@ def turning_lead(both: Transform) -> float:
     shared, angular = acceleration.conj() * turn, angular[use]
     weight = float(np.sum(angular**2 * shared.real))
     found = float(np.sum(angular * shared.imag)) / weight if weight > 0.0 else 0.0
-    return found if abs(found) < MOST_LEAD else 0.0
+    return found * float(np.clip(2.0 * (1.0 - abs(found) / MOST_LEAD), 0.0, 1.0))
 
 
 def noise_left(frequency: Array, accel: float, doppler: DopplerNoise | None, interval: float) -> Array:

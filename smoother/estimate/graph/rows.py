@@ -451,11 +451,12 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
 
     The second derivative, of what is slow enough for keyframes and for that; of a response beyond its own noise it is
     that of a low-pass of first order, late by its time constant tau: tau^2 / 2 is left beyond that delay in slow
-    motion, less in quick.
+    motion, less in quick. Of the same motion: of vibration that samples fold, which no receiver shows, a low-pass would
+    be denied as soon as the second derivative, of slow motion, has told it, and neither would stay.
     """
-    dt, response = float(path.t[1] - path.t[0]), session.velocity_response
-    jerk_n = np.gradient(felt.acceleration_n[:, :2], dt, axis=0)
-    slope = at_times(path, _level(np.gradient(felt.answered.acceleration_n[:, :2], dt, axis=0)), t)
+    dt, response, motion = float(path.t[1] - path.t[0]), session.velocity_response, felt.answered
+    jerk_n = np.gradient(motion.acceleration_n[:, :2], dt, axis=0)
+    slope = at_times(path, _level(jerk_n), t)
     simple = _Response(response * slope, slope)
     u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
     share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
@@ -463,8 +464,8 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
         return simple
     tau = math.sqrt(2.0 * response)
     arm_n = path.R_ns[:, :2] @ session.lever_arm_s
-    swing_n = felt.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
-    antenna_n = felt.velocity_n[:, :2] + swing_n
+    swing_n = motion.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
+    antenna_n = motion.velocity_n[:, :2] + swing_n
     shown = at_times(path, _level(low_passed(antenna_n, dt, tau)), t + tau)
     shown = shown - at_times(path, _level(antenna_n), t)
     quick = at_times(path, _level(low_passed(low_passed(jerk_n, dt, tau), dt, tau)), t + tau)

@@ -27,9 +27,10 @@ from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inertial_noise import ROUND
 from smoother.estimate.graph.lasting import Memory, counted, shared_out
 from smoother.estimate.graph.noise_steps import NoiseSteps
+from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.slip import with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
-from smoother.estimate.graph.state import CONSTANTS_SIZE, HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants
+from smoother.estimate.graph.state import HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import MagSamples, Problem, Session
 
@@ -118,11 +119,10 @@ def _settle(
     batch = Batch(start.data, start.binned, start.priors)
     graph = batch.graph(state, noise)
     state = batch.converge(graph, state, noise, options.iterations)
-    before, steps = np.zeros(CONSTANTS_SIZE), NoiseSteps()
+    relaxation, steps = Relaxation(), NoiseSteps()
     for turn in range(FARTHER * options.rounds):
         graph = _serving(batch, graph, state, noise)
-        solved = batch.step(graph, state, noise, before)
-        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        solved = batch.step(graph, state, noise, relaxation)
         state = solved.state
         better = steps.towards(_reestimated(solved, noise, start, scatter), noise)
         settled = noise.change(better) < SETTLED
@@ -143,15 +143,14 @@ def finish(
     say: Say,
 ) -> tuple[Solved, Noise]:
     """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
-    scatter, before = scatter_of(start), np.zeros(CONSTANTS_SIZE)
+    scatter, relaxation = scatter_of(start), Relaxation()
     solved: Solved | None = None
     steps: list[tuple[float, float]] = []
     change, noise_steps, known = 0.0, NoiseSteps(), np.empty((0, 0))
     for turn in range(options.final_rounds):
         graph = _serving(batch, graph, state, noise)
         solved = None  # gone before the next one: of a long session, two do not fit
-        solved = batch.step(graph, state, noise, before)
-        before = solved.state.constants.as_vector() - state.constants.as_vector()
+        solved = batch.step(graph, state, noise, relaxation)
         state = solved.state
         known = variances(solved.solution)
         steps.append((moved(solved.solution, known), constants_moved(solved.solution)))
@@ -163,7 +162,7 @@ def finish(
         if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
             solved = None
             graph = _serving(batch, graph, state, noise)
-            state, held = _settled(batch, graph, state, noise, before, steps, known, options.final_rounds)
+            state, held = _settled(batch, graph, state, noise, relaxation, steps, known, options.final_rounds)
             rolling = with_lasting(rolling, start, scatter, state, known)
             return on_wheels(batch, graph, state, held, rolling)
     assert solved is not None
@@ -184,7 +183,7 @@ def _settled(
     graph: InertialGraph,
     state: ChainState,
     noise: Noise,
-    before: Array,
+    relaxation: Relaxation,
     steps: list[tuple[float, float]],
     known: Array,
     most: int,
@@ -196,9 +195,7 @@ def _settled(
     """
     steps = list(steps)
     while True:
-        constants = state.constants.as_vector()
-        state, step = batch.move(graph, state, noise, before)
-        before = state.constants.as_vector() - constants
+        state, step = batch.move(graph, state, noise, relaxation)
         steps.append((moved(step, known), constants_moved(step)))
         if are_settled(steps) or len(steps) >= most:
             return state, step.constants_covariance

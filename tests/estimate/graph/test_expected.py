@@ -355,3 +355,16 @@ class TestTurningLead:
         turns = np.sin(0.7 * MIDDLE)
         assert turning_lead(Transform.of(np.column_stack([turns, -turns]), DT)) == 0.0
         assert turning_lead(Transform.of(np.zeros((100, 2)), DT)) == 0.0
+
+    def test_a_lead_beyond_what_karts_have_fades(self) -> None:
+        """That of a box on the steering wheel is near the limit; all or nothing of it would be two solutions."""
+        n, leads = 15000, np.arange(1, 20)
+        motion = gaussian_mean(np.random.default_rng(6).normal(size=(n + 20, 1)), 25.0)[:, 0]
+        both = [np.column_stack([motion[:n], motion[lead : n + lead]]) for lead in leads]
+        found = np.array([turning_lead(Transform.of(values, DT)) for values in both])
+        short, long = leads * DT < 0.14, leads * DT > 0.31
+        assert short.any()
+        assert long.any()
+        np.testing.assert_allclose(found[short], leads[short] * DT, rtol=0.15)
+        np.testing.assert_allclose(found[long], 0.0, atol=1e-12)
+        assert np.max(np.abs(np.diff(found))) < 2.0 * DT

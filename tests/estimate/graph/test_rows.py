@@ -589,3 +589,25 @@ def test_a_response_is_told_by_quicker_motion_than_latencies_and_arm() -> None:
         np.testing.assert_array_equal(both[:, :, column], slow[:, :, column])
         assert not np.allclose(both[:, :, column], whole[:, :, column], atol=1e-3)
     np.testing.assert_array_equal(both[:, :, VELOCITY_RESPONSE], whole[:, :, VELOCITY_RESPONSE])
+
+
+def test_a_low_pass_is_told_by_the_same_motion_as_a_second_derivative() -> None:
+    """Vibration that the sampling folds is in the expected motion; the receiver does not show it, smoothed or not."""
+    constants = Constants(0.0, 0.0, np.array([0.4, -0.2, 0.1]), velocity_response=0.0013)
+    state, path, motion, _ = swinging(constants)
+    pace = 2.0 * np.pi * 4.0
+    shaken = 3.0 * np.cos(pace * path.t)[:, None] * [1.0, 0.5, 0.0]
+    vibrating = replace(
+        motion,
+        velocity_n=motion.velocity_n + np.sin(pace * path.t)[:, None] / pace * [3.0, 1.5, 0.0],
+        acceleration_n=motion.acceleration_n + shaken,
+        turn_rate=motion.turn_rate + np.cos(pace * path.t),
+        followed=motion,
+        driven=motion,
+    )
+    shape = (len(TIMES), 3)
+    without, beside = (
+        velocity_rows(state, path, felt, TIMES, np.zeros(shape), np.ones(shape))
+        for felt in (replace(motion, followed=motion, driven=motion), vibrating)
+    )
+    np.testing.assert_allclose(beside.constants[:, :, VELOCITY_RESPONSE], without.constants[:, :, VELOCITY_RESPONSE])
