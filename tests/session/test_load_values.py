@@ -387,7 +387,7 @@ def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) 
         ("car_hi600_twin_a", 9841, 98413, {"imu_gap", "gps_gap"}),
         ("car_hi600_twin_b", 9696, 96960, {"imu_gap", "gps_gap"}),
         ("car_comma2k19", 579, 6256, set()),
-        ("bicycle_neo6m", 2404, 0, {"imu_too_slow", "gps_gap"}),
+        ("bicycle_neo6m", 2404, 0, {"imu_too_slow", "gps_gap", "recordings_unused"}),
         ("nmea_kart_okc", 15866, 0, {"imu_missing", "gps_gap", "gps_bad_sentence", "gps_other_logs"}),
     ],
 )
