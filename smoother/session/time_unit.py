@@ -22,6 +22,7 @@ ENOUGH_ROWS_FOR_RATE = 32
 SECONDS = {"seconds": 1.0}
 SHARED = 0.1  # of the rows have the time of the one before
 ENOUGH_ROWS = 1 << 20  # to know the usual period
+IN_NO_ORDER = 0.2  # share of steps backwards; a clock that starts anew makes hardly any
 
 
 def unit_by_utc(t: Array, unix_s: Array) -> str | None:
@@ -120,8 +121,11 @@ def _are_whole_seconds(t: Array, period: float) -> bool:
 
 
 def _usual_step(t: Array) -> float:
-    """Median of the steps that are forward, NaN without any."""
+    """Median of the steps that are forward, NaN without any; of rows in no order, of their times put in order."""
     part = t[next(iter(pieces(t.size, ENOUGH_ROWS)))] if t.size else t
-    steps = np.diff(part[np.isfinite(part)])
+    known = part[np.isfinite(part)]
+    steps = np.diff(known)
+    if steps.size and np.mean(steps < 0.0) > IN_NO_ORDER:
+        steps = np.diff(np.sort(known))
     steps = steps[steps > 0.0]
     return float(np.median(steps)) if steps.size >= FEWEST_ROWS else float("nan")

@@ -376,6 +376,24 @@ def test_stamps_are_evened_and_fixes_put_on_the_receivers_clock(folder: Folder) 
     assert session.unix_at_zero == pytest.approx(1.7e9 - 0.114, abs=0.005)  # latency and median delay
 
 
+def test_rows_in_no_order_at_all_are_those_in_order(folder: Folder) -> None:
+    """From row to row they leap by a third of the session, which passed for a period in milliseconds."""
+    rng = np.random.default_rng(0)
+    rows = [f"{0.01 * i:.2f},{0.1 * i % 3:.3f},0,9.8,0,0,0.1\n" for i in range(12_000)]
+    places = [f"{0.2 * i:.1f},{45 + 1e-5 * i:.7f},12\n" for i in range(600)]
+    loaded = []
+    for order in (False, True):
+        if order:
+            rng.shuffle(rows)
+            rng.shuffle(places)
+        imu, gps = "t_s,ax,ay,az,gx,gy,gz\n" + "".join(rows), "t_s,lat_deg,lon_deg\n" + "".join(places)
+        loaded.append(folder.write(imu__csv=imu, gps__csv=gps).load())
+    assert {"imu_reordered", "gps_reordered"} == set(codes(loaded[1])) - set(codes(loaded[0]))
+    for ordered, shuffled in ((loaded[0].imu, loaded[1].imu), (loaded[0].gnss, loaded[1].gnss)):
+        assert ordered is not None and shuffled is not None
+        np.testing.assert_array_equal(shuffled.t, ordered.t)
+
+
 @pytest.mark.parametrize(
     ("name", "fixes", "samples", "expected"),
     [
