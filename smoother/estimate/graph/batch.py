@@ -330,10 +330,12 @@ def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> Ex
     level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
     if d.sampled is not None:
         apart = np.repeat(are_unsampled(d.sampled, state.t[:-1], state.t[1:]), (len(path.t) - 1) // (len(state.t) - 1))
+        # where samples end, the last keyframe that has some is the first one of the hole, and moves on
+        inside = np.append(apart, False) & np.append(False, apart)
         path = replace(
             path,
             acceleration_n=np.where(apart[:, None], 0.0, path.acceleration_n),
-            velocity_n=np.where(np.append(apart, False)[:, None], 0.0, path.velocity_n),
+            velocity_n=np.where(inside[:, None], 0.0, path.velocity_n),
         )
     return expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
 

@@ -8,6 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph import windows
+from smoother.estimate.graph.batch import Batch, expected_of
 from smoother.estimate.graph.sampled import HOLE, are_sampled, are_unsampled, has_hole, sampled_spans
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import MAX_LATENCY, Start, is_partly_sampled, make_start, where_sampled
@@ -235,3 +236,21 @@ def test_a_stream_has_them_too() -> None:
     stream = smoothed((50.0, 90.0), duration=150.0, solver="isam2")
     assert rms(stream.z) < 1.6
     assert rms(stream.velocity_error_n[stream.rows(sampled=True)]) < 0.12
+
+
+def test_the_motion_does_not_stop_where_the_samples_end() -> None:
+    """The last keyframe with samples is the first one of the hole; at rest there, a kart would brake by ten g."""
+    simulation = simulate_preset("kart", 8, duration=100.0, motion_standstill=None, gnss_outages=())
+    session = with_samples(prepare(simulation.raw), (0.0, 40.0), (44.0, 70.0), (74.0, 100.0))
+    start = where_sampled(make_start(session, GraphOptions()))
+    assert start.data.sampled is not None
+    state = start.state
+    path = Batch(start.data, start.binned, start.priors).path(state)
+    felt = expected_of(start.data, path, state, start.noise)
+    told = ~are_unsampled(start.data.sampled, state.t[:-1], state.t[1:])
+    assert not np.all(told)
+    beside = np.append(told, False) | np.append(False, told)  # keyframes of an interval that has samples
+    bins = (len(path.t) - 1) // (len(state.t) - 1)
+    speed, driven = (np.hypot(*velocity_n[::bins, :2].T) for velocity_n in (felt.slow.velocity_n, path.velocity_n))
+    assert np.max(np.abs(speed - driven)[beside]) < 3.0
+    assert np.max(speed[~beside]) < 3.0
