@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, IntArray, median
 from smoother.disc import pieces, release, roomy
 from smoother.samples import SENSOR_AXES, Problem, RawImu
 from smoother.words import counted
@@ -16,6 +16,10 @@ from smoother.words import counted
 LONGEST_SPIKE = 3  # samples; more can be a motion
 LEAST_FORCE = 60.0  # m/s^2 beyond both neighbours; recorded karts have 9, harsh simulated vibration 41
 LEAST_RATE = 8.0  # rad/s; recorded karts have 4
+# Of a sensor that is hardly shaken, and quick enough for a knock to be more than one sample, less sticks out as far: so
+# many usual steps (see below), and so much. Recorded cars and karts, and simulated ones on kerbs, have no such spike of
+# even three usual steps
+CALM_STEPS, CALM, CALM_PERIOD = 8.0, 1.0 / 6.0, 0.02  # steps, of what is least, s
 USUAL_STEPS = 4.0  # times the step between samples that 99 % stay below; of vibration the largest spike has 1.6
 USUAL_SHARE = 99.0  # percent
 ENOUGH_STEPS = 20_000
@@ -26,8 +30,9 @@ MOST_SPIKES = 0.05  # share of the samples; if there are more, they are not sing
 
 def without_spikes(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
     """Replace single values between which a line fits far better, and say so; `imu` itself where there are none."""
-    accel, of_accel = _repaired(imu.accel, LEAST_FORCE / imu.accel_scale)
-    gyro, of_gyro = _repaired(imu.gyro, LEAST_RATE / imu.gyro_scale)
+    calm = CALM if len(imu.t) > 1 and median(np.diff(imu.t[:ENOUGH_STEPS])) <= CALM_PERIOD else 1.0
+    accel, of_accel = _repaired(imu.accel, LEAST_FORCE / imu.accel_scale, calm)
+    gyro, of_gyro = _repaired(imu.gyro, LEAST_RATE / imu.gyro_scale, calm)
     if (count := of_accel + of_gyro) == 0:
         return imu
     text = f"{file}: {counted(count, 'value')} of single samples far from those around, which no motion makes; bridged"
@@ -35,9 +40,10 @@ def without_spikes(imu: RawImu, file: str, problems: list[Problem]) -> RawImu:
     return replace(imu, accel=accel, gyro=gyro)
 
 
-def _repaired(values: Array, least: float) -> tuple[Array, int]:
-    """Samples (N, 3) without their spikes of more than `least`, and how many values those were."""
-    spikes = _spikes(values, least)
+def _repaired(values: Array, least: float, calm: float) -> tuple[Array, int]:
+    """Samples (N, 3) without their spikes of more than `least`, or `calm` times that where they are hardly shaken, and
+    how many values those were."""
+    spikes = _spikes(values, least, calm)
     count = sum(int(length.sum()) for _, length in spikes)
     return (_bridged(values, spikes), count) if 0 < count <= MOST_SPIKES * len(values) else (values, 0)
 
@@ -45,32 +51,31 @@ def _repaired(values: Array, least: float) -> tuple[Array, int]:
 Spikes = list[tuple[IntArray, IntArray]]  # of each axis the first rows of its spikes (K,), and their lengths (K,)
 
 
-def _spikes(values: Array, least: float) -> Spikes:
-    """The spikes of samples (N, 3) that are larger than `least`; a day is looked at bit by bit."""
+def _spikes(values: Array, least: float, calm: float) -> Spikes:
+    """The spikes of samples (N, 3), see :func:`_repaired`; a day is looked at bit by bit."""
     margin = QUIET_ROWS + LONGEST_SPIKE + 1
     found: list[list[tuple[IntArray, IntArray]]] = [[] for _ in range(SENSOR_AXES)]
     for part in pieces(len(values)):
         begin = max(0, part.start - margin)
         block = values[begin : part.stop + margin]
         for axis in range(SENSOR_AXES):
-            first, length = _spikes_of_axis(block, axis, least)
+            first, length = _spikes_of_axis(block, axis, least, calm)
             own = (first + begin >= part.start) & (first + begin < part.stop)
             found[axis].append((first[own] + begin, length[own]))
         release(values)
     return [(np.concatenate([f for f, _ in axis]), np.concatenate([n for _, n in axis])) for axis in found]
 
 
-def _spikes_of_axis(values: Array, axis: int, least: float) -> tuple[IntArray, IntArray]:
+def _spikes_of_axis(values: Array, axis: int, least: float, calm: float) -> tuple[IntArray, IntArray]:
     none = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     x = values[:, axis]
-    if x.size < LONGEST_SPIKE or x.max() - x.min() <= least:  # nearly always: then nothing more is looked at
+    if x.size < LONGEST_SPIKE or x.max() - x.min() <= calm * least:
         return none
     step = np.abs(np.diff(x))
+    usual = float(np.percentile(step[:: max(1, step.size // ENOUGH_STEPS)], USUAL_SHARE))
+    least = max(USUAL_STEPS * usual, min(least, max(calm * least, CALM_STEPS * usual)))
     starts = np.flatnonzero(step > least) + 1
-    if starts.size == 0:
-        return none
-    least = max(least, USUAL_STEPS * float(np.percentile(step[:: max(1, step.size // ENOUGH_STEPS)], USUAL_SHARE)))
-    return _lone(values, axis, starts[step[starts - 1] > least], least)
+    return _lone(values, axis, starts, least) if starts.size else none
 
 
 def _lone(values: Array, axis: int, starts: IntArray, least: float) -> tuple[IntArray, IntArray]:

@@ -60,6 +60,24 @@ def test_counts_of_a_sensor_are_judged_in_si() -> None:
     assert [problem.count for problem in problems] == [1]
 
 
+@pytest.mark.parametrize(("sensor", "value"), [("accel", 14.0), ("accel", -12.0), ("gyro", 2.0), ("gyro", -1.6)])
+def test_of_a_sensor_that_is_hardly_shaken_less_sticks_out(sensor: str, value: float) -> None:
+    """A car: sixty such samples in a quarter of an hour put the delays of the GPS off by ten of their sigmas."""
+    clean, rows = driven(0.2), np.arange(250, 20_000, 500)
+    clean = replace(clean, gyro=0.1 * clean.gyro)
+    problems: list[Problem] = []
+    imu = without_spikes(with_values(clean, sensor, rows, 1, value), "imu.csv", problems)
+    assert [problem.count for problem in problems] == [rows.size]
+    np.testing.assert_allclose(getattr(imu, sensor), getattr(clean, sensor), atol=1.5)
+
+
+def test_a_knock_may_be_a_single_sample_of_a_slow_sensor() -> None:
+    calm = driven(0.2, 3000)
+    slow = with_values(replace(calm, t=8.0 * calm.t), "accel", np.array([700, 1500]), 2, 14.0)
+    problems: list[Problem] = []
+    assert without_spikes(slow, "imu.csv", problems) is slow
+
+
 def hit() -> RawImu:
     """A hit on a kerb of 25 g in one sample, that rings on."""
     imu = driven()
