@@ -94,7 +94,9 @@ def _lever_arm(
     arm_covariance_s, up_s = covariance[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
     if priors.holds_height and priors.drives:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
-    arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
+    # an arm that keeps to the course is not in the axes of a box that turns beside it
+    R_bs = constants.level_axes_s if constants.is_steered else mounting.R_bs
+    arm_b, arm_covariance = R_bs @ constants.lever_arm_s, R_bs @ arm_covariance_s @ R_bs.T
     sigma_b = np.sqrt(np.diag(arm_covariance))
     # The value stays where nothing shows it: it is the one that leads from the box to the antenna in the trajectory.
     observable = bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2]))
