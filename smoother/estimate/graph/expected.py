@@ -149,7 +149,9 @@ def expected_motion(
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
     rate = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
     if is_steered:
-        rate = rate + _of_column(path, rate)
+        rate = rate + _of_column(
+            path, rate, noise.gyro**2 * float(level_axes_s[0] @ np.array(noise.gyro_shape) @ level_axes_s[0])
+        )
     scatter = _scatter(level_axes_s, noise, dt)
     if not all(np.all(np.isfinite(values)) for values in (acceleration_b, speed, rate, scatter)):
         # it has run away; the solver says so
@@ -175,12 +177,13 @@ def expected_motion(
     )
 
 
-def _of_column(path: DensePath, rate: Array) -> Array:
+def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
     """By how much the kart's turn (M-1,) rad/s is more than that of a box on its wheel, rate (M-1,), all about up.
 
     The column leans to the driver: the wheel turns the box about the way ahead too, in one ratio, and a kart hardly
     rolls. The ratio is that of what is quicker than bends. What the kart itself turns goes with the wheel, later than
-    it: the turn of the path and how that changes take it out.
+    it: the turn of the path and how that changes take it out. What of the turn about the way ahead is noise, of density
+    rolling_noise (rad/s)^2/Hz, would make the ratio too small: its power is taken out, up to half of all there is.
     """
     dt, headed = float(path.t[1] - path.t[0]), course(path.velocity_n)[:-1]
     ahead_n = np.column_stack([np.cos(headed), np.sin(headed), np.zeros(len(headed))])
@@ -190,8 +193,11 @@ def _of_column(path: DensePath, rate: Array) -> Array:
     felt = np.column_stack([rolling, of_path, rate])
     slow, quicker = (running_mean(felt, 2 * max(1, round(0.5 * seconds / dt))) for seconds in (SLOW_TURN, QUICK_TURN))
     quick = quicker - slow
-    design = np.column_stack([quick[:, :2], np.gradient(quick[:, 1], dt)])
-    ratio = -float(np.linalg.lstsq(design, quick[:, 2], rcond=None)[0][0])
+    kart = np.column_stack([quick[:, 1], np.gradient(quick[:, 1], dt)])
+    roll, turn = (quick[:, ::2] - kart @ np.linalg.lstsq(kart, quick[:, ::2], rcond=None)[0]).T
+    power = float(roll @ roll)
+    of_noise = len(roll) * rolling_noise * (1.0 / QUICK_TURN - 1.0 / SLOW_TURN)
+    ratio = -float(roll @ turn) / max(power - of_noise, 0.5 * power, 1e-30)
     return np.asarray(rolling * min(max(ratio, 0.0), STEEPEST))
 
 
