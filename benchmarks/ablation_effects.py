@@ -203,7 +203,7 @@ def _never_still(session: Session) -> Array:
     return np.zeros(len(session.imu.t), dtype=bool)
 
 
-def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
+def _unaveraged(path: DensePath, *_: Any, **__: Any) -> ExpectedMotion:
     def at_edges(values: Array) -> Array:
         return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
 
@@ -211,9 +211,9 @@ def _unaveraged(path: DensePath, *_: Any) -> ExpectedMotion:
     return ExpectedMotion(path.velocity_n, at_edges(path.acceleration_n), at_edges(turning))
 
 
-def _raw_upwards(path: DensePath, *arguments: Any) -> ExpectedMotion:
+def _raw_upwards(path: DensePath, *arguments: Any, **named: Any) -> ExpectedMotion:
     """What is expected, but up and down as the samples say."""
-    felt = expected.expected_motion(path, *arguments)
+    felt = expected.expected_motion(path, *arguments, **named)
     raised = _upwards_as_felt(felt, path)
     followed = None if felt.followed is None else _upwards_as_felt(felt.followed, path)
     return replace(felt, velocity_n=raised.velocity_n, acceleration_n=raised.acceleration_n, followed=followed)
@@ -225,7 +225,7 @@ def _upwards_as_felt(motion: Motion, path: DensePath) -> Motion:
     return Motion(velocity_n, acceleration_n, motion.turn_rate)
 
 
-def _averaged_rates(path: DensePath, *_: Any) -> Felt:
+def _averaged_rates(path: DensePath, *_: Any, **__: Any) -> Felt:
     """Rates and accelerations averaged over a tenth of a second, as sure as if they were the truth."""
     rate_s, acceleration_n = (
         expected.at_edges(gaussian_mean(values, 0.05 / (path.t[1] - path.t[0])))

@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, are_near
 from smoother.disc import pieces, release
 from smoother.estimate.mirrored import mirrored_places
-from smoother.estimate.on_wheel import is_on_wheel
+from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
 from smoother.estimate.sensor_units import aligned, beginning
 from smoother.fit.running import running_mean
 from smoother.samples import (
@@ -289,8 +289,10 @@ def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
         return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
+    if is_steered := is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
+        problems = without_the_wheels(problems)
     findings = [Finding("stop", "IMU", problem.text) for problem in problems]
-    if not findings and is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
+    if not findings and is_steered:
         text = "the box turns with the steering wheel; roll, yaw and sideslip are the wheel's: mount it on the frame"
         findings.append(Finding("warning", "IMU", text))
     return _Part(findings, {})

@@ -9,7 +9,8 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.fit.running import running_mean
-from smoother.samples import GnssFixes, ImuSamples
+from smoother.samples import GnssFixes, ImuSamples, Problem
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
 
 QUICK, SLOW = 0.3, 2.0  # s over which turns are averaged, and beyond which they are the kart's
 MIN_SPEED, FEWEST = 4.5, 500  # m/s, and samples at it
@@ -35,6 +36,17 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
         return False
     shared = float(roll @ yaw)
     return shared / power < -LEAST_ROLL and shared / np.sqrt(power * float(roll @ roll)) < -LEAST_TOGETHER
+
+
+def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:
+    """Return problems of an alignment of a box on the wheel, without what the wheel explains.
+
+    A hand turns the wheel as the path bends: the box turns about the column then as much as about up. Axes that are
+    mirrored are so on a wheel too, and turn the other way.
+    """
+    if any(problem.code == MIRRORED_AXES for problem in problems):
+        return problems
+    return tuple(problem for problem in problems if problem.code != UNLIKE_AXES)
 
 
 def _at_speed(t: Array, fixes: GnssFixes) -> BoolArray:

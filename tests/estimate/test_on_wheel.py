@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.on_wheel import is_on_wheel
+from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
 from smoother.estimate.sensor_units import beginning
-from smoother.samples import GnssFixes, ImuSamples
+from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.sim.motion import wander
 from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
 from smoother.units import DEG
 
 PRESETS = ["white", "kart", "kart_harsh"]
@@ -54,3 +55,9 @@ def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:
     assert not is_on_wheel(imu, still) and not is_on_wheel(imu, unknown)
     dead = replace(imu, angular_rate_s=np.zeros_like(imu.angular_rate_s))
     assert not is_on_wheel(dead, fixes)
+
+
+def test_a_wheel_explains_axes_that_disagree_but_not_mirrored_ones() -> None:
+    apart, mirrored, other = (Problem(code, "") for code in (UNLIKE_AXES, MIRRORED_AXES, "heading_unknown"))
+    assert without_the_wheels((apart, other)) == (other,)
+    assert without_the_wheels((mirrored, apart)) == (mirrored, apart)

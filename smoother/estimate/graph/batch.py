@@ -337,7 +337,8 @@ def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> Ex
             acceleration_n=np.where(apart[:, None], 0.0, path.acceleration_n),
             velocity_n=np.where(inside[:, None], 0.0, path.velocity_n),
         )
-    return expected_motion(path, state.constants.level_axes_s, noise.inertial, level, state.interval, up)
+    c = state.constants
+    return expected_motion(path, c.level_axes_s, noise.inertial, level, state.interval, up, is_steered=c.is_steered)
 
 
 def session_rows(

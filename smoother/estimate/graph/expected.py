@@ -50,9 +50,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.estimate.graph.arm import course
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.wiener import MostProbable, Transform, most_probable
+from smoother.fit.running import running_mean
+from smoother.frames import to_left
 
 SLOWEST_NOISE = 0.05  # Hz; slower, the motion is told by the fixes, and samples have no part in it
 LEAST_LEFT = 0.3  # of the power of the samples' noise, in the path, whose swing, arm and latencies err too
@@ -66,6 +69,8 @@ MOST_LEAD = 0.3
 DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
 DRIVEN_BELOW = 2.5  # Hz, that the keyframes of receivers up to 10 Hz follow
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
+SLOW_TURN, QUICK_TURN = 2.0, 0.3  # s, as of on_wheel.py: beyond which turns are a kart's, over which they are averaged
+STEEPEST = 2.5  # turn about up in parts of that about the way ahead: of a column 22 deg off upright
 SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
 # channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
 LEVEL, TURN, UPWARDS, LEVEL_AND_TURNING = slice(0, 2), 2, slice(3, 4), slice(0, 3)
@@ -130,16 +135,23 @@ def expected_motion(
     doppler: DopplerNoise | None,
     interval: float,
     upwards: DopplerNoise | None = None,
+    *,
+    is_steered: bool = False,
 ) -> ExpectedMotion:
     """Most probable motion behind the accelerations and rates of the bins of `path`, whose samples had `noise`.
 
     level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
-    None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes.
+    None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes. is_steered: the
+    box turns with the steering wheel as well, which is taken out of its turn.
     """
     R_nb, dt = path.R_ns[:-1] @ level_axes_s.T, float(path.t[1] - path.t[0])
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
     speed = np.sqrt(np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
     rate = np.sum(path.R_ns[:-1, 2, :] * path.angular_rate_s, axis=1)
+    if is_steered:
+        rate = rate + _of_column(
+            path, rate, noise.gyro**2 * float(level_axes_s[0] @ np.array(noise.gyro_shape) @ level_axes_s[0])
+        )
     scatter = _scatter(level_axes_s, noise, dt)
     if not all(np.all(np.isfinite(values)) for values in (acceleration_b, speed, rate, scatter)):
         # it has run away; the solver says so
@@ -163,6 +175,30 @@ def expected_motion(
     return ExpectedMotion(
         motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed, driven
     )
+
+
+def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
+    """By how much the kart's turn (M-1,) rad/s is more than that of a box on its wheel, rate (M-1,), all about up.
+
+    The column leans to the driver: the wheel turns the box about the way ahead too, in one ratio, and a kart hardly
+    rolls. The ratio is that of what is quicker than bends. What the kart itself turns goes with the wheel, later than
+    it: the turn of the path and how that changes take it out. What of the turn about the way ahead is noise, of density
+    rolling_noise (rad/s)^2/Hz, would make the ratio too small: its power is taken out, up to half of all there is.
+    """
+    dt, headed = float(path.t[1] - path.t[0]), course(path.velocity_n)[:-1]
+    ahead_n = np.column_stack([np.cos(headed), np.sin(headed), np.zeros(len(headed))])
+    rolling = np.einsum("ki,kij,kj->k", ahead_n, path.R_ns[:-1], path.angular_rate_s)
+    push = to_left(path.velocity_n[:-1, :2], path.acceleration_n[:, :2])
+    of_path = push / (np.sum(path.velocity_n[:-1, :2] ** 2, axis=1) + LEAST_SPEED**2)
+    felt = np.column_stack([rolling, of_path, rate])
+    slow, quicker = (running_mean(felt, 2 * max(1, round(0.5 * seconds / dt))) for seconds in (SLOW_TURN, QUICK_TURN))
+    quick = quicker - slow
+    kart = np.column_stack([quick[:, 1], np.gradient(quick[:, 1], dt)])
+    roll, turn = (quick[:, ::2] - kart @ np.linalg.lstsq(kart, quick[:, ::2], rcond=None)[0]).T
+    power = float(roll @ roll)
+    of_noise = len(roll) * rolling_noise * (1.0 / QUICK_TURN - 1.0 / SLOW_TURN)
+    ratio = -float(roll @ turn) / max(power - of_noise, 0.5 * power, 1e-30)
+    return np.asarray(rolling * min(max(ratio, 0.0), STEEPEST))
 
 
 def quickest_slope(level: Transform, interval: float) -> float:

@@ -14,13 +14,15 @@ from smoother.arrays import Array
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion, expected_tilting
 from smoother.estimate.graph.imu import DensePath, at_times
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.rows import UP_N
 
 
 @dataclass(frozen=True, eq=False)
 class Felt:
     """acceleration_n (M, 3) m/s^2 and rate_n (M, 3) rad/s at the edges t (M,) s of a path.
 
-    tilting, turning: variances, (rad/s)^2, of the errors of rates about level axes and about up.
+    tilting, turning: variances, (rad/s)^2, of the errors of rates about level axes and about up. is_steered: the box
+    tilts on the steering wheel, and the kart that the arm keeps to does not.
     """
 
     path: DensePath
@@ -28,6 +30,7 @@ class Felt:
     rate_n: Array
     tilting: float
     turning: float
+    is_steered: bool = False
 
     def acceleration_at(self, t: Array) -> Array:
         """Acceleration (N, 3) m/s^2 in n at t (N,) s."""
@@ -37,6 +40,11 @@ class Felt:
         """Angular rate (N, 3) rad/s in n at t (N,) s."""
         return at_times(self.path, self.rate_n, t)
 
+    def swing_at(self, t: Array) -> Array:
+        """Angular rate (N, 3) rad/s in n, at t (N,) s, with which the arm swings the antenna."""
+        rate_n = self.rate_at(t)
+        return rate_n * UP_N if self.is_steered else rate_n
+
 
 def felt_on(
     path: DensePath,
@@ -45,14 +53,16 @@ def felt_on(
     doppler: DopplerNoise | None,
     interval: float,
     upwards: DopplerNoise | None = None,
+    *,
+    is_steered: bool = False,
 ) -> Felt:
     """Return what is most probable given `path`; arguments as for :func:`expected.expected_motion`."""
-    expected = expected_motion(path, level_axes_s, noise, doppler, interval, upwards)
+    expected = expected_motion(path, level_axes_s, noise, doppler, interval, upwards, is_steered=is_steered)
     tilt_rates, tilting = expected_tilting(path, level_axes_s, noise)
     rates_b = np.column_stack([tilt_rates, expected.turn_rate])
     rate_n = np.einsum("kij,kj->ki", path.R_ns @ level_axes_s.T, rates_b)
     rate_n[:, 2] = expected.turn_rate
-    return Felt(path, expected.acceleration_n, rate_n, tilting, expected.turn_variance)
+    return Felt(path, expected.acceleration_n, rate_n, tilting, expected.turn_variance, is_steered)
 
 
 def swing_covariance(felt: Felt, arm_n: Array) -> Array:

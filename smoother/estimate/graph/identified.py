@@ -9,12 +9,15 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
 from smoother.trajectory import Identified
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 # s^2, of the response: what an antenna half a metre above a box that leans by 1.5 mrad to a m/s^2 shows of its own
 ANTENNA_LEANS = 0.8e-3
+# m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
+ROUND_THE_COLUMN = 0.1
 # s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
 # usual with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
 FILTERS = 1.5e-3
@@ -83,6 +86,9 @@ def _of_the_receiver(
     response = VELOCITY_RESPONSE.start
     observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
     own = math.hypot(sigma[response], ANTENNA_LEANS) if priors.holds_height else sigma[response]
+    if constants.is_steered:
+        # the arm keeps to the course, the antenna to the nose: beside it by the slip, which goes with the acceleration
+        own = math.hypot(own, SLIP_PRIOR[1] * float(np.linalg.norm(constants.lever_arm_s)))
     out["gps_velocity_response"] = _value(values[response], own, "s^2", observable, False)
     return out
 
@@ -94,8 +100,11 @@ def _lever_arm(
     arm_covariance_s, up_s = covariance[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
     if priors.holds_height and priors.drives:
         arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
-    arm_b, arm_covariance = mounting.R_bs @ constants.lever_arm_s, mounting.R_bs @ arm_covariance_s @ mounting.R_bs.T
-    sigma_b = np.sqrt(np.diag(arm_covariance))
+    # an arm that keeps to the course is not in the axes of a box that turns beside it
+    R_bs = constants.level_axes_s if constants.is_steered else mounting.R_bs
+    arm_b, arm_covariance = R_bs @ constants.lever_arm_s, R_bs @ arm_covariance_s @ R_bs.T
+    beside = ROUND_THE_COLUMN * np.array([1.0, 1.0, 0.0]) if constants.is_steered else np.zeros(3)
+    sigma_b = np.hypot(np.sqrt(np.diag(arm_covariance)), beside)
     # The value stays where nothing shows it: it is the one that leads from the box to the antenna in the trajectory.
     observable = bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2]))
     stated = config.mounting.lever_arm_b is not None

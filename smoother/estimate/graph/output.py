@@ -8,6 +8,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
+from smoother.estimate.graph.arm import arm_axes, arm_axes_at
 from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
@@ -249,7 +250,15 @@ class _Source:
             state,
             bins,
             path,
-            felt_on(path, c.level_axes_s, self.noise, self.doppler, state.interval, self.upwards),
+            felt_on(
+                path,
+                c.level_axes_s,
+                self.noise,
+                self.doppler,
+                state.interval,
+                self.upwards,
+                is_steered=c.is_steered,
+            ),
         )
 
 
@@ -292,11 +301,11 @@ class _Rows:
         keyframes: Keyframes,
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
-        arm_s, near = found.state.constants.lever_arm_s, source.around(t)
+        c, near = found.state.constants, source.around(t)
         motion, rate_n = motion_at(near.path, t), near.felt.rate_at(t)
-        arm_n, R_nb = motion.R_ns @ arm_s, motion.R_ns @ mounting.R_bs.T
+        arm_n, R_nb = arm_axes_at(near.path, c, t, motion.R_ns) @ c.lever_arm_s, motion.R_ns @ mounting.R_bs.T
         self.position_n[part] = motion.position_n + arm_n
-        self.velocity_n[part] = motion.velocity_n + np.cross(rate_n, arm_n)
+        self.velocity_n[part] = motion.velocity_n + np.cross(near.felt.swing_at(t), arm_n)
         self.R_nb[part] = R_nb
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, near.felt.acceleration_at(t))
         self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
@@ -308,9 +317,13 @@ class _Rows:
             self.sigmas[name][part] = values
 
     def unsure_of_time(self, part: slice, sigma: float) -> None:
-        """Add the way that the kart goes in `sigma` s to the sigmas of position, m, of the rows `part`."""
-        along = sigma * self.velocity_n[part]
-        self.sigmas["position_n"][part] = np.hypot(self.sigmas["position_n"][part], along)
+        """Add what the kart goes and gains in `sigma` s to the sigmas of position, velocity and speed of `part`."""
+        velocity_n, R_nb = self.velocity_n[part], self.R_nb[part]
+        acceleration_n = np.einsum("nij,nj->ni", R_nb, self.acceleration_b[part])
+        pace = np.maximum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]), 1e-12)
+        faster = np.sum(velocity_n[:, :2] * acceleration_n[:, :2], axis=1) / pace
+        for name, change in (("position_n", velocity_n), ("velocity_n", acceleration_n), ("speed", faster)):
+            self.sigmas[name][part] = np.hypot(self.sigmas[name][part], sigma * change)
 
     def trajectory(self, t: Array, report: EstimateReport, joint: JointPosition | None) -> Trajectory:
         """Return the rows, all of which are filled."""
@@ -381,7 +394,7 @@ def _keyframes(
     height_sigma, m: of the antenna above the box where the graph held it, which tilting swings it by.
     """
     state, known = found.state, found.uncertainty
-    R, arm_s = state.R_ns, state.constants.lever_arm_s
+    R, arms_n = state.R_ns, arm_axes(state) @ state.constants.lever_arm_s
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, are_made_up(source.binned))
     of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
@@ -392,15 +405,15 @@ def _keyframes(
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * of_mounting**2) @ R_nb[part].transpose(0, 2, 1)
-        felt, arm_n = source.around(state.t[part]).felt, R[part] @ arm_s
-        rate_n = felt.rate_at(state.t[part])
-        velocity_n[part] += np.cross(rate_n, arm_n)
-        by_height = height_sigma * np.cross(rate_n, UP_N)
+        felt, arm_n = source.around(state.t[part]).felt, arms_n[part]
+        swing_n = felt.swing_at(state.t[part])
+        velocity_n[part] += np.cross(swing_n, arm_n)
+        by_height = height_sigma * np.cross(swing_n, UP_N)
         covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n) + by_height[:, :, None] * by_height[:, None, :]
         release(covariance, known, source.binned)
     return Keyframes(
         t=state.t,
-        position_n=state.position_n + R @ arm_s,
+        position_n=state.position_n + arms_n,
         velocity_n=velocity_n,
         R_nb=R_nb,
         covariance=covariance,

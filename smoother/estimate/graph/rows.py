@@ -14,6 +14,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
+from smoother.estimate.graph.arm import arm_axes, arm_axes_along, arm_axes_at
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.heading import Heading
@@ -131,17 +132,19 @@ def position_rows(
     b, R_ns = bracket(state, at), attitude_at(path, at)
     stamp_share = np.clip((t - offset_latency - state.t[b.interval]) / b.length, 0.0, 1.0)
     stamp = Bracket(b.interval, stamp_share, b.length)
-    arm_n = np.einsum("nij,j->ni", R_ns, state.constants.lever_arm_s)
+    R_arm = arm_axes_at(path, state.constants, at, R_ns)
+    arm_n = np.einsum("nij,j->ni", R_arm, state.constants.lever_arm_s)
     swing_n = np.cross(_about_up(path, felt.slow, at), arm_n)
     weights = hermite_position(b)
     residual = _on_curve(state, b, weights) + arm_n + _between(stamp, state.offset_n) - measured_n
     left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
-    _put_turn(left, right, state, b, -so3.skew(arm_n))
+    if not state.constants.is_steered:
+        _put_turn(left, right, state, b, -so3.skew(arm_n))
     left[:, :, OFFSET] = (1.0 - stamp_share)[:, None, None] * np.eye(3)
     right[:, :, OFFSET] = stamp_share[:, None, None] * np.eye(3)
     constants[:, :, POSITION_LATENCY] = -(_along(state, path, felt, b, weights) + swing_n)[:, :, None]
-    constants[:, :, LEVER_ARM] = R_ns
+    constants[:, :, LEVER_ARM] = R_arm
     return _rows("gps_position", b, residual, sigma, left, right, constants)
 
 
@@ -155,8 +158,12 @@ def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Arra
     R_ns = R_left @ so3.exp(b.share[:, None] * so3.log(R_left.transpose(0, 2, 1) @ R_right))
     left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, hermite_position(b))
-    _put_turn(left, right, state, b, -so3.skew(R_ns @ state.constants.lever_arm_s))
-    constants[:, :, LEVER_ARM] = R_ns
+    if state.constants.is_steered:
+        axes = arm_axes(state)
+        constants[:, :, LEVER_ARM] = _between(b, axes.reshape(-1, 9)).reshape(-1, 3, 3)
+    else:
+        _put_turn(left, right, state, b, -so3.skew(R_ns @ state.constants.lever_arm_s))
+        constants[:, :, LEVER_ARM] = R_ns
     return b.interval, left, right, constants
 
 
@@ -173,23 +180,25 @@ def velocity_rows(
     session = state.constants
     at = t - session.velocity_latency
     b, R_ns = bracket(state, at), attitude_at(path, at)
-    rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_ns, session.lever_arm_s)
+    R_arm = arm_axes_at(path, session, at, R_ns)
+    rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_arm, session.lever_arm_s)
     swing_n, answer = np.cross(rate_n, arm_n), _response(path, felt, session, at)
     weights = hermite_velocity(b)
     seen_n = _on_curve(state, b, weights) + swing_n + answer.beyond_n + session.doppler_bias_n
     left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
-    # a tilt turns the arm, but not the axis it swings about, which is up
-    turning = so3.skew(rate_n)
-    _put_turn(left, right, state, b, -turning @ so3.skew(arm_n))
-    # the rate is measured minus bias, and the swing is minus [l]x times it
-    left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
+    if not session.is_steered:  # else neither the arm nor its turning is of the box
+        # a tilt turns the arm, but not the axis it swings about, which is up
+        turning = so3.skew(rate_n)
+        _put_turn(left, right, state, b, -turning @ so3.skew(arm_n))
+        # the rate is measured minus bias, and the swing is minus [l]x times it
+        left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
     acceleration_n = _along(state, path, felt, b, weights)
     slow_n = _about_up(path, felt.slow, at)
     swinging_n = np.cross(slow_n, np.cross(slow_n, arm_n))
     constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + swinging_n)[:, :2, None]
-    constants[:, :, LEVER_ARM] = so3.skew(slow_n) @ R_ns
+    constants[:, :, LEVER_ARM] = so3.skew(slow_n) @ R_arm
     constants[:, :, VELOCITY_RESPONSE] = answer.slope_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)
 
@@ -463,7 +472,7 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
     if share == 0.0:
         return simple
     tau = math.sqrt(2.0 * response)
-    arm_n = path.R_ns[:, :2] @ session.lever_arm_s
+    arm_n = arm_axes_along(path, session)[:, :2] @ session.lever_arm_s
     swing_n = motion.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
     antenna_n = motion.velocity_n[:, :2] + swing_n
     shown = at_times(path, _level(low_passed(antenna_n, dt, tau)), t + tau)

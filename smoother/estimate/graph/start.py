@@ -23,6 +23,7 @@ from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.estimate.left_out import without_positions
+from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -138,7 +139,9 @@ def make_start(
     spans = sampled_spans(session.imu.t)
     begin, end = _busiest_span(driven, spans, span)
     t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
-    constants = Constants.from_vector(priors.constants, alignment.R_bs)
+    if is_steered := is_on_wheel(session.imu, session.gnss):
+        alignment = replace(alignment, problems=without_the_wheels(alignment.problems))
+    constants = Constants.from_vector(priors.constants, alignment.R_bs, is_steered=is_steered)
     fine, binned = _bins(session, t, path, alignment, constants, options)
     R_ns = initial_attitude(t, session.imu, driven, alignment)
     noise = _first_noise(session, path, alignment, binned, options)

@@ -58,6 +58,8 @@ class Constants:
     level_axes_s (3, 3), not estimated: rows are those axes in s, two level ones and up. A scale multiplies what is felt
     across gravity and turned about it. Along gravity it is a bias; a kart's rates of roll and pitch are mostly noise,
     and a scale fitted to noise would be fitted to hide it.
+
+    is_steered, not estimated: the box turns with the steering wheel, the arm with the course (arm.py).
     """
 
     position_latency: float
@@ -71,6 +73,7 @@ class Constants:
     gyro_error: Array = field(default_factory=_no_bias)
     rectification: Array = field(default_factory=_no_rectification)
     level_axes_s: Array = field(default_factory=_s_is_level)
+    is_steered: bool = False
 
     @property
     def accel_matrix(self) -> Array:
@@ -90,7 +93,7 @@ class Constants:
         return np.concatenate([*of_rows, *errors])
 
     @staticmethod
-    def from_vector(x: Array, level_axes_s: Array) -> "Constants":
+    def from_vector(x: Array, level_axes_s: Array, *, is_steered: bool = False) -> "Constants":
         """Inverse of :meth:`as_vector`."""
         return Constants(
             float(x[0]),
@@ -104,11 +107,12 @@ class Constants:
             np.array(x[GYRO_ERROR]),
             x[RECTIFICATION].reshape(3, 2),
             level_axes_s,
+            is_steered,
         )
 
     def retract(self, delta: Array) -> "Constants":
         """Return the constants moved by delta (CONSTANTS_SIZE,)."""
-        return Constants.from_vector(self.as_vector() + delta, self.level_axes_s)
+        return Constants.from_vector(self.as_vector() + delta, self.level_axes_s, is_steered=self.is_steered)
 
 
 @dataclass(frozen=True, eq=False)

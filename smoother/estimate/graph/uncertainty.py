@@ -7,6 +7,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import pieces
+from smoother.estimate.graph.arm import arm_axes, turning_arm
 from smoother.estimate.graph.batch import Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.slip import tells_nose
@@ -54,16 +55,15 @@ def uncertainty_of(solved: Solved, nose: float | None) -> Uncertainty:
     nose: variance, rad^2, of where slip has the nose beyond that in `solved`; None where the nose is not by slip.
     """
     state, P = solved.state, solved.solution.covariance
-    R, arm_s = state.R_ns, state.constants.lever_arm_s
-    turn = _turning(state)
-    arm_n, swing_n = R @ arm_s, np.einsum("kij,kj->ki", R, np.cross(turn, arm_s))
-    K = len(state.t)
+    R, R_arm, R_turning = state.R_ns, arm_axes(state), turning_arm(state)
+    K, turn_n, arm_n = len(state.t), _turning(state), R_arm @ state.constants.lever_arm_s
+    swing_n = np.cross(turn_n, arm_n)
     # errors in n of (attitude, velocity, position) by rotation, translation and velocity of the keyframe and by the arm
     J, C = np.zeros((K, 9, 9)), np.zeros((K, 9, 3))
     J[:, 0:3, ROTATION] = R
-    J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R, np.eye(3)
-    J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R, R
-    C[:, 3:6], C[:, 6:9] = R @ so3.skew(turn), R
+    J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R_turning, np.eye(3)
+    J[:, 6:9, ROTATION], J[:, 6:9, TRANSLATION] = -so3.skew(arm_n) @ R_turning, R
+    C[:, 3:6], C[:, 6:9] = so3.skew(turn_n) @ R_arm, R_arm
     columns, S = np.arange(LEVER_ARM.start, LEVER_ARM.stop), solved.solution.constants_covariance
     beyond = nose if tells_nose(S[SLIP.start, SLIP.start]) else None
     if beyond is not None:  # where slip has the nose, its error is one of the kart's attitude
@@ -83,10 +83,10 @@ def uncertainty_of(solved: Solved, nose: float | None) -> Uncertainty:
 
 
 def _turning(state: ChainState) -> Array:
-    """Mean angular rate (K, 3) rad/s in s from each keyframe to the next."""
-    R = state.R_ns
+    """Mean angular rate (K, 3) rad/s in n, of what the arm keeps to, from each keyframe to the next."""
+    R = arm_axes(state)
     turn = so3.log(R[:-1].transpose(0, 2, 1) @ R[1:]) / state.interval
-    return np.concatenate([turn, turn[-1:]])
+    return np.asarray(np.einsum("kij,kj->ki", R, np.concatenate([turn, turn[-1:]])))
 
 
 def bend_covariance(state: ChainState, solution: ChainSolution) -> Array:
@@ -114,9 +114,9 @@ def track_variance(state: ChainState, solution: ChainSolution) -> Array:
     Of each keyframe, and together with the next one: the offset is rough, and between two keyframes it is their mean.
     The antenna is where the arm has it: arm and latency err together, by what the sensor itself is not off.
     """
-    K, arm_n = len(state.t), state.R_ns @ state.constants.lever_arm_s
-    by_state, by_arm = np.zeros((K, 2, KEYFRAME_SIZE)), state.R_ns[:, :2]
-    by_state[:, :, ROTATION] = (-so3.skew(arm_n) @ state.R_ns)[:, :2]
+    K, R_arm = len(state.t), arm_axes(state)
+    by_state, by_arm = np.zeros((K, 2, KEYFRAME_SIZE)), R_arm[:, :2]
+    by_state[:, :, ROTATION] = (-so3.skew(R_arm @ state.constants.lever_arm_s) @ turning_arm(state))[:, :2]
     by_state[:, :, TRANSLATION], by_state[:, :, OFFSET] = state.R_ns[:, :2], np.eye(3)[:2]
     arm, with_arm = solution.constants_covariance[LEVER_ARM, LEVER_ARM], solution.constants_cross[:, :, LEVER_ARM]
     by_both = by_state @ with_arm  # (K, 2, 3), covariance of what the keyframe does to the line with the arm

@@ -100,6 +100,23 @@ class TestExpectedMotion:
         true = path.acceleration_n[:, :2]
         assert np.std(acceleration - true) < 0.5 * np.std(shaken.acceleration_n[:, :2] - true)
 
+    @pytest.mark.parametrize("column", [35.0 * DEG, 55.0 * DEG])
+    def test_the_turn_of_a_box_on_the_wheel_is_that_of_its_kart(self, column: float) -> None:
+        path, rate = corners()
+        axis = np.array([-np.sin(column), 0.0, np.cos(column)])
+        hand = gaussian_mean(np.random.default_rng(2).normal(size=(len(T), 1)), 0.15 / DT)[:, 0]
+        angle = 0.15 * hand / np.std(hand) + 0.4 * driven(T + 0.2)[1]  # ahead of the bend
+        wheel = so3.exp(angle[:, None] * axis)
+        R_ns = path.R_ns @ wheel
+        rates = so3.log(R_ns[:-1].transpose(0, 2, 1) @ R_ns[1:]) / DT
+        shaken = noisy(replace(path, R_ns=R_ns, angular_rate_s=rates), NOISE)
+        off = {}
+        for is_steered in (False, True):
+            felt = expected_motion(shaken, np.eye(3), NOISE, None, INTERVAL, is_steered=is_steered)
+            off[is_steered] = np.std(middles(felt)[1] - rate[:, 2])
+        assert off[False] > 0.2  # rad/s, of 0.6 that the kart turns by
+        assert off[True] < 0.3 * off[False]
+
     def test_its_velocity_is_what_its_acceleration_adds_up_to(self) -> None:
         """All but slow changes, of which the fixes tell."""
         path, _ = corners()

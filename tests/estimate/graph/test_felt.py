@@ -105,3 +105,13 @@ def test_the_swing_is_as_unsure_as_its_rates() -> None:
     errors = rng.normal(size=(200_000, 3)) * [0.2, 0.2, 0.1]
     want = np.cov(np.cross(errors, arm_n).T)
     np.testing.assert_allclose(swing_covariance(felt, arm_n)[0], want, atol=2e-2 * want.max())
+
+
+def test_a_box_that_tilts_on_the_wheel_does_not_swing_the_antenna_up_and_down() -> None:
+    t, rate_n = 0.2 * np.arange(3), np.tile([0.3, -0.2, 0.7], (3, 1))
+    none = np.zeros((2, 3))
+    path = DensePath(t, np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 3)), np.zeros((3, 3)), none, none)
+    frame, wheel = (Felt(path, np.zeros((3, 3)), rate_n, 0.0, 0.0, is_steered) for is_steered in (False, True))
+    np.testing.assert_allclose(frame.swing_at(t), rate_n)
+    np.testing.assert_allclose(wheel.swing_at(t), rate_n * [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(wheel.rate_at(t), rate_n)  # the box does

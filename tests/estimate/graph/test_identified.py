@@ -20,6 +20,8 @@ def told(
     sigma: float = 2e-3,
     tau_spread: float = math.inf,
     config: SessionConfig | None = None,
+    *,
+    is_steered: bool = False,
     **priors: bool,
 ) -> dict[str, Identified]:
     """Of latencies known to `sigma`, s, with priors of 0.25 s."""
@@ -27,7 +29,7 @@ def told(
     noise = Noise(inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread)
     beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
     return identified_values(
-        Constants(0.12, 0.2, np.zeros(3)),
+        Constants(0.12, 0.2, np.array([0.3, 0.4, 0.0]), is_steered=is_steered),
         sigma**2 * np.eye(CONSTANTS_SIZE),
         np.zeros((3, 3)),
         noise,
@@ -58,6 +60,15 @@ def test_an_antenna_that_leans_looks_like_a_receiver_that_answers_late() -> None
     known, unknown = told(0.0, sigma=2e-4), told(0.0, sigma=2e-4, holds_height=True)
     assert known["gps_velocity_response"].sigma == pytest.approx(2e-4)
     assert unknown["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.8e-3))
+
+
+def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> None:
+    """The nose is beside the course by the slip, 0.01 rad per m/s^2; the box goes round the column."""
+    frame, wheel = (told(0.0, sigma=2e-4, is_steered=is_steered) for is_steered in (False, True))
+    assert frame["gps_velocity_response"].sigma == pytest.approx(2e-4)
+    assert wheel["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.01 * 0.5))
+    assert frame["lever_arm_b"].sigma == pytest.approx(np.full(3, 2e-4))
+    assert wheel["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-4, [0.1, 0.1, 0.0]))
 
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
