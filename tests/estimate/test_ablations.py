@@ -27,6 +27,7 @@ WORLD_OF = {
     "receivers that go straight on": "kart, receiver that goes straight on",
     "receivers that have not settled": "kart, receiver from cold",
     "velocities turned against positions": "kart, magnetic course",
+    "arm that stays with the kart, box on the wheel": "kart, late force on the wheel",
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
 }
