@@ -12,7 +12,7 @@ from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
 
-QUICK, SLOW = 0.3, 2.0  # s over which turns are averaged, and beyond which they are the kart's
+QUICK_TURN, SLOW_TURN = 0.3, 2.0  # s over which turns are averaged, and beyond which they are the kart's
 MIN_SPEED, FEWEST = 4.5, 500  # m/s, and samples at it
 # roll in parts of the yaw, and their correlation. Two real boxes on wheels have -1.0 and -1.5, and -0.9; simulated ones
 # whose wheel turns by 10 deg -1.0 to -1.2 and -0.8 to -0.9. On frames simulated karts have -0.14 to 0.01, four cars
@@ -27,7 +27,7 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
         return False
     step = float(np.median(np.diff(imu.t)))
     rate = imu.angular_rate_s - np.median(imu.angular_rate_s, axis=0)
-    slow, quicker = (running_mean(rate, 2 * max(1, round(0.5 * seconds / step))) for seconds in (SLOW, QUICK))
+    slow, quicker = (running_mean(rate, 2 * max(1, round(0.5 * seconds / step))) for seconds in (SLOW_TURN, QUICK_TURN))
     quick = (quicker - slow)[driving]
     ahead, up = _ahead_and_up(imu.specific_force_s[driving], slow[driving])
     yaw, roll = quick @ up, quick @ ahead

@@ -216,8 +216,7 @@ def _imu(table: _Table, t: Array) -> tuple[RawImu | None, list[Problem]]:
     """Inertial samples of a table that has all six channels."""
     names = [name for name in (*FORCES, *RATES) if name in table.layout.columns]
     if len(names) < len(FORCES) + len(RATES):
-        shown = [table.layout.names[table.layout.columns[name][0]] for name in names]
-        return None, incomplete_note(table.file, (*FORCES, *RATES), names) if shown else []
+        return None, incomplete_note(table.file, (*FORCES, *RATES), names) if names else []
     accel = np.stack([table.value(name) for name in FORCES], axis=-1)
     gyro = np.stack([table.value(name) for name in RATES], axis=-1)
     force, rate = table.unit("ax"), table.unit("gx")

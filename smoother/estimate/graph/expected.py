@@ -54,6 +54,7 @@ from smoother.estimate.graph.arm import course
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.wiener import MostProbable, Transform, most_probable
+from smoother.estimate.on_wheel import QUICK_TURN, SLOW_TURN
 from smoother.fit.running import running_mean
 from smoother.frames import to_left
 
@@ -69,7 +70,6 @@ MOST_LEAD = 0.3
 DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
 DRIVEN_BELOW = 2.5  # Hz, that the keyframes of receivers up to 10 Hz follow
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
-SLOW_TURN, QUICK_TURN = 2.0, 0.3  # s, as of on_wheel.py: beyond which turns are a kart's, over which they are averaged
 STEEPEST = 2.5  # turn about up in parts of that about the way ahead: of a column 22 deg off upright
 SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
 # channels: accelerations ahead and to the left, turn times speed, acceleration upwards, which goes with none of these
