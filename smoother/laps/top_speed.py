@@ -2,8 +2,8 @@
 
 The highest row of a noisy speed is the luckiest of a straight's, and the highest straight the luckiest of a session's.
 Speed is therefore steadied over a moment, and peaks that may be equally high are drawn to their mean as far as their
-scatter is no more than their noise: those of an even driver all the way, one that is high for a reason hardly.
-Source: the empirical Bayes estimate of normal means, their spread as by DerSimonian and Laird, 1986.
+scatter is no more than their noise: those of an even driver nearly all the way, one that is high for a reason hardly.
+Source: the hierarchical normal model with a half-Cauchy prior of the spread, Gelman, 2006.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from smoother.trajectory import Trajectory
 STEADIED_OVER = 0.6  # s; beyond, the tip before the brakes is blunted
 APART = 10.0  # s; of so long only the highest peak counts: there is hardly more than one straight in it
 ALIKE = 3.0  # sigmas below the surest of the highest up to which a peak may be as high
+SPREADS = 64  # of tops between laps or straights that are tried
 SURE_SPEED = 0.1  # of a speed: one that is less sure than that and than others is an error of the fixes
 
 
@@ -67,14 +68,26 @@ def likely_tops(speed: Array, sigma: Array) -> Array:
     alike = _alike(speed, sigma)
     if np.count_nonzero(alike) < 2:
         return speed
-    seen, variance = speed[alike], sigma[alike] ** 2
-    weight = 1.0 / variance
-    squares = float(np.sum(weight * (seen - np.average(seen, weights=weight)) ** 2))
-    spread = max(0.0, squares - (len(seen) - 1)) / float(weight.sum() - np.sum(weight**2) / weight.sum())
-    mean = float(np.average(seen, weights=1.0 / (spread + variance)))
     out = speed.copy()
-    out[alike] = mean + spread / (spread + variance) * (seen - mean)
+    out[alike] = _shrunk(speed[alike], sigma[alike])
     return out
+
+
+def _shrunk(seen: Array, sigma: Array) -> Array:
+    """Return the posterior mean (K,) of normal means seen with noise sigma (K,), of one mean and unknown spread.
+
+    The most likely spread is often 0, which would make all tops of an even driver one and the same figure: the doubt
+    of it counts too. Spreads are quantiles of its prior, a half-Cauchy distribution of the noise's own size.
+    """
+    spread = median(sigma) * np.tan(0.5 * np.pi * (np.arange(SPREADS) + 0.5) / SPREADS)
+    variance = spread[:, None] ** 2 + sigma**2  # (S, K)
+    weight = 1.0 / variance
+    mean = (weight @ seen) / weight.sum(axis=1)
+    apart = seen - mean[:, None]
+    log_likely = -0.5 * (np.log(variance).sum(axis=1) + np.log(weight.sum(axis=1)) + (weight * apart**2).sum(axis=1))
+    likely = np.exp(log_likely - log_likely.max())
+    drawn = mean[:, None] + spread[:, None] ** 2 * weight * apart
+    return np.asarray(likely @ drawn / likely.sum())
 
 
 def _alike(speed: Array, sigma: Array) -> BoolArray:
