@@ -7,6 +7,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import release
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
+from smoother.laps.corner_speeds import steady_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
 from smoother.laps.loop import SHORTEST
@@ -31,7 +32,7 @@ from smoother.laps.sideslip import why_hidden
 from smoother.laps.sigma import Drift, position_errors
 from smoother.laps.statistics import official_times, statistics_of
 from smoother.laps.timing import BESIDE, raw_crossings
-from smoother.laps.top_speed import likely_tops, speed_sigma, steadied
+from smoother.laps.top_speed import likely_tops
 from smoother.samples import Problem
 from smoother.trajectory import JointPosition, Trajectory
 
@@ -190,7 +191,7 @@ def _analysed(given: _Given, circuit: Circuit, passages: tuple[Passage, ...]) ->
 
 def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passage, ...], given: _Given) -> LapAnalysis:
     """A track and a line, but no whole lap on it."""
-    laps = tuple(_untimed(given, *each) for each in zip(passages, _tops(given, passages), strict=True))
+    laps = tuple(_untimed(given, *each) for each in zip(passages, _speeds(given, passages), strict=True))
     return replace(
         nothing,
         laps=laps,
@@ -202,10 +203,10 @@ def _empty_circuit(nothing: LapAnalysis, circuit: Circuit, passages: tuple[Passa
     )
 
 
-def _untimed(given: _Given, passage: Passage, top_speed: float) -> Lap:
+def _untimed(given: _Given, passage: Passage, speeds: Array) -> Lap:
     reason: Reason = "in-lap" if passage.starts_at_line else "out-lap"
     empty = np.full(1, np.nan)
-    return _lap(given, passage, (reason,), np.nan, empty, empty, empty, np.nan, top_speed)
+    return _lap(given, passage, (reason,), np.nan, empty, empty, empty, np.nan, speeds)
 
 
 def _quickest(passages: tuple[Passage, ...], valid: BoolArray) -> int | None:
@@ -252,21 +253,22 @@ def _laps(
 ) -> tuple[Lap, ...]:
     times = line_times(given.path, circuit, passages, lines)
     sigma, sector_sigma, gap_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors, best)
-    raw, tops = _raw_times(given, circuit, passages), _tops(given, passages)
+    raw, speeds = _raw_times(given, circuit, passages), _speeds(given, passages)
     return tuple(
-        _lap(given, passage, why[i], sigma[i], np.diff(times[i]), sector_sigma[i], gap_sigma[i], raw[i], tops[i])
+        _lap(given, passage, why[i], sigma[i], np.diff(times[i]), sector_sigma[i], gap_sigma[i], raw[i], speeds[i])
         for i, passage in enumerate(passages)
     )
 
 
-def _tops(given: _Given, passages: tuple[Passage, ...]) -> Array:
-    """Top speed (L,) m/s of every lap, without the luck that the highest of many rows and laps has."""
-    path = given.path
-    speed, sigma = steadied(path.speed, path.t), speed_sigma(given.trajectory)
-    rows = [path.rows_between(p.start, p.end) for p in passages]
-    highest = [int(r[np.argmax(speed[r])]) if r.size else -1 for r in rows]
-    tops = np.array([speed[k] if k >= 0 else np.nan for k in highest])
-    return likely_tops(tops, np.array([sigma[k] if k >= 0 else np.nan for k in highest]))
+def _speeds(given: _Given, passages: tuple[Passage, ...]) -> Array:
+    """Top and least speed (L, 2) m/s of every lap, without the luck that the extreme of many rows and laps has."""
+    steady = steady_speed(given.trajectory)
+    rows = [given.path.rows_between(p.start, p.end) for p in passages]
+    highest = [int(r[np.argmax(steady.speed[r])]) if r.size else -1 for r in rows]
+    tops = np.array([steady.speed[k] if k >= 0 else np.nan for k in highest])
+    sigma = np.array([steady.sigma[k] if k >= 0 else np.nan for k in highest])
+    least = [float(steady.speed[r].min()) if r.size else np.nan for r in rows]
+    return np.column_stack([likely_tops(tops, sigma), least])
 
 
 def _lap(
@@ -278,11 +280,9 @@ def _lap(
     sector_sigma: Array,
     sector_gap_sigma: Array,
     raw_time: float,
-    top_speed: float,
+    speeds: Array,
 ) -> Lap:
     path = given.path
-    rows = path.rows_between(passage.start, passage.end)
-    speed = path.speed[rows] if rows.size else np.full(1, np.nan)
     driven = interpolated(np.array([passage.start, passage.end]), path.t, path.driven)
     return Lap(
         number=passage.number,
@@ -296,8 +296,8 @@ def _lap(
         sector_gap_sigma=sector_gap_sigma,
         raw_time=float(raw_time),
         distance=float(driven[1] - driven[0]),
-        top_speed=float(top_speed),
-        min_speed=float(speed.min()),
+        top_speed=float(speeds[0]),
+        min_speed=float(speeds[1]),
     )
 
 

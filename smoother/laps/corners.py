@@ -11,8 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, steady_speed
 from smoother.laps.delta import GRID
-from smoother.laps.path import PlanPath, interpolated
+from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward
@@ -106,8 +107,9 @@ def make_corners(
     losses = _judged(lost, sigma, counting, reference)
     others = np.array([lap for lap in np.flatnonzero(counting) if lap != reference], dtype=np.int64)
     usual = _judged_usual(lost[others], _usual_sigma(curve, bounds, at_bounds, path, reference, others, errors))
+    steady = steady_speed(trajectory)
     return tuple(
-        _corner(i, bend, bounds, traces, trajectory, spent[:, i], losses, usual) for i, bend in enumerate(bends)
+        _corner(i, bend, bounds, traces, trajectory, steady, spent[:, i], losses, usual) for i, bend in enumerate(bends)
     )
 
 
@@ -252,17 +254,14 @@ def _corner(
     bounds: Array,
     traces: Traces,
     trajectory: Trajectory,
+    speed: SteadySpeed,
     spent: Array,
     losses: _Losses,
     usual: _Losses,
 ) -> Corner:
-    d = traces.distance
-    inside = (d >= bend.start) & (d <= bend.end)
-    known = np.isfinite(traces.speed[:, inside]).all(axis=1)
-    lowest = np.where(known, np.min(np.nan_to_num(traces.speed[:, inside], nan=np.inf), axis=1), np.nan)
-    lowest = np.where(known, np.fmin(lowest, _slowest(traces, trajectory, bend)), np.nan)
-    ends = _at(traces.speed, d, np.array([bend.start, bend.end]))
-    braking, braking_sigma = _braking(traces, trajectory, bounds[i], bend.apex)
+    inside = (traces.distance >= bend.start) & (traces.distance <= bend.end)
+    speeds = corner_speeds(speed, traces, bend.start, bend.end)
+    braking, braking_sigma = _braking(traces, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
     return Corner(
         number=i + 1,
@@ -272,10 +271,12 @@ def _corner(
         turns_left=bend.curvature > 0.0,
         radius=1.0 / abs(bend.curvature),
         segment=(float(bounds[i]), float(bounds[i + 1])),
-        entry_speed=ends[:, 0],
-        min_speed=np.minimum(lowest, ends.min(axis=1)),
-        exit_speed=ends[:, 1],
-        speed_sigma=_speed_sigma(traces, trajectory, inside),
+        entry_speed=speeds.entry,
+        entry_speed_sigma=speeds.entry_sigma,
+        min_speed=speeds.least,
+        min_speed_sigma=speeds.least_sigma,
+        exit_speed=speeds.exit,
+        exit_speed_sigma=speeds.exit_sigma,
         braking_point=braking,
         braking_sigma=braking_sigma,
         time=spent,
@@ -291,30 +292,7 @@ def _corner(
     )
 
 
-def _slowest(traces: Traces, trajectory: Trajectory, bend: Bend) -> Array:
-    """Least speed (L,) m/s of the rows in a bend, NaN where there is none: who stands does so between two distances."""
-    out = np.full(len(traces.t), np.nan)
-    between, speed = _at(traces.t, traces.distance, np.array([bend.start, bend.end])), trajectory.speed
-    for lap in np.flatnonzero(np.isfinite(between).all(axis=1)):
-        first, last = np.searchsorted(trajectory.t, between[lap])
-        if last > first:
-            out[lap] = float(np.min(speed[first:last]))
-    return out
-
-
-def _speed_sigma(traces: Traces, trajectory: Trajectory, inside: BoolArray) -> Array:
-    out = np.full(len(traces.t), np.nan)
-    if trajectory.sigmas is None:
-        return out
-    t = traces.t[:, inside]
-    sigma = interpolated(t, trajectory.t, trajectory.sigmas.speed)
-    for lap, known in enumerate(np.isfinite(t)):
-        if known.any():
-            out[lap] = float(np.sqrt(np.mean(sigma[lap, known] ** 2)))
-    return out
-
-
-def _braking(traces: Traces, trajectory: Trajectory, start: float, apex: float) -> tuple[Array, Array]:
+def _braking(traces: Traces, start: float, apex: float) -> tuple[Array, Array]:
     """Where each lap began the braking zone that takes most speed before the apex, (L,) m, and its sigma (L,) m."""
     part = np.flatnonzero((traces.distance >= start) & (traces.distance <= apex))
     point, sigma = np.full(len(traces.t), np.nan), np.full(len(traces.t), np.nan)
@@ -337,11 +315,11 @@ def _braking(traces: Traces, trajectory: Trajectory, start: float, apex: float) 
         places.append(first)
     if laps:
         point[laps] = traces.distance[places]
-        sigma[laps] = _braking_sigma(traces, trajectory, np.array(laps), np.array(places))
+        sigma[laps] = _braking_sigma(traces, np.array(laps), np.array(places))
     return point, sigma
 
 
-def _braking_sigma(traces: Traces, trajectory: Trajectory, laps: IntArray, places: IntArray) -> Array:
+def _braking_sigma(traces: Traces, laps: IntArray, places: IntArray) -> Array:
     """Position of the kart, and how far it goes while the acceleration cannot be told from the threshold, (K,) m.
 
     laps, places (K,): index of a lap, and of the place where it began to brake.
@@ -352,8 +330,6 @@ def _braking_sigma(traces: Traces, trajectory: Trajectory, laps: IntArray, place
     lasts = seconds > 0.0
     jerk = np.full(len(laps), LEAST_JERK)
     jerk[lasts] = np.fmax(LEAST_JERK, np.abs(change[lasts] / seconds[lasts]))
-    track = np.zeros(len(laps))
-    if trajectory.sigmas is not None:
-        track = interpolated(traces.t[laps, places], trajectory.t, trajectory.sigmas.track)
+    along = np.nan_to_num(traces.place_sigma[laps, places])
     late = traces.speed[laps, places] * ACCELERATION_SIGMA / jerk
-    return np.asarray(np.sqrt(track**2 + late**2 + GRID**2 / 12.0))
+    return np.asarray(np.sqrt(along**2 + late**2 + GRID**2 / 12.0))

@@ -134,7 +134,7 @@ def make_traces(
     speed = np.where(known, np.hypot(velocity[:, 0], velocity[:, 1]).reshape(t.shape), np.nan)
     lateral = _lateral(curve, position.reshape(*t.shape, 2), distance)
     lateral = np.where(known, lateral, np.nan)
-    lateral_sigma = _lateral_sigma(curve, distance, t, counting, errors)
+    lateral_sigma, place_sigma = _place_sigmas(curve, distance, t, counting, errors)
     elapsed = t - np.array([p.start if p.starts_at_line else np.nan for p in passages])[:, None]
     delta = elapsed - reference if reference is not None else np.full(t.shape, np.nan)
     nearest = np.clip(np.searchsorted(path.t, at), 0, len(path.t) - 1)
@@ -146,6 +146,7 @@ def make_traces(
         delta_sigma=np.full(t.shape, np.nan),
         lateral=lateral,
         lateral_sigma=lateral_sigma,
+        place_sigma=place_sigma,
         is_off_line=(np.abs(lateral) > least_real(lateral_sigma)) & (lateral_sigma > 0.0),
         longitudinal=sampled(values.along),
         lateral_acceleration=sampled(values.left),
@@ -167,17 +168,17 @@ def sigma_places(distance: Array) -> IntArray:
     return np.unique(np.linspace(0, len(distance) - 1, min(SIGMA_PLACES, len(distance))).round().astype(np.int64))
 
 
-def _lateral_sigma(
+def _place_sigmas(
     curve: Curve, distance: Array, t: Array, counting: BoolArray | None, errors: JointPosition | None
-) -> Array:
-    """Sigma (L, M) m of each lap's offset from the mean of the laps that count.
+) -> tuple[Array, Array]:
+    """Sigma (L, M) m of each lap's offset from the mean of the laps that count, and its share of what two differ by.
 
-    Without `counting` the line is that of another session, whose GPS was off in its own way: then the position's whole
-    error counts, twice.
+    The latter holds for the place along the track too: positions are as unsure this way as that. Without `counting` the
+    line is that of another session, whose GPS was off in its own way: then the position's whole error counts, twice.
     """
-    out = np.full(t.shape, np.nan)
+    out = np.full((2, *t.shape), np.nan)
     if errors is None:
-        return out
+        return out[0], out[1]
     places = sigma_places(distance)
     there = [np.flatnonzero(np.isfinite(t[:, place])) for place in places]
     there, places = [laps for laps in there if laps.size], places[[laps.size > 0 for laps in there]]
@@ -185,14 +186,25 @@ def _lateral_sigma(
     directions = [np.tile(one, (len(laps), 1)) for one, laps in zip(left, there, strict=True)]
     times = [t[laps, place] for laps, place in zip(there, places, strict=True)]
     for place, laps, covariance in zip(places, there, covariances(errors, times, directions), strict=True):
-        if counting is None:
-            out[laps, place] = np.sqrt(2.0 * np.diag(covariance))
-            continue
-        shaping = counting[laps] / max(1, int(np.count_nonzero(counting[laps])))
-        of_mean = covariance @ shaping
-        variance = np.diag(covariance) - 2.0 * of_mean + shaping @ of_mean
-        out[laps, place] = np.sqrt(np.maximum(variance, 0.0))
-    return _between(distance, places, out, np.isfinite(t))
+        variance = _variances(covariance, None if counting is None else counting[laps])
+        out[:, laps, place] = np.sqrt(np.maximum(variance, 0.0))
+    known = np.isfinite(t)
+    return _between(distance, places, out[0], known), _between(distance, places, out[1], known)
+
+
+def _variances(covariance: Array, counting: BoolArray | None) -> Array:
+    """Variance (2, K) of the offsets of K laps from the mean of those that count, and half of that between a lap and
+    another that counts, as their covariance (K, K) has it; two laps then differ by the sum of theirs."""
+    own = np.diag(covariance)
+    if counting is None:
+        return np.stack([2.0 * own, 2.0 * own])
+    shaping = counting / max(1, int(np.count_nonzero(counting)))
+    of_mean = covariance @ shaping
+    compared = (counting if counting.any() else np.ones_like(counting)).astype(np.float64)
+    between = (own[:, None] + own[None, :] - 2.0 * covariance) @ compared  # 0 with itself
+    return np.stack(
+        [own - 2.0 * of_mean + shaping @ of_mean, 0.5 * between / np.maximum(compared.sum() - compared, 1.0)]
+    )
 
 
 def _between(distance: Array, places: IntArray, values: Array, known: BoolArray) -> Array:

@@ -153,9 +153,11 @@ def _loss(loss: Loss, analysis: LapAnalysis) -> Document:
 def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
     columns = {
         "entry_speed_mps": corner.entry_speed,
+        "entry_speed_sigma_mps": corner.entry_speed_sigma,
         "min_speed_mps": corner.min_speed,
+        "min_speed_sigma_mps": corner.min_speed_sigma,
         "exit_speed_mps": corner.exit_speed,
-        "speed_sigma_mps": corner.speed_sigma,
+        "exit_speed_sigma_mps": corner.exit_speed_sigma,
         "braking_point_m": corner.braking_point,
         "braking_sigma_m": corner.braking_sigma,
         "time_s": corner.time,

@@ -61,8 +61,8 @@ def _differences(corner: Corner, lap: int, laps: LapAnalysis) -> tuple[Differenc
 
     all_of_them = (
         by("braking", corner.braking_point, corner.braking_sigma),
-        by("entry", corner.entry_speed, corner.speed_sigma),
-        by("minimum", corner.min_speed, corner.speed_sigma),
-        by("exit", corner.exit_speed, corner.speed_sigma),
+        by("entry", corner.entry_speed, corner.entry_speed_sigma),
+        by("minimum", corner.min_speed, corner.min_speed_sigma),
+        by("exit", corner.exit_speed, corner.exit_speed_sigma),
     )
     return tuple(each for each in all_of_them if each.by > CLEARLY * each.sigma)

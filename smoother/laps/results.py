@@ -116,8 +116,10 @@ class Traces:
 
     t s, session clock, when the lap was at that distance; speed m/s; delta s against the reference lap, positive is
     slower, with delta_sigma; lateral m left of the reference line, with lateral_sigma, of the difference between the
-    lap and the line, the GPS offset of both counted; is_off_line: where |lateral| is above two of its sigma (draw the
-    rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level; yaw_rate rad/s of the kart.
+    lap and the line, the GPS offset of both counted; place_sigma m, a lap's share of how unsure it is that it and
+    another were at the same place (of two, the root of the sum of their squares); is_off_line: where |lateral| is above
+    two of its sigma (draw the rest grey). longitudinal, lateral_acceleration m/s^2 along and left of the path, level;
+    yaw_rate rad/s of the kart.
     zone: -1 braking, +1 driving, 0 neither. sideslip rad, heading minus course, both clockwise (positive: the kart
     slides to its left), with sideslip_sigma; balance rad/s, yaw rate minus that of the path, positive: turns more to
     the left than the path.
@@ -131,6 +133,7 @@ class Traces:
     delta_sigma: Array
     lateral: Array
     lateral_sigma: Array
+    place_sigma: Array
     is_off_line: BoolArray
     longitudinal: Array
     lateral_acceleration: Array
@@ -147,13 +150,13 @@ class Corner:
 
     number from 1; start, apex, end: where curvature begins, is greatest, and ends; turns_left; radius m at the apex.
     segment (2,) m: the stretch whose time is compared, from the braking zone before to the acceleration after; the
-    segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, with speed_sigma
-    m/s (of each of the three, typical). braking_point m, NaN where the lap did not brake, braking_sigma m. time s spent
-    in the segment; time_lost s against the reference lap, time_lost_sigma; is_real: |time_lost| above real_from of
-    them, the same in all corners, so many that few of all that is called real is luck. slide rad, mean sideslip between
-    start and end, positive: the nose points into the corner, with slide_sigma. usual_lost s, the median of the other
-    laps that count, with usual_lost_sigma, in which the reference lap's error counts as one; usual_is_real as above,
-    among all corners.
+    segments of all corners tile the lap. entry_speed at `start`, min_speed, exit_speed at `end` m/s, each with its
+    sigma, in which the place on the track is as unsure as it is. braking_point m, NaN where the lap did not brake,
+    braking_sigma m. time s spent in the segment; time_lost s against the reference lap, time_lost_sigma; is_real:
+    |time_lost| above real_from of them, the same in all corners, so many that few of all that is called real is luck.
+    slide rad, mean sideslip between start and end, positive: the nose points into the corner, with slide_sigma.
+    usual_lost s, the median of the other laps that count, with usual_lost_sigma, in which the reference lap's error
+    counts as one; usual_is_real as above, among all corners.
     """
 
     number: int
@@ -164,9 +167,11 @@ class Corner:
     radius: float
     segment: tuple[float, float]
     entry_speed: Array
+    entry_speed_sigma: Array
     min_speed: Array
+    min_speed_sigma: Array
     exit_speed: Array
-    speed_sigma: Array
+    exit_speed_sigma: Array
     braking_point: Array
     braking_sigma: Array
     time: Array

@@ -367,8 +367,6 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         cells += [slide] if slides else []
         cells += [usual_cell(c), real] if timed else []
         rows.append(row(*cells))
-    typical = float(np.nanmedian([c.speed_sigma[shown] for c in laps.corners])) if laps.corners else np.nan
-    sure: list[Child] = [" Speeds are sure to ± ", speed_span(typical), " ", speed_unit(), "."]
     title = f"Corners on lap {laps.laps[shown].number}"
     slide = (
         " Slide: how far the nose points into the corner, beyond the path: in the trace of sideslip that is + in a "
@@ -377,8 +375,27 @@ def _corner_speeds(laps: LapAnalysis) -> list[Element]:
         else ""
     )
     usual_note = " Usual loss: median of the other laps that count; with a star it is real." if timed else ""
-    note = [f"Distances are metres from the line.{usual_note}", *(sure if np.isfinite(typical) else []), slide]
+    note = [f"Distances are metres from the line.{usual_note}", *_speeds_are_sure(laps, shown), slide]
     return [element("h3", title), element("p", *note, class_="soft"), table(heads, rows)]
+
+
+def _speeds_are_sure(laps: LapAnalysis, shown: int) -> list[Child]:
+    """How sure the speeds of a lap in corners are; where a kart brakes, a place that is unsure makes its speed so."""
+    sigmas = [[c.entry_speed_sigma[shown], c.min_speed_sigma[shown], c.exit_speed_sigma[shown]] for c in laps.corners]
+    known = np.array([row for row in sigmas if np.isfinite(row).all()])
+    if not known.size:
+        return []
+    entry, least, leaving = (speed_span(float(one)) for one in np.median(known, axis=0))
+    sure: list[Child] = [
+        " Speeds are sure to ± ",
+        entry,
+        " on entry, ± ",
+        least,
+        " at the slowest, ± ",
+        leaving,
+        " on exit (",
+    ]
+    return [*sure, speed_unit(), "), the doubt of the place counted."]
 
 
 def baseline_section(told: Told) -> list[Element]:

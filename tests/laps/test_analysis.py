@@ -24,7 +24,7 @@ from smoother.laps.sigma import are_real, sure_from
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
 from smoother.samples import Problem
-from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Trajectory
+from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Sigmas, Trajectory
 
 Made = Callable[..., Trajectory]
 Fixes = Callable[..., FixPath]
@@ -125,6 +125,26 @@ def test_corner_speeds_are_read_where_the_corner_is(found: LapAnalysis, driven: 
     assert slowest == pytest.approx(driven.speed[moving].min(), abs=0.1)
 
 
+def stands(driven: Trajectory, t: float, duration: float) -> Trajectory:
+    """The same drive with a stand of `duration` s at time t."""
+    before = int(np.searchsorted(driven.t, t))
+    step = driven.t[1] - driven.t[0]
+    rows = np.insert(np.arange(len(driven)), before, np.full(round(duration / step), before))
+    standing = np.arange(len(rows)) - before
+    velocity = driven.velocity_n[rows]
+    velocity[(standing >= 0) & (standing < round(duration / step))] = 0.0
+    return replace(
+        driven,
+        t=driven.t[0] + step * np.arange(len(rows)),
+        position_n=driven.position_n[rows],
+        velocity_n=velocity,
+        R_nb=driven.R_nb[rows],
+        acceleration_b=driven.acceleration_b[rows],
+        angular_rate_b=driven.angular_rate_b[rows],
+        sigmas=None if driven.sigmas is None else Sigmas(*(sigma[rows] for sigma in vars(driven.sigmas).values())),
+    )
+
+
 def test_who_stood_in_a_corner_was_no_faster_than_that(found: LapAnalysis, driven: Trajectory, fixes: Fixes) -> None:
     """Between two places where laps are compared, 2 m apart: the next of them is passed at speed."""
     assert found.traces is not None
@@ -132,8 +152,8 @@ def test_who_stood_in_a_corner_was_no_faster_than_that(found: LapAnalysis, drive
     k = int(np.searchsorted(d, corner.apex))
     lap = int(np.flatnonzero(np.isfinite(found.traces.t[:, k - 1 : k + 1]).all(axis=1))[-1])
     middle = float(found.traces.t[lap, k - 1 : k + 1].mean())
-    stood = np.where((np.abs(driven.t - middle) < 0.015)[:, None], 0.0, driven.velocity_n)
-    analysis = analyse(replace(driven, velocity_n=stood), fixes(driven))
+    stood = stands(driven, middle, 2.0)
+    analysis = analyse(stood, fixes(stood))
     assert corner.min_speed[lap] > 3.0
     assert analysis.corners[2].min_speed[lap] == 0.0
 

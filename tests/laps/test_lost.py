@@ -35,7 +35,8 @@ def with_loss(found: LapAnalysis, number: int, lost: float, *, is_real: bool = T
             return corner
         fields = {"time_lost": lost * np.eye(len(found.laps))[lap]}
         fields["is_real"] = (fields["time_lost"] != 0.0) & is_real
-        fields |= {"speed_sigma": nothing + 0.1, "braking_sigma": nothing + 2.0}
+        fields |= {f"{name}_speed_sigma": nothing + 0.1 for name in ("entry", "min", "exit")}
+        fields["braking_sigma"] = nothing + 2.0
         for name in ("braking_point", "entry_speed", "min_speed", "exit_speed"):
             values = np.full(len(found.laps), 20.0)
             values[lap] += changes.get(name, 0.0)
