@@ -23,13 +23,10 @@ from lap_times import estimated
 from scoring import Case, cases, recorded
 from smoother.arrays import Array
 from smoother.cli.lap_stage import analysed_rows, fix_path
-from smoother.laps.analysis import LapOptions, analyse
+from smoother.laps.analysis import analyse
 from smoother.laps.lost import largest_losses
-from smoother.laps.results import GivenLines, LapAnalysis
-from smoother.samples import Session
-from smoother.sim.simulation import Simulation
-from smoother.trajectory import Trajectory
-from theoretical_best import mean_error
+from smoother.laps.results import LapAnalysis
+from theoretical_best import true_analysis
 
 VALUES = {  # name: value and sigma among the fields of a corner, unit
     "entry speed": ("entry_speed", "entry_speed_sigma", "m/s"),
@@ -64,20 +61,6 @@ def run(case: Case, gps_only: bool = False) -> ValueScores | None:
     if len(found.laps) != len(true.laps) or len(found.corners) != len(true.corners):
         return None
     return ValueScores(case, {name: _errors(found, true, name) for name in VALUES}, _named(found, true))
-
-
-def true_analysis(found: LapAnalysis, simulation: Simulation, session: Session, estimate: Trajectory) -> LapAnalysis:
-    """Return the analysis of the true drive on the line of a session's laps, which lies beside the truth."""
-    assert found.start_line is not None
-    true = simulation.truth.trajectory(estimate.t, simulation.scenario.lever_arm_b, session.origin)
-    off = np.append(mean_error(simulation, session, estimate), 0.0)
-    like = dataclasses.replace(
-        true, position_n=true.position_n + off, sigmas=estimate.sigmas, report=estimate.report, joint=estimate.joint
-    )
-    known = np.flatnonzero(np.isfinite(true.position_n).all(axis=1))
-    lines = GivenLines(np.stack([found.start_line.left_n, found.start_line.right_n]))
-    options = LapOptions(lines=lines, reference=found.reference)
-    return analyse(like.rows(slice(known[0], known[-1] + 1)), fix_path(session), options)
 
 
 def _errors(found: LapAnalysis, true: LapAnalysis, name: str) -> Array:

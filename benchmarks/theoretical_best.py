@@ -1,11 +1,12 @@
-"""Theoretical best on simulated karts: its error and how honest its sigma is, beside the plain sum of best sectors.
+"""Theoretical and rolling best on simulated karts: errors, and how honest their sigmas are, beside what was just seen.
 
     python benchmarks/theoretical_best.py --seeds 21 --duration 600     # a minute on one core
     python benchmarks/theoretical_best.py --seeds 24 --duration 150     # sessions of two or three laps
 
 Lines stand at fixed places of the track, and what the GPS is off by in the mean of a session moves them alike for all
 laps. The truth is therefore the sum over sectors of the least true time, over the laps that count, between the lines as
-they were found or given, moved back by the session's mean error of position.
+they were found or given, moved back by the session's mean error of position. The rolling best is compared with the
+fastest window of the true drive on the line of the session's laps, moved likewise.
 """
 
 import argparse
@@ -16,10 +17,10 @@ import numpy as np
 from lap_times import estimated, true_crossings
 from scoring import Case, cases, recorded
 from smoother.arrays import Array
-from smoother.cli.lap_stage import fix_path
+from smoother.cli.lap_stage import analysed_rows, fix_path
 from smoother.frames import geodetic_to_nwu, nwu_to_geodetic
-from smoother.laps.analysis import analyse
-from smoother.laps.results import LapAnalysis, Line
+from smoother.laps.analysis import LapOptions, analyse
+from smoother.laps.results import GivenLines, LapAnalysis, Line
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
@@ -28,9 +29,19 @@ NEAR = 1.0  # s between a crossing and the true one
 
 
 @dataclasses.dataclass(frozen=True)
+class Rolling:
+    """The true rolling best, what is said of it with its sigma, and the fastest window as it was seen, all s."""
+
+    true: float
+    said: float
+    sigma: float
+    raw: float
+
+
+@dataclasses.dataclass(frozen=True)
 class TheoreticalScore:
     """One session: the laps that count, the true theoretical best, what is said of it with its sigma, the plain sum of
-    the best sectors and the best lap, all s."""
+    the best sectors and the best lap, all s; the rolling best."""
 
     case: Case
     laps: int
@@ -39,6 +50,7 @@ class TheoreticalScore:
     sigma: float
     raw: float
     best: float
+    rolling: Rolling
 
     @property
     def error(self) -> float:
@@ -50,14 +62,23 @@ def run(case: Case, gps_only: bool = False) -> TheoreticalScore | None:
     """Simulate, smooth and score one session; None where fewer than two laps count."""
     simulation = case.simulate()
     session = recorded(simulation)
-    estimate = estimated(session, gps_only)
+    estimate = analysed_rows(estimated(session, gps_only))
     found = analyse(estimate, fix_path(session))
     said, sectors = found.statistics, true_sectors(found, simulation, session, estimate)
     if said is None or len(sectors) < 2:
         return None
     true = float(sectors.min(axis=0).sum())
+    driven = true_analysis(found, simulation, session, estimate).statistics
+    rolling = np.nan if driven is None else driven.rolling_raw
     return TheoreticalScore(
-        case, len(sectors), true, said.theoretical, said.theoretical_sigma, said.theoretical_raw, said.best
+        case,
+        len(sectors),
+        true,
+        said.theoretical,
+        said.theoretical_sigma,
+        said.theoretical_raw,
+        said.best,
+        Rolling(rolling, said.rolling, said.rolling_sigma, said.rolling_raw),
     )
 
 
@@ -79,6 +100,20 @@ def mean_error(simulation: Simulation, session: Session, estimate: Trajectory) -
     true = simulation.truth.antenna_position_n(estimate.t, simulation.scenario.lever_arm_b)
     in_session = geodetic_to_nwu(*nwu_to_geodetic(true, simulation.truth.origin), session.origin)
     return np.asarray(np.nanmean((estimate.position_n - in_session)[:, :2], axis=0))
+
+
+def true_analysis(found: LapAnalysis, simulation: Simulation, session: Session, estimate: Trajectory) -> LapAnalysis:
+    """Return the analysis of the true drive on the line of a session's laps, which lies beside the truth."""
+    assert found.start_line is not None
+    true = simulation.truth.trajectory(estimate.t, simulation.scenario.lever_arm_b, session.origin)
+    off = np.append(mean_error(simulation, session, estimate), 0.0)
+    like = dataclasses.replace(
+        true, position_n=true.position_n + off, sigmas=estimate.sigmas, report=estimate.report, joint=estimate.joint
+    )
+    known = np.flatnonzero(np.isfinite(true.position_n).all(axis=1))
+    lines = GivenLines(np.stack([found.start_line.left_n, found.start_line.right_n]))
+    options = LapOptions(lines=lines, reference=found.reference)
+    return analyse(like.rows(slice(known[0], known[-1] + 1)), fix_path(session), options)
 
 
 def moved(line: Line, by: Array) -> Line:
@@ -112,17 +147,29 @@ def _row(s: TheoreticalScore) -> str:
 
 
 def summary(scores: list[TheoreticalScore]) -> str:
-    """Return mean and rms error of what is said and of the plain sum, and how honest the sigma is."""
-    error, raw = np.array([s.error for s in scores]), np.array([s.raw - s.true for s in scores])
-    z = error / np.array([s.sigma for s in scores])
-    sigma = np.sqrt(np.mean([s.sigma**2 for s in scores]))
+    """Return mean and rms errors of what is said and of what was just seen, and how honest the sigmas are."""
     as_best = sum(s.said >= s.best - 1e-6 for s in scores)
+    theoretical = np.array([(s.error, s.sigma, s.raw - s.true) for s in scores])
+    windows = [s.rolling for s in scores]
+    rolling = np.array([(w.said - w.true, w.sigma, w.raw - w.true) for w in windows])
     return (
-        f"{len(scores)} sessions: mean error {error.mean():+.3f}, rms {np.sqrt(np.mean(error**2)):.3f} s where "
-        f"{sigma:.3f} is said; error over sigma {np.sqrt(np.mean(z**2)):.2f} rms, {100 * np.mean(np.abs(z) < 1.0):.0f} "
-        f"and {100 * np.mean(np.abs(z) < 2.0):.0f} % within one and two; as the best lap {as_best} times\n"
-        f"plain sum: mean error {raw.mean():+.3f}, rms {np.sqrt(np.mean(raw**2)):.3f} s"
+        f"{len(scores)} sessions; as the best lap {as_best} times\n"
+        f"theoretical: {_said(theoretical)}; plain sum {_errors(theoretical[:, 2])}\n"
+        f"rolling: {_said(rolling)}; fastest window {_errors(rolling[:, 2])}"
     )
+
+
+def _said(values: Array) -> str:
+    error, sigma = values[:, 0], values[:, 1]
+    z, usual = error / sigma, np.sqrt(np.mean(sigma**2))
+    return (
+        f"{_errors(error)} where {usual:.3f} is said; error over sigma {np.sqrt(np.mean(z**2)):.2f} rms, "
+        f"{100 * np.mean(np.abs(z) < 1.0):.0f} and {100 * np.mean(np.abs(z) < 2.0):.0f} % within one and two"
+    )
+
+
+def _errors(error: Array) -> str:
+    return f"mean error {error.mean():+.3f}, rms {np.sqrt(np.mean(error**2)):.3f} s"
 
 
 if __name__ == "__main__":

@@ -166,8 +166,10 @@ def _rolling(said: dict[str, Any]) -> str:
     text = f"{lap_clock(said['rolling_s'])} ± {number(said['rolling_sigma_s'], 3)}"
     start, best = said["rolling_from_m"], said["theoretical_s"]
     about = [f"from {start:.0f} m"] if _is_known(start) and start != 0.0 else []
+    if said["rolling_s"] - said["rolling_raw_s"] > 0.0005:
+        about.append(f"timed as {lap_clock(said['rolling_raw_s'])}, with the luck of the fastest of many")
     if said["rolling_s"] < (best if _is_known(best) else said["best_s"]) - 0.0005:
-        about.append("also on laps that do not count, luck of the timing in it")
+        about.append("also on laps that do not count")
     return f"{text} ({'; '.join(about)})" if about else text
 
 

@@ -91,7 +91,8 @@ def lap_times_at(path: PlanPath, circuit: Circuit, passage: Passage, distance: A
     end = distance[-1]
     t += _led_in(end - distance, passage.end - np.interp(end, along, path.t[rows]), passage.ends_at_line)
     on = np.interp(distance, along, followed.is_on[rows].astype(np.float64)) > 0.5
-    here = (distance >= along[0] - GRID) & (distance <= along[-1] + GRID) & on
+    before, after = GRID * passage.starts_at_line, GRID * passage.ends_at_line  # a recording is over where it ends
+    here = (distance >= along[0] - before) & (distance <= along[-1] + after) & on
     if passage.starts_at_line:
         here[0] = True
     if passage.ends_at_line:

@@ -127,6 +127,7 @@ def _statistics(statistics: Statistics | None, analysis: LapAnalysis) -> Documen
         "theoretical_raw_s": statistics.theoretical_raw,
         "rolling_s": statistics.rolling,
         "rolling_sigma_s": statistics.rolling_sigma,
+        "rolling_raw_s": statistics.rolling_raw,
         "rolling_from_m": statistics.rolling_from,
         "mean_s": statistics.mean,
         "median_s": statistics.median,

@@ -192,8 +192,9 @@ class Statistics:
 
     best_lap: index in `laps` of the best, None without; best, best_sigma s. theoretical s: sum of the best sectors with
     the expected gain from picking the luckiest of noisy times taken out, theoretical_sigma; theoretical_raw s without
-    that correction. rolling s: fastest whole lap from any place of the track to the same place, rolling_sigma;
-    rolling_from m, the track distance where it began, and rolling_t s when. mean, median s; spread s, standard
+    that correction. rolling s: fastest whole lap from any place of the track to the same place, its luck taken out
+    likewise, rolling_sigma; rolling_raw s as it was seen, rolling_from m, the track distance where that began, and
+    rolling_t s when. mean, median s; spread s, standard
     deviation of the laps with the timing noise taken out where that is known and not assumed, 0 within it;
     within_tenth: how many lie within 0.1 s of the best, itself counted; counted: how many count.
     """
@@ -206,6 +207,7 @@ class Statistics:
     theoretical_raw: float
     rolling: float
     rolling_sigma: float
+    rolling_raw: float
     rolling_from: float
     rolling_t: float
     mean: float

@@ -6,14 +6,13 @@ from smoother.arrays import Array
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Lap, Line, OfficialTime, SigmaSource, Statistics, Traces
-from smoother.laps.sigma import Crossed, sigma_of, time_covariance
+from smoother.laps.rolling import rolling_best
 from smoother.laps.theoretical import theoretical_best
 from smoother.trajectory import JointPosition
 
 TENTH = 0.1  # s
 ALIKE = 0.1  # s of difference that two times of one lap may well have
 SAME_LAP = 1.5  # s of difference at most between an official time and ours
-BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
 
 
 def statistics_of(
@@ -31,7 +30,7 @@ def statistics_of(
     sigmas = np.array([laps[i].sigma for i in counting])
     best = counting[int(np.argmin(times))] if counting else None
     theoretical, theoretical_sigma, raw = theoretical_best([laps[i] for i in counting], gates, path, errors)
-    rolling = _rolling(laps, traces, curve, path, errors)
+    rolling = rolling_best(laps, traces, curve, path, errors)
     is_measured = source in ("joint", "stored") and bool(np.isfinite(sigmas).all())
     return Statistics(
         best_lap=best,
@@ -40,10 +39,11 @@ def statistics_of(
         theoretical=theoretical,
         theoretical_sigma=theoretical_sigma,
         theoretical_raw=raw,
-        rolling=rolling[0],
-        rolling_sigma=rolling[1],
-        rolling_from=rolling[2],
-        rolling_t=rolling[3],
+        rolling=rolling.time,
+        rolling_sigma=rolling.sigma,
+        rolling_raw=rolling.raw,
+        rolling_from=rolling.distance,
+        rolling_t=rolling.t,
         mean=float(times.mean()) if len(times) else np.nan,
         median=float(np.median(times)) if len(times) else np.nan,
         spread=_spread(times, sigmas if is_measured else np.zeros(len(sigmas))),
@@ -58,33 +58,6 @@ def _spread(times: Array, sigmas: Array) -> float:
         return np.nan
     seen, noise = float(np.var(times, ddof=1)), float(np.mean(sigmas**2))
     return float(np.sqrt(max(seen - noise, 0.0)))
-
-
-def _rolling(
-    laps: tuple[Lap, ...], traces: Traces | None, curve: Curve, path: PlanPath, errors: JointPosition | None
-) -> tuple[float, float, float, float]:
-    """Fastest lap from any place to the same place one lap later: time, sigma, from where m, and when s."""
-    nothing = (np.nan, np.nan, np.nan, np.nan)
-    if traces is None or not curve.line.is_closed or len(laps) < 2:
-        return nothing
-    best = nothing
-    for i in range(len(laps) - 1):
-        if BROKEN & set(laps[i].reasons) or BROKEN & set(laps[i + 1].reasons):
-            continue
-        around = traces.t[i + 1] - traces.t[i]
-        if np.isfinite(around).any():
-            k = int(np.nanargmin(around))
-            if not around[k] >= best[0]:
-                best = (float(around[k]), np.nan, float(traces.distance[k]), float(traces.t[i, k]))
-    for lap in laps:  # a lap from line to line is one of them
-        if lap.is_valid and not lap.time >= best[0]:
-            best = (lap.time, lap.sigma, 0.0, lap.start)
-    if errors is None or not np.isfinite(best[0]):
-        return best
-    ends = np.array([best[3], best[3] + best[0]])
-    normal = np.tile(curve.tangent(np.array([best[2]])), (2, 1))
-    covariance = time_covariance(errors, Crossed(ends, normal, path.at(ends)[1]))
-    return best[0], float(sigma_of(covariance, np.array([[-1.0, 1.0]]))[0]), best[2], best[3]
 
 
 def official_times(times: tuple[float, ...], laps: tuple[Lap, ...]) -> tuple[OfficialTime, ...]:

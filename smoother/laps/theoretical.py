@@ -96,17 +96,17 @@ def _true_times(sector_time: Array, chosen: IntArray, noise: Array) -> Array:
     rng = np.random.default_rng(SEED)
     laps, sectors = len(chosen), sector_time.shape[1]
     variance = np.diag(noise).reshape(laps, sectors).sum(axis=0) / max(laps - 1, 1)
-    is_slow = _slowed(sector_time, np.sqrt(variance))
+    is_slow = slowed(sector_time, np.sqrt(variance))
     spread = np.stack(
-        [rng.permutation(_spreads(t[~slow], v)) for t, slow, v in zip(sector_time.T, is_slow.T, variance, strict=True)],
+        [rng.permutation(spreads(t[~slow], v)) for t, slow, v in zip(sector_time.T, is_slow.T, variance, strict=True)],
         axis=1,
     )
     usual = np.where(is_slow, np.nan, sector_time)
     mean, count = np.nanmean(usual, axis=0), np.count_nonzero(~is_slow, axis=0)
-    seen, slowed = sector_time[chosen], is_slow[chosen]
+    seen, held_up = sector_time[chosen], is_slow[chosen]
     expected = mean + rng.standard_normal((SPREADS, SAMPLES, sectors)) * (spread / np.sqrt(count))[:, None, :]
     # a lap that was slowed says nothing of the usual times, nor may these draw it, and its other sectors, near
-    prior = np.where(slowed, (seen - mean) ** 2, spread[:, None, :] ** 2)
+    prior = np.where(held_up, (seen - mean) ** 2, spread[:, None, :] ** 2)
     drawn = rng.standard_normal((2, SPREADS, SAMPLES, laps, sectors))
     wanted = expected[:, :, None, :] + np.sqrt(prior)[:, None] * drawn[0]
     values, vectors = np.linalg.eigh(noise)
@@ -118,14 +118,14 @@ def _true_times(sector_time: Array, chosen: IntArray, noise: Array) -> Array:
     return np.asarray((wanted + np.swapaxes(moved, 1, 2).reshape(wanted.shape)).reshape(-1, laps, sectors))
 
 
-def _slowed(sector_time: Array, noise: Array) -> BoolArray:
-    """Mask (L, S) of times that a slip or traffic made, far above the others."""
+def slowed(sector_time: Array, noise: Array) -> BoolArray:
+    """Mask (L, S) of times (L, S) that a slip or traffic made, far above the others; noise (S,) s of timing them."""
     median = np.median(sector_time, axis=0)
     usual = SLOW * (median - sector_time.min(axis=0)) + SLOW_SIGMAS * noise
     return np.asarray(sector_time > median + usual)
 
 
-def _spreads(seen: Array, noise: float) -> Array:
+def spreads(seen: Array, noise: float) -> Array:
     """Values (SPREADS,) s, each as likely as the others, of the spread of true times behind the `seen` (K,) s, whose
     errors have the variance `noise` s^2."""
     scale = USUAL_SPREAD * float(seen.mean())

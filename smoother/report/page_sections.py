@@ -146,10 +146,10 @@ def _rolling(said: Statistics) -> str:
     text = f"± {number(said.rolling_sigma, 3)} s" if np.isfinite(said.rolling_sigma) else "one lap long"
     if said.rolling_from > 0.0:
         text += f", from {said.rolling_from:.0f} m"
+    if said.rolling - said.rolling_raw > 0.0005:
+        text += f"; timed as {lap_clock(said.rolling_raw)}, with the luck of the fastest of many"
     best = said.theoretical if np.isfinite(said.theoretical) else said.best
-    if said.rolling > best - 0.0005:
-        return text
-    return f"{text}; it may begin anywhere, also on laps that do not count, and the luck of the timing is in it"
+    return text if said.rolling > best - 0.0005 else f"{text}; it may begin on laps that do not count"
 
 
 def _consistency(said: Statistics) -> str:

@@ -22,6 +22,7 @@ from smoother.report import page_data
 from smoother.report.files import to_json
 from smoother.report.page import Report, page, write_page
 from smoother.report.page_html import LONG, element, json_in_script, parted, row, table, whole_page
+from smoother.report.page_sections import _rolling
 from smoother.report.page_words import lap_clock, number, with_sigma
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
@@ -566,9 +567,16 @@ def test_a_rolling_best_below_the_theoretical_says_why(report: Report, faster: f
     said = report.laps.statistics
     theoretical = said.best - 0.1
     statistics = replace(said, theoretical=theoretical, theoretical_raw=theoretical, rolling=theoretical - faster)
+    statistics = replace(statistics, rolling_raw=statistics.rolling)
     laps = replace(report.laps, statistics=statistics)
-    assert ("the luck of the timing is in it" in page(replace(report, laps=laps))) == (faster > 0.0)
+    assert ("on laps that do not count" in _rolling(statistics)) == (faster > 0.0)
+    assert _rolling(statistics) in page(replace(report, laps=laps))
     document = json.loads(to_json(analysis_document(laps, report.session.origin)))
-    assert ("luck of the timing in it" in dict(figures(document))["rolling best"]) == (faster > 0.0)
+    assert ("on laps that do not count" in dict(figures(document))["rolling best"]) == (faster > 0.0)
+    lucky = replace(statistics, rolling_raw=statistics.rolling - 0.03)
+    timed = f"timed as {lap_clock(lucky.rolling_raw)}"
+    assert timed in _rolling(lucky) and timed not in _rolling(statistics)
+    document = json.loads(to_json(analysis_document(replace(laps, statistics=lucky), report.session.origin)))
+    assert timed in dict(figures(document))["rolling best"]
     driven_so = replace(said, theoretical=said.best, theoretical_raw=said.best)
     assert "the best lap has all the best sectors" in page(replace(report, laps=replace(laps, statistics=driven_so)))

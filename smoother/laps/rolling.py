@@ -1,0 +1,137 @@
+"""The rolling best: the fastest lap from any place of the track to the same place, without the luck of the timing.
+
+The least of many times that are each a little wrong lies below the least of the true ones, and from any place there are
+many more of them than laps. As for the theoretical best, samples of the true times are drawn from what is likely, given
+the seen ones and the covariance of their errors, and each has its own least. Two windows share the stretch that is in
+both: true times go together as moving sums over one lap do. Sources: as in :mod:`smoother.laps.theoretical`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, IntArray
+from smoother.laps.path import PlanPath
+from smoother.laps.reference import Curve
+from smoother.laps.results import Lap, Traces
+from smoother.laps.sigma import Crossed, sigma_of, time_covariance
+from smoother.laps.theoretical import SAMPLES, SEED, SPREADS, slowed, spreads
+from smoother.trajectory import JointPosition
+
+BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
+PLACES = 24  # of a lap from which windows are looked at; what lies between two of them has most in common with both
+MOST_WINDOWS = 144  # of all laps that may be the best; the slower ones are not
+
+
+@dataclass(frozen=True)
+class RollingBest:
+    """Fastest lap from any place to the same place: time s without luck, its sigma s; as it was seen: raw s, from which
+    track distance m it began, and when, t s. All NaN where there is none."""
+
+    time: float = np.nan
+    sigma: float = np.nan
+    raw: float = np.nan
+    distance: float = np.nan
+    t: float = np.nan
+
+
+def rolling_best(
+    laps: tuple[Lap, ...], traces: Traces | None, curve: Curve, path: PlanPath, errors: JointPosition | None
+) -> RollingBest:
+    """Return the rolling best: never above the best lap that counts, which is one of the windows, nor below the raw."""
+    if traces is None or not curve.line.is_closed or len(laps) < 2:
+        return RollingBest()
+    seen = _fastest(laps, traces)
+    if errors is None or not np.isfinite(seen.raw):
+        return RollingBest(seen.raw, np.nan, seen.raw, seen.distance, seen.t)
+    counting = np.array([lap.time for lap in laps if lap.is_valid])
+    windows = _windows(laps, traces)
+    if len(counting) < 2 or not windows.lap.size:
+        return RollingBest(seen.raw, _sigma(seen, curve, path, errors), seen.raw, seen.distance, seen.t)
+    least, sigma = _least(windows, curve, path, errors, laps, traces)
+    value = min(max(least, seen.raw), float(counting.min()))
+    return RollingBest(value, float(np.hypot(sigma, least - value)), seen.raw, seen.distance, seen.t)
+
+
+def _fastest(laps: tuple[Lap, ...], traces: Traces) -> RollingBest:
+    """The fastest window as it was seen; a lap from line to line is one."""
+    best = RollingBest(raw=np.inf)
+    for i in _pairs(laps):
+        around = traces.t[i + 1] - traces.t[i]
+        if np.isfinite(around).any():
+            k = int(np.nanargmin(around))
+            if around[k] < best.raw:
+                best = RollingBest(np.nan, np.nan, float(around[k]), float(traces.distance[k]), float(traces.t[i, k]))
+    for lap in laps:
+        if lap.is_valid and lap.time < best.raw:
+            best = RollingBest(np.nan, np.nan, lap.time, 0.0, lap.start)
+    return best if np.isfinite(best.raw) else RollingBest()
+
+
+def _pairs(laps: tuple[Lap, ...]) -> list[int]:
+    """Laps that a window may begin on, to end on the next."""
+    return [i for i in range(len(laps) - 1) if not BROKEN & set(laps[i].reasons) | BROKEN & set(laps[i + 1].reasons)]
+
+
+def _sigma(seen: RollingBest, curve: Curve, path: PlanPath, errors: JointPosition) -> float:
+    ends = np.array([seen.t, seen.t + seen.raw])
+    normal = np.tile(curve.tangent(np.array([seen.distance])), (2, 1))
+    covariance = time_covariance(errors, Crossed(ends, normal, path.at(ends)[1]))
+    return float(sigma_of(covariance, np.array([[-1.0, 1.0]]))[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """The quickest windows (W,): index of the lap each begins on and of its place among those of the traces."""
+
+    lap: IntArray
+    place: IntArray
+
+
+def _windows(laps: tuple[Lap, ...], traces: Traces) -> _Windows:
+    places = np.linspace(0, len(traces.distance) - 1, PLACES, endpoint=False).round().astype(np.int64)
+    begins = np.array(_pairs(laps), dtype=np.int64)
+    around = traces.t[np.ix_(begins + 1, places)] - traces.t[np.ix_(begins, places)]
+    known = np.argwhere(np.isfinite(around))
+    quickest = known[np.argsort(around[known[:, 0], known[:, 1]], kind="stable")[:MOST_WINDOWS]]
+    return _Windows(begins[quickest[:, 0]], places[quickest[:, 1]])
+
+
+def _least(
+    windows: _Windows, curve: Curve, path: PlanPath, errors: JointPosition, laps: tuple[Lap, ...], traces: Traces
+) -> tuple[float, float]:
+    """Mean and standard deviation, s, of the least true time of the windows."""
+    start, end = (traces.t[windows.lap + later, windows.place] for later in (0, 1))
+    ends = np.concatenate([start, end])
+    normal = np.tile(curve.tangent(traces.distance[windows.place]), (2, 1))
+    step = np.concatenate([-np.eye(len(start)), np.eye(len(start))], axis=1)
+    noise = step @ time_covariance(errors, Crossed(ends, normal, path.at(ends)[1])) @ step.T
+    times = np.array([lap.time for lap in laps if lap.is_valid])
+    variance = float(np.mean([lap.sigma**2 for lap in laps if lap.is_valid]))
+    usual = times[~slowed(times[:, None], np.sqrt(np.array([variance])))[:, 0]]
+    begins = windows.lap + traces.distance[windows.place] / curve.length  # laps
+    together = np.maximum(1.0 - np.abs(begins[:, None] - begins[None, :]), 0.0)  # of two moving sums over one lap
+    least = _true_times(end - start, noise, together, usual, variance).min(axis=-1)
+    return float(least.mean()), float(least.std())
+
+
+def _true_times(seen: Array, noise: Array, together: Array, usual: Array, variance: float) -> Array:
+    """Samples (SPREADS, SAMPLES, W) s of the true times of windows seen (W,) with a covariance of errors `noise` (W, W)
+    and correlations of true times `together` (W, W). usual (K,) s: lap times, timed with `variance` s^2."""
+    rng = np.random.default_rng(SEED)
+    spread = spreads(usual, variance)
+    expected = usual.mean() + rng.standard_normal((SPREADS, SAMPLES)) * (spread / np.sqrt(len(usual)))[:, None]
+    drawn = rng.standard_normal((2, SPREADS, SAMPLES, len(seen)))
+    of_noise, of_times = (_root(matrix) for matrix in (noise, together))
+    wanted = expected[..., None] + spread[:, None, None] * (drawn[0] @ of_times.T)
+    error = drawn[1] @ of_noise.T
+    out = np.empty(wanted.shape)
+    for k, own in enumerate(spread**2):
+        gain = np.linalg.solve(noise + own * together + 1e-12 * np.eye(len(seen)), own * together)
+        out[k] = wanted[k] + (seen - wanted[k] - error[k]) @ gain
+    return out
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
