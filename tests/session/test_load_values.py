@@ -116,6 +116,23 @@ def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
     assert session.problems[0].text.startswith(said)
 
 
+@pytest.mark.parametrize("name", ["imu.csv", "session.toml", "mag.csv", "calibration.toml"])
+@pytest.mark.parametrize("leads_to", ["nowhere", "itself"])
+def test_a_link_that_leads_nowhere_is_said(folder: Folder, name: str, leads_to: str) -> None:
+    folder.write(**{"gps__csv": gps_csv(), **({} if name == "imu.csv" else {"imu__csv": imu_csv()})})
+    (folder.path / name).symlink_to(name if leads_to == "itself" else leads_to)
+    session = folder.load()
+    said = [problem.text for problem in session.problems if problem.code in ("imu_folder", "not_a_file")]
+    assert len(said) == 1 and said[0].startswith(f"{name}: a link that leads nowhere, where a ")
+
+
+def test_fixes_that_are_a_folder_are_named_where_there_are_no_others(folder: Folder) -> None:
+    folder.write(imu__csv=imu_csv())
+    (folder.path / "gps.csv").mkdir()
+    with pytest.raises(SessionError, match=r"neither gps.csv nor \*.nmea \(gps.csv is a folder\)"):
+        folder.load()
+
+
 def test_spikes_of_a_sensor_and_jumps_of_the_height_are_mended_and_said(folder: Folder) -> None:
     imu, gps = imu_csv().splitlines(), gps_csv().splitlines()
     for row in range(100, 1000, 300):
