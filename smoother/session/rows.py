@@ -323,7 +323,8 @@ def _resolve_disorder(
             rows.drop(_mask(rows, index[copies]), "written_again", "that stand elsewhere too, in place of others")
             return index[~copies], t[~copies]
     if (astray := blocks_astray(t)) is not None:
-        rows.drop(_mask(rows, index[astray]), "astray", "with times far from those around them, of another recording or damaged")
+        reason = "with times far from those around them, of another recording or damaged"
+        rows.drop(_mask(rows, index[astray]), "astray", reason)
         return index[~astray], t[~astray]
     return _longest_piece(rows, index, t)
 
