@@ -36,7 +36,7 @@ MOST_PIECES = 4000  # that are compared with one another
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
 STRAY_GAP = 600.0  # s; see _stray_ends
 LATEST = 1e10  # s; even seconds since 1970 are fewer
-LONGEST_GAP = 86400.0  # s; two parts further apart are not one recording
+LONGEST_GAP = 86400.0  # s; a few rows further from the others are of no recording
 
 
 @dataclass
@@ -460,7 +460,8 @@ def _stray_ends(t: Array) -> BoolArray:
     """Mask of a few rows at either end that stand farther away than the whole rest lasts, or than a day.
 
     A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound. A few rows
-    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end.
+    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end. Nor is a long
+    part, however far away: which of two drives is used is for whoever sees samples and fixes.
     """
     stray = np.zeros(t.size, dtype=np.bool_)
     cuts = np.flatnonzero(np.diff(t) > STRAY_GAP) + 1
@@ -475,7 +476,7 @@ def _stray_ends(t: Array) -> BoolArray:
 
 
 def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
-    """First and last of the parts joined to `main`: near enough for their size and the duration so far."""
+    """First and last of the parts joined to `main`: all long ones, and others that are near for the duration so far."""
     first = last = main
     few = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
 
@@ -490,7 +491,7 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
 
     while first > 0:
         part = next_long(first - 1, -1)
-        if part >= 0 and t[bounds[first]] - t[bounds[part + 1] - 1] <= LONGEST_GAP:
+        if part >= 0:
             first = part
         elif belongs(t[bounds[first]] - t[bounds[first] - 1]):
             first -= 1
@@ -498,7 +499,7 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
             break
     while last < bounds.size - 2:
         part = next_long(last + 1, 1)
-        if part < bounds.size - 1 and t[bounds[part]] - t[bounds[last + 1] - 1] <= LONGEST_GAP:
+        if part < bounds.size - 1:
             last = part
         elif belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1]):
             last += 1
