@@ -17,6 +17,7 @@ from smoother.units import DEG
 FEWEST_ROWS = 8
 LARGEST = (90.0, 360.0)  # deg of latitude, of longitude
 LARGEST_OF_MINUTES = (9000.0, 18000.0)  # of 90 and 180 degrees in NMEA's form, 9000.0 and 18000.0
+BEYOND_ANY_UNIT = 1e10  # of a position as written; more is a damaged number, with which nothing can be computed
 LEAST_COUNT = 1e5  # of a degree's 1e-5, 1e-6 or 1e-7; what is less is no integer form of any place
 BASELINE = 1.0  # s over which a way is compared with the velocity
 LONGEST_BASELINE = 3.0  # s
@@ -64,7 +65,8 @@ def _off_way(c: FixColumns, sent: _Ways, lat_scale: float = 1.0, lon_scale: floa
 
 
 def _rows_with_position(c: FixColumns) -> IntArray:
-    known = np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg) & ~((c.lat_deg == 0.0) & (c.lon_deg == 0.0))
+    known = (np.abs(c.lat_deg) < BEYOND_ANY_UNIT) & (np.abs(c.lon_deg) < BEYOND_ANY_UNIT)
+    known &= ~((c.lat_deg == 0.0) & (c.lon_deg == 0.0))
     return np.flatnonzero(known)
 
 

@@ -59,10 +59,10 @@ class SessionFiles:
                     return self.directory / name
         return None
 
-    def folder(self, *wanted: str) -> str | None:
-        """Return the name of a folder that is called as a wanted file, if there is one."""
-        found = (entry.name for entry in self.directory.iterdir() if entry.name.lower() in wanted and entry.is_dir())
-        return next(found, None)
+    def no_files(self, *wanted: str) -> dict[str, str]:
+        """Return what is called as a wanted file and is none, by name: a folder, a link that leads nowhere, a pipe."""
+        called = sorted(entry for entry in self.directory.iterdir() if entry.name.lower() in wanted)
+        return {entry.name: _kind(entry) for entry in called if not entry.is_file()}
 
     def _chosen_as(self, role: Role) -> Path | None:
         return self.chosen[0] if self.chosen is not None and self.chosen[1] == role else None
@@ -187,6 +187,13 @@ def list_files(path: Path) -> SessionFiles:
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
     return SessionFiles(directory, names, None if role is None else (path, role))
+
+
+def _kind(entry: Path) -> str:
+    """What something is that is no file."""
+    if entry.is_dir():
+        return "a folder"
+    return "a link that leads nowhere" if entry.is_symlink() else "no file"
 
 
 def _holds_sentences(path: Path) -> bool:

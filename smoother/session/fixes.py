@@ -26,6 +26,9 @@ STALE_DISTANCE = 0.3  # m; a repeated position that is wrong by less does no har
 STALE_STEPS = 1.5  # times the resolution of the file: with few decimals a slow position does repeat
 FEWEST_HELD = 5  # rows at one place
 HELD_FROM = 0.8  # m/s at the first of them; receivers that hold what they show at rest do so from 0.5 and less
+LEAST_LINE = 100.0  # m; a shorter way may be along a parallel or a meridian, to the last decimal of a coarse file
+MANY_PLACES = 50  # of which two would differ by a digit if they were measured
+CLEARLY_ACROSS, SHARE_ACROSS = 1.0, 0.1  # m/s up and down a coordinate that stands, and in how many rows each
 # m, and times the way from row to row and the resolution, of a leap from there
 LEAP, LEAP_TIMES = 2.5, 1.5
 ROUNDING = 1e-4  # m; steps below come from the conversion
@@ -41,6 +44,8 @@ def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = Fal
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)
     time, index = put_in_time_order(rows, columns.t, columns.lat_deg, columns.lon_deg)
+    _drop_without_coordinate(rows, columns)
+    time, index = time[rows.keep[index]], index[rows.keep[index]]
     ordered = without_wrong_velocity(rows, time, columns.take(index))
     fresh = _fresh_rows(time, ordered)
     if fresh.size < time.size:
@@ -123,6 +128,24 @@ def _drop_impossible(rows: RowFilter, c: FixColumns) -> None:
         too_fast = _too_fast(c)
     if np.count_nonzero(too_fast & rows.keep) <= FEW_BAD_VALUES * np.count_nonzero(rows.keep):
         rows.drop(too_fast, "too_fast", f"with a speed above {ABSURD_SPEED:.0f} m/s")
+
+
+def _drop_without_coordinate(rows: RowFilter, c: FixColumns) -> None:
+    """Drop all where one coordinate stands at one number in every row, and the velocities sent go on across it.
+
+    Its decimals were lost. What is left of the track is a line there and back, on which laps are found all the same.
+    """
+    kept = np.flatnonzero(rows.keep)
+    if kept.size < MANY_PLACES:
+        return
+    velocity_n = _velocity_n(c, c.speed, c.course_deg)[kept]
+    north, east = (np.ptp(way) for way in metres(c.take(kept)))
+    for axis, name, values, way in ((0, "latitude", c.lat_deg[kept], east), (1, "longitude", c.lon_deg[kept], north)):
+        across = velocity_n[:, axis]
+        to_both_sides = min(np.mean(across > CLEARLY_ACROSS), np.mean(across < -CLEARLY_ACROSS))
+        if np.ptp(values) == 0.0 and way > LEAST_LINE and to_both_sides > SHARE_ACROSS:
+            reason = f"whose {name} is {values[0]:.10g} in all, while the kart drives across (save all its decimals)"
+            rows.drop(rows.keep, "coordinate_stands", reason)
 
 
 def _too_fast(c: FixColumns) -> BoolArray:

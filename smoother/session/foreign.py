@@ -48,14 +48,25 @@ def fixes_from(
     has_rows_between : rows that the exporter interpolated between fixes were left out.
     """
     gnss, problems = screen_fixes(fix_columns(t, lat_deg, lon_deg, **known), file, has_rows_between=has_rows_between)
-    _require_sane_times(file, t, gnss, problems)
+    if any(problem.code == "gps_repeated_time" for problem in problems):
+        _require_times_apart(file, np.column_stack([t, lat_deg, lon_deg]), len(gnss))
+    _require_sane_times(file, t)
     return gnss, problems
 
 
-def _require_sane_times(file: str, t: Array, gnss: GnssFixes, problems: list[Problem]) -> None:
-    repeated = sum(problem.count for problem in problems if problem.code == "gps_repeated_time")
-    if repeated > len(gnss):
+def _require_times_apart(file: str, rows: Array, fixes: int) -> None:
+    """Raise SessionError where most rows (N, 3) of time and place share their time with another place.
+
+    Rows that were written twice, as blocks of a card may be, are one row.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    times = np.unique(rows[:, 0]).size
+    repeated = (len(rows) if times == 1 else len(np.unique(rows, axis=0))) - times
+    if repeated > fixes:
         raise SessionError(f"{file}: {repeated} rows repeat the time of another; its times cannot be used")
+
+
+def _require_sane_times(file: str, t: Array) -> None:
     steps = np.diff(t[np.isfinite(t)])
     steps = steps[steps > 0.0]
     if steps.size == 0:

@@ -100,8 +100,10 @@ def _read_columns(files: SessionFiles) -> Recording:
             imu, problems, unit = read_imu_and_unit(imu_table)
         except NoRowsError as error:  # nothing in it can be mended, and fixes alone are a session
             problems.append(Problem("imu_empty", str(error)))
-    elif (folder := files.folder(*IMU_NAMES)) is not None:
-        problems.append(Problem("imu_folder", f"{folder}: a folder, where a table is wanted; nothing in it is read"))
+    problems += [
+        Problem("imu_folder", f"{name}: {kind}, where a table is wanted; nothing in it is read")
+        for name, kind in files.no_files(*IMU_NAMES).items()
+    ]
     gnss, gnss_file, gnss_problems = _read_any_fixes(files, imu_table is not None, unit)
     if imu_table is not None and imu is not None:
         is_slow = unit is not None and not lasts_like(imu.t, gnss.t, unit)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from smoother.errors import SessionError
 from smoother.samples import Problem, RawSession
-from smoother.session.files import OWN_NAMES, RESULTS, SessionFiles, is_packed, list_files, wanted
+from smoother.session.files import OF_A_SESSION, OWN_NAMES, RESULTS, SessionFiles, is_packed, list_files, wanted
 from smoother.session.formats import FORMATS, Format, preferred
 from smoother.session.recording import Recording, finish
 from smoother.session.refusals import NEVER_WRITTEN, holds_only_zeros, unrecognised
@@ -24,6 +24,7 @@ from smoother.session.unknown_table import about_table
 if TYPE_CHECKING:
     from smoother.session.log import LogFiles
 
+BESIDE = ("session.toml", "calibration.toml", "gps.csv", "gps.csv.gz", *OF_A_SESSION)  # whatever format it has
 MOST_FOLDERS = 1000  # looked through for a session; a home folder has many more
 
 
@@ -36,12 +37,15 @@ def load_raw(path: Path) -> RawSession:
     files = list_files(path)
     if (form := _format_of(files)) is not None:
         recording = _read(files, form)
-        problems = (*recording.problems, *_left_out(files, form, recording))
+        problems = (*recording.problems, *_left_out(files, form, recording), *_no_files(files))
         return finish(files, replace(recording, problems=problems))
     if (reason := unrecognised(files)) is not None:
         raise SessionError(f"{path}: no recording found; {reason}")
     if files.imu_table() is not None:
-        raise SessionError(f"{path}: an IMU table, but neither gps.csv nor *.nmea; without fixes there is no track")
+        broken = "".join(f" ({name} is {kind})" for name, kind in files.no_files("gps.csv", "gps.csv.gz").items())
+        raise SessionError(
+            f"{path}: an IMU table, but neither gps.csv nor *.nmea{broken}; without fixes there is no track"
+        )
     if (log := files.unnamed_sentences()) is not None:
         raise SessionError(
             f"{path}: {log.name} holds NMEA sentences; name the file, smooth {shlex.quote(str(log))}, or call it *.nmea"
@@ -99,6 +103,12 @@ def _left_out(files: SessionFiles, form: Format, recording: Recording) -> Iterat
     own = {path.name for path in form.own(files)} | set(recording.inputs)
     if others := [path for path in files.recordings() if path.name not in own]:
         yield Problem("recordings_unused", preferred(recording.gnss_file, others))
+
+
+def _no_files(files: SessionFiles) -> Iterator[Problem]:
+    """What to say of things called as a file that belongs to the session, which cannot be read as one."""
+    for name, kind in files.no_files(*BESIDE).items():
+        yield Problem("not_a_file", f"{name}: {kind}, where a file is wanted; nothing in it is used")
 
 
 def recordings(path: Path) -> list[LogFiles]:

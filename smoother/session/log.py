@@ -30,6 +30,7 @@ from smoother.session.rows import RowFilter, is_all, put_in_time_order
 from smoother.units import DEG, STANDARD_GRAVITY
 
 HEAD_BYTES = 262_144  # of a file, to know whose it is: more than the 5 s between SETUP records
+CLUSTER_BLOCKS = 128  # of the largest cluster that FAT32 has, 64 KiB
 MAG_SCALE = 0.15  # uT per count of the AK8963 in 16-bit mode
 TEMPERATURE_OFFSET, TEMPERATURE_SCALE = 21.0, 333.87  # deg C, counts per deg C (MPU-9250 register map, TEMP_OUT)
 COUNTS = 32768.0
@@ -122,8 +123,20 @@ def _head(path: Path) -> Blocks:
 
 
 def _own(blocks: Blocks) -> Blocks:
-    """The blocks of the recording that a file belongs to: that of its first block. What follows its end is older."""
-    own = blocks.head["session"] == blocks.head["session"][:1]
+    """The blocks of the recording that a file belongs to: that of its first block. What follows its end is older.
+
+    Where these are few and do not begin it, the first cluster was lost and holds what an older file left there.
+    """
+    if len(blocks) == 0:
+        return blocks
+    sessions, counts = np.unique(blocks.head["session"], return_counts=True)
+    first = blocks.head["session"][0]
+    is_left_over = blocks.head["sequence"][0] > 0 and counts[sessions == first][0] <= CLUSTER_BLOCKS
+    return _of_session(blocks, int(sessions[np.argmax(counts)] if is_left_over else first))
+
+
+def _of_session(blocks: Blocks, session: int) -> Blocks:
+    own = blocks.head["session"] == session
     return blocks if np.all(own) else blocks.select(own)
 
 
@@ -149,7 +162,7 @@ def _unreadable(path: Path, error: OSError) -> SessionError:
 def read_records(files: LogFiles) -> tuple[LogRecords, Losses]:
     """Return the records of a recording and what it lacks. Raises SessionError if a file cannot be read."""
     found = [find_blocks_of_any(_all_bytes(path)) for path in files.paths]
-    parts = [_own(blocks) for blocks, _ in found]
+    parts = [_of_session(blocks, files.session) for blocks, _ in found]
     all_blocks = parts[0] if len(parts) == 1 else Blocks.of(np.concatenate([p.content for p in parts if len(p)]))
     records, losses = decode(all_blocks)
     done = next((done for _, done in found if done), "")

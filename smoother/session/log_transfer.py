@@ -17,6 +17,10 @@ _BARE_END = re.compile(rb"(\*[0-9A-F]{2})\n")  # of a sentence, which had a carr
 _UNDOINGS: tuple[tuple[str, Callable[[bytes], bytes]], ...] = (
     ("put a carriage return before each line feed", lambda data: data.replace(b"\r\n", b"\n")),
     ("took the carriage returns before line feeds", lambda data: _BARE_END.sub(rb"\1\r\n", data)),
+    (
+        "put a carriage return before each line feed that had none",
+        lambda data: _BARE_END.sub(rb"\1\r\n", data.replace(b"\r\n", b"\n")),
+    ),
 )
 
 

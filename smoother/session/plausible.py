@@ -28,6 +28,7 @@ FEWEST_WINDOWS, FEWEST_OF_WINDOW = 4, 20  # samples, to tell forces from rates
 ALWAYS = 10.0  # per cent of the windows may have less: a box is turned over, or put down, in a few
 GRAVITY_ALWAYS, GRAVITY_MOSTLY = 0.8, 1.3  # of gravity: what is always there, and mostly no more, is a force
 CALM_RATE = 0.5  # rad/s, that some windows stay below: karts stand, or drive straight on; no force does, even in g
+LARGEST = 1e6  # of what is written for a sample, in whatever unit: milli-g and counts of 16 bits are less
 GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
 
 
@@ -103,7 +104,7 @@ def _window_means(values: Array, t: Array) -> Array:
     """Length (K,) of the mean of samples (N, 3) at t (N,) s over each WINDOW; of a long recording over more."""
     step = max(1, len(values) // ENOUGH_SAMPLES)
     some, times = thinned(values, step), thinned(t, step)
-    known = np.isfinite(some).all(axis=1) & np.isfinite(times)
+    known = _are_measured(some) & np.isfinite(times)
     some, times = some[known], times[known]
     lasts = float(times[-1] - times[0]) if len(times) else 0.0
     count = max(FEWEST_OF_WINDOW, round(len(some) * WINDOW / lasts)) if lasts > 0.0 else FEWEST_OF_WINDOW
@@ -111,13 +112,18 @@ def _window_means(values: Array, t: Array) -> Array:
     return np.asarray(np.linalg.norm(np.mean(some[:whole].reshape(-1, count, 3), axis=1), axis=1))
 
 
+def _are_measured(some: Array) -> BoolArray:
+    """Mask (N,) of the samples (N, 3) that a sensor can have read: one damaged number would be the mean of many."""
+    return np.asarray(np.all(np.abs(some) < LARGEST, axis=1))
+
+
 def turned_to_radians(gyro: Array, file: str) -> list[Problem]:
     """Turn rates (N, 3), which the caller gives away, into rad/s where they are as large as of a kart in deg/s only.
 
     Where they are not deg/s after all, the course of the fixes tells. Says what it did; `file` is the name for that.
     """
-    some = np.linalg.norm(thinned(gyro, max(1, len(gyro) // ENOUGH_SAMPLES)), axis=1)
-    known = some[np.isfinite(some)]
+    some = thinned(gyro, max(1, len(gyro) // ENOUGH_SAMPLES))
+    known = np.linalg.norm(some[_are_measured(some)], axis=1)
     size, most = median(known) if known.size else 0.0, PLAUSIBLE_RATE[1]
     if known.size < FEWEST_LEFT or not most < size <= most / DEG:
         return []
@@ -134,7 +140,7 @@ def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
     """
     step = max(1, len(accel) // ENOUGH_SAMPLES)
     some = thinned(accel, step)
-    known = np.isfinite(some).all(axis=1) & np.isfinite(thinned(t, step))
+    known = _are_measured(some) & np.isfinite(thinned(t, step))
     some, times = some[known], thinned(t, step)[known]
     if len(some) < FEWEST_LEFT:
         return []
@@ -142,7 +148,8 @@ def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
     size, steady = median(np.linalg.norm(some, axis=1)), _steady(some, times[-1] - times[0])
     if not (size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size):
         return []
-    accel *= STANDARD_GRAVITY
+    with np.errstate(over="ignore"):  # what no sensor writes is left out later
+        accel *= STANDARD_GRAVITY
     text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with g where m/s^2 belong; taken so"
     return [Problem("imu_accel_unit", f"{file}: {text}")]
 

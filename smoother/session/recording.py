@@ -24,7 +24,7 @@ from smoother.samples import (
     RawMag,
     RawSession,
 )
-from smoother.session.clock import are_fix_gaps, describe_time_base, regularize, true_fix_times
+from smoother.session.clock import LARGEST_DRIFT, are_fix_gaps, describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
 from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
@@ -49,6 +49,7 @@ OF_NO_COLUMN = (
     "gps_repeated_time",
 )
 FEWEST_FIXES_FOR_CLOCK = 32
+LEAST_AT_ODDS, FEW_AT_ODDS = 10.0, 0.01  # s beyond what clocks drift, and share of the fixes, worth a word
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -212,6 +213,7 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
     t, by_utc = true_fix_times(gnss.t, gnss.unix_s)
     if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
         t = regularize(gnss.t).t
+    problems += _utc_at_odds(recording)
     steps = np.diff(t)
     if steps.size:
         if (usual := float(np.median(steps))) > SLOWEST_FIXES:
@@ -222,6 +224,23 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
+
+
+def _utc_at_odds(recording: Recording) -> Iterator[Problem]:
+    """What to say where the UTC of some fixes is that of another time than the others', by their t_s."""
+    gnss = recording.gnss
+    assert gnss.unix_s is not None
+    known = np.isfinite(gnss.unix_s)
+    if np.count_nonzero(known) < FEWEST_FIXES_FOR_CLOCK:
+        return
+    ahead = (gnss.unix_s - gnss.t)[known]
+    ahead -= np.median(ahead)
+    drift = LARGEST_DRIFT * float(gnss.t[-1] - gnss.t[0])
+    odd = np.abs(ahead) > LEAST_AT_ODDS + 2.0 * drift
+    count = int(np.count_nonzero(odd))
+    if count > FEW_AT_ODDS * ahead.size:
+        text = f"UTC of {counted(count, 'fix')} is {np.median(ahead[odd]):+.0f} s off that of the others by their times"
+        yield Problem("gps_utc_at_odds", f"{recording.gnss_file}: {text}; one of the two clocks was set anew", count)
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:

@@ -52,13 +52,18 @@ class Records:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """A file for reading; one of two bytes a character is made plain in memory. Raises SessionError if it is huge."""
+    """A file for reading, in lines that end with a line feed; one of two bytes a character, or with carriage returns
+    alone, as old Macs write it, is made plain in memory. Raises SessionError if such a one is huge."""
     with path.open("rb") as file:
-        if wide_encoding(file.read(WIDE_BYTES)) is None:
-            return path.open("rb")
+        head = file.read(LONGEST_LINE)
+    is_wide = wide_encoding(head[:WIDE_BYTES]) is not None
+    if not is_wide and (b"\n" in head or b"\r" not in head):
+        return path.open("rb")
     if path.stat().st_size > LARGEST_WIDE:
-        raise SessionError(f"{path.name}: more than {LARGEST_WIDE >> 20} MB in UTF-16; save it as UTF-8")
-    return BytesIO(in_utf8(path.read_bytes()))
+        what = "in UTF-16" if is_wide else "in lines that end with carriage returns"
+        raise SessionError(f"{path.name}: more than {LARGEST_WIDE >> 20} MB {what}; save it as UTF-8 with line feeds")
+    text = in_utf8(path.read_bytes())
+    return BytesIO(text if b"\n" in text[:LONGEST_LINE] else text.replace(b"\r", b"\n"))
 
 
 def head_of(path: Path, is_last: Callable[[str], bool], what: str) -> tuple[list[str], int]:

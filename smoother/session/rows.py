@@ -31,10 +31,12 @@ MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTLESS = 0.3  # share of steps that fall: no clock starts again as often, but rows are in no order at all
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
+GOES_ON = 0.8  # share of the rows that go on in time around blocks of another recording; less may be two drives
+MOST_PIECES = 4000  # that are compared with one another
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
 STRAY_GAP = 600.0  # s; see _stray_ends
 LATEST = 1e10  # s; even seconds since 1970 are fewer
-LONGEST_GAP = 86400.0  # s; two parts further apart are not one recording
+LONGEST_GAP = 86400.0  # s; a few rows further from the others are of no recording
 
 
 @dataclass
@@ -69,7 +71,8 @@ def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> t
     Rows out of order or repeated are dropped (the first of a repeated time stays); a stray far-future stamp costs
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
     cost a large part of it, and so are blocks that were written twice or in another order. Rows in place of which older
-    ones stand again are a gap. After a restart of the clock only the longest piece is kept.
+    ones stand again are a gap, and so are those in place of which another recording stands. After a restart of the
+    clock only the longest piece is kept.
     """
     if _is_flawless(rows, t):
         time = t.view()
@@ -319,6 +322,10 @@ def _resolve_disorder(
         if np.count_nonzero(~longest_increasing(t[~copies])) <= tolerated:
             rows.drop(_mask(rows, index[copies]), "written_again", "that stand elsewhere too, in place of others")
             return index[~copies], t[~copies]
+    if (astray := blocks_astray(t)) is not None:
+        reason = "with times far from those around them, of another recording or damaged"
+        rows.drop(_mask(rows, index[astray]), "astray", reason)
+        return index[~astray], t[~astray]
     return _longest_piece(rows, index, t)
 
 
@@ -390,6 +397,45 @@ def parts_between_restarts(t: Array) -> IntArray:
     return np.cumsum(part)
 
 
+def blocks_astray(t: Array) -> BoolArray | None:
+    """Mask (N,) of the few rows of t (N,) s between which all others go on in time; None where there are none such.
+
+    A cluster of the card that was lost holds what an older recording left there: the clock falls back, or leaps ahead,
+    and is right again after it. One that started again never is, and cuts a recording in parts of which none is small
+    against what goes on: these are not joined, since that would mix two drives.
+    """
+    step = np.diff(t)
+    usual = np.abs(step[step != 0.0])
+    longest = max(RESTART_STEP, 4.0 * float(np.median(usual))) if usual.size else RESTART_STEP
+    bounds = np.concatenate([[0], np.flatnonzero((step < -RESTART_STEP) | (step > longest)) + 1, [t.size]])
+    if not 2 < bounds.size - 1 <= MOST_PIECES:
+        return None
+    goes_on = _heaviest_chain(t[bounds[:-1]], t[bounds[1:] - 1], np.diff(bounds))
+    between = ~goes_on
+    ends = np.flatnonzero(goes_on)[[0, -1]]
+    between[: ends[0]] = between[ends[1] :] = False
+    kept = np.repeat(goes_on, np.diff(bounds))
+    if not between.any() or np.mean(kept) < GOES_ON:
+        return None
+    return ~kept
+
+
+def _heaviest_chain(begin: Array, end: Array, size: IntArray) -> BoolArray:
+    """Mask (N,) of the pieces from `begin` to `end` (N,) s that follow one another in time and hold most rows."""
+    rows, before = size.astype(np.int64), np.full(size.size, -1)
+    for i in range(1, size.size):
+        earlier = np.where(end[:i] < begin[i], rows[:i], 0)
+        best = int(np.argmax(earlier))
+        if earlier[best] > 0:
+            rows[i] += earlier[best]
+            before[i] = best
+    chain, piece = np.zeros(size.size, dtype=np.bool_), int(np.argmax(rows))
+    while piece >= 0:
+        chain[piece] = True
+        piece = int(before[piece])
+    return chain
+
+
 def _longest_piece(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
     """Cut where the clock was set back for good; keep the piece with most rows."""
     piece = parts_between_restarts(t)
@@ -414,7 +460,8 @@ def _stray_ends(t: Array) -> BoolArray:
     """Mask of a few rows at either end that stand farther away than the whole rest lasts, or than a day.
 
     A single wrong stamp at the end of a file is in order, yet would stretch the recording without bound. A few rows
-    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end.
+    between two long parts, of a logger that was switched on for a moment, stretch nothing and are no end. Nor is a long
+    part, however far away: which of two drives is used is for whoever sees samples and fixes.
     """
     stray = np.zeros(t.size, dtype=np.bool_)
     cuts = np.flatnonzero(np.diff(t) > STRAY_GAP) + 1
@@ -429,7 +476,7 @@ def _stray_ends(t: Array) -> BoolArray:
 
 
 def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
-    """First and last of the parts joined to `main`: near enough for their size and the duration so far."""
+    """First and last of the parts joined to `main`: all long ones, and others that are near for the duration so far."""
     first = last = main
     few = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
 
@@ -444,7 +491,7 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
 
     while first > 0:
         part = next_long(first - 1, -1)
-        if part >= 0 and t[bounds[first]] - t[bounds[part + 1] - 1] <= LONGEST_GAP:
+        if part >= 0:
             first = part
         elif belongs(t[bounds[first]] - t[bounds[first] - 1]):
             first -= 1
@@ -452,7 +499,7 @@ def _grow(t: Array, bounds: IntArray, main: int) -> tuple[int, int]:
             break
     while last < bounds.size - 2:
         part = next_long(last + 1, 1)
-        if part < bounds.size - 1 and t[bounds[part]] - t[bounds[last + 1] - 1] <= LONGEST_GAP:
+        if part < bounds.size - 1:
             last = part
         elif belongs(t[bounds[last + 1]] - t[bounds[last + 1] - 1]):
             last += 1

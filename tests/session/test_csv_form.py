@@ -13,6 +13,7 @@ from smoother.errors import SessionError
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.load import load_raw
 from smoother.session.tables import read_header, read_table
+from smoother.units import DEG
 
 IMU_HEADER = "t_s,ax,ay,az,gx,gy,gz"
 GPS_HEADER = "t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg,hacc_m,num_sv,fix"
@@ -563,3 +564,22 @@ def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, data: 
             assert str(error).startswith(name) and "\n" not in str(error)
         else:
             assert np.all(np.diff(samples.t) > 0)
+
+
+@pytest.mark.parametrize("lost", ["lat_deg", "lon_deg"])
+def test_a_coordinate_that_lost_its_decimals_leaves_no_track(tmp_path: Path, lost: str) -> None:
+    t = np.arange(200) * 0.2
+    angle, radius = 0.1 * t, 8e-4
+    places = {"lat_deg": 52.0 + radius * np.cos(angle), "lon_deg": 17.0 + radius * np.sin(angle) / np.cos(52 * DEG)}
+    course = np.rad2deg(angle) + 90.0
+    rows = [
+        f"{t[i]:.1f},{places['lat_deg'][i]:.7f},{places['lon_deg'][i]:.7f},8.9,{course[i] % 360.0:.2f}"
+        for i in range(t.size)
+    ]
+    head = "t_s,lat_deg,lon_deg,speed_mps,course_deg"
+    whole, _ = read_fixes(save(tmp_path, "\n".join([head, *rows]), "gps.csv"))
+    place = head.split(",").index(lost)
+    short = [",".join("5.21E+01" if i == place else x for i, x in enumerate(row.split(","))) for row in rows]
+    fixes, problems = read_fixes(save(tmp_path, "\n".join([head, *short]), "gps.csv"))
+    assert len(whole) == 200 and len(fixes) == 0
+    assert codes(problems)["gps_coordinate_stands"] == 200

@@ -7,6 +7,9 @@ import pytest
 
 from smoother.samples import RawSession
 from smoother.session.load import load_raw
+from smoother.units import DAY
+
+from .folders import Folder, codes, gps_csv, imu_csv
 
 
 def session(
@@ -73,3 +76,13 @@ def test_a_day_without_samples_enough_is_smoothed_from_gps_alone(tmp_path: Path,
 def test_a_day_without_compass_has_none(tmp_path: Path) -> None:
     raw = session(tmp_path, 40_000.0, mag_until=20.0)
     assert raw.mag is None and raw.imu is not None and len(raw.imu.t) in (1999, 2000)
+
+
+def test_of_two_drives_a_week_apart_samples_and_fixes_are_of_the_same(folder: Folder) -> None:
+    """The clock may have been set in mid-drive; each file for itself has most rows in another part."""
+    week = 7.0 * DAY
+    imu = imu_csv(2000) + imu_csv(1000, start=week).partition("\n")[2]
+    gps = gps_csv(40) + gps_csv(60, start=week).partition("\n")[2]
+    session = folder.write(imu__csv=imu, gps__csv=gps).load()
+    assert session.imu is not None and len(session.gnss) == 60 and session.imu.t.size == 1000
+    assert session.imu.t[0] >= week and "recordings_apart" in codes(session)

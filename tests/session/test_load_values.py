@@ -116,6 +116,39 @@ def test_an_imu_table_with_nothing_in_it_leaves_the_fixes_and_is_said(
     assert session.problems[0].text.startswith(said)
 
 
+@pytest.mark.parametrize("name", ["imu.csv", "session.toml", "mag.csv", "calibration.toml"])
+@pytest.mark.parametrize("leads_to", ["nowhere", "itself"])
+def test_a_link_that_leads_nowhere_is_said(folder: Folder, name: str, leads_to: str) -> None:
+    folder.write(**{"gps__csv": gps_csv(), **({} if name == "imu.csv" else {"imu__csv": imu_csv()})})
+    (folder.path / name).symlink_to(name if leads_to == "itself" else leads_to)
+    session = folder.load()
+    said = [problem.text for problem in session.problems if problem.code in ("imu_folder", "not_a_file")]
+    assert len(said) == 1 and said[0].startswith(f"{name}: a link that leads nowhere, where a ")
+
+
+def test_fixes_that_are_a_folder_are_named_where_there_are_no_others(folder: Folder) -> None:
+    folder.write(imu__csv=imu_csv())
+    (folder.path / "gps.csv").mkdir()
+    with pytest.raises(SessionError, match=r"neither gps.csv nor \*.nmea \(gps.csv is a folder\)"):
+        folder.load()
+
+
+@pytest.mark.parametrize(("ahead", "said"), [(0.0, 0), (0.4, 0), (3600.0, 40), (-604800.0, 40)])
+def test_utc_that_is_set_anew_while_the_clock_goes_on_is_said(folder: Folder, ahead: float, said: int) -> None:
+    header, *rows = gps_csv(100).splitlines()
+    utc = [f"{row},{1.78e9 + 0.2 * k + ahead * (k >= 60):.2f}" for k, row in enumerate(rows)]
+    session = folder.write(gps__csv="\n".join([f"{header},unix_s", *utc])).load()
+    assert codes(session).get("gps_utc_at_odds", 0) == said
+
+
+@pytest.mark.filterwarnings("error")
+def test_positions_beyond_any_unit_cost_themselves_alone(folder: Folder) -> None:
+    lines = gps_csv(100).splitlines()
+    lines[9::20] = [re.sub(r",4\d\.\d+,", ",1e308,", line) for line in lines[9::20]]
+    session = folder.write(gps__csv="\n".join(lines)).load()
+    assert len(session.gnss) == 95 and codes(session)["gps_absurd"] == 5
+
+
 def test_spikes_of_a_sensor_and_jumps_of_the_height_are_mended_and_said(folder: Folder) -> None:
     imu, gps = imu_csv().splitlines(), gps_csv().splitlines()
     for row in range(100, 1000, 300):

@@ -1,5 +1,6 @@
 """The logger's files as sessions: units and axes, several files and recordings, and what is said about flaws."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -245,6 +246,10 @@ def test_every_cut_of_a_file_gives_a_session_or_one_line(tmp_path, make_records)
     [
         (lambda data: data.replace(b"\n", b"\r\n"), "put a carriage return before each line feed"),
         (lambda data: data.replace(b"\r\n", b"\n"), "took the carriage returns before line feeds"),
+        (
+            lambda data: re.sub(rb"(?<!\r)\n", b"\r\n", data),
+            "put a carriage return before each line feed that had none",
+        ),
     ],
 )
 def test_a_log_that_was_copied_as_text_is_named_and_undone(tmp_path, make_records, transfer, named):
@@ -254,6 +259,17 @@ def test_a_log_that_was_copied_as_text_is_named_and_undone(tmp_path, make_record
     assert len(raw.gnss) == 100 and len(raw.imu.t) > 3900
     (said,) = [problem.text for problem in raw.problems if problem.code == "log_copied_as_text"]
     assert said.startswith("LOG00001.KLG: it was copied as text") and named in said and said.endswith("as binary")
+
+
+@pytest.mark.parametrize("of_older", [slice(64, 128), slice(3, 67)])
+def test_an_older_cluster_in_place_of_the_first_costs_that_cluster_alone(tmp_path, make_records, of_older):
+    image = encode(make_records(duration=60.0), 2)
+    older = encode(make_records(duration=60.0), 1)
+    size = BLOCK_BYTES * 64
+    begin = BLOCK_BYTES * of_older.start
+    (tmp_path / "LOG00002.KLG").write_bytes(older[begin : begin + size] + image[size:])
+    raw = load_raw(tmp_path)
+    assert raw.imu.t[-1] - raw.imu.t[0] > 50.0 and raw.imu.t[0] > 3.0
 
 
 def test_damage_of_another_kind_is_not_taken_for_a_transfer_as_text(tmp_path, make_records):

@@ -236,6 +236,13 @@ def test_times_places_and_velocities_are_read_by_their_names(tmp_path: Path, nam
     }
 
 
+@pytest.mark.parametrize("name", ["racebox", "harry old"])
+def test_lines_may_end_as_old_macs_ended_them(tmp_path: Path, name: str) -> None:
+    text = text_of(name)
+    as_written = read(tmp_path, text).gnss
+    np.testing.assert_array_equal(read(tmp_path, text.replace("\r\n", "\n").replace("\n", "\r")).gnss.t, as_written.t)
+
+
 def test_rows_without_a_new_fix_are_none(tmp_path: Path) -> None:
     """TrackAddict writes rows 20 times a second, with the last fix, and marks those in which a new one came."""
     rows = []

@@ -78,6 +78,18 @@ def test_forces_as_small_as_gravity_in_g_are_taken_for_such(unit: float, rest: f
     assert [problem.code for problem in said] == ["imu_accel_unit"] * is_taken
 
 
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_no_sensor_writes_have_no_say_in_units() -> None:
+    force, rate = samples(rest=30.0)
+    t = np.arange(len(force)) / RATE
+    in_g, in_degrees = force / STANDARD_GRAVITY, rate / DEG
+    for values in (in_g, in_degrees):
+        values[::20, 2] = 1e308
+    assert are_exchanged(rate, np.where(in_g > 1e300, in_g, force), t)
+    assert [problem.code for problem in turned_to_metres(in_g, t, "imu.csv")] == ["imu_accel_unit"]
+    assert [problem.code for problem in turned_to_radians(in_degrees, "imu.csv")] == ["imu_gyro_unit"]
+
+
 @pytest.mark.parametrize("size", [0.5, 1.0, 2.0, 4.0])
 def test_forces_without_gravity_are_not_taken_for_g(size: float) -> None:
     t = np.arange(RATE * LASTS) / RATE

@@ -181,6 +181,25 @@ def test_a_block_in_place_of_which_another_stands_again_is_a_gap(parts: tuple[sl
     assert codes(rows) == {"imu_written_again": 100}
 
 
+@pytest.mark.parametrize("offset", [-5000.0, 37.0, 5000.0])
+def test_blocks_of_another_recording_in_place_of_lost_ones_cost_only_themselves(offset: float) -> None:
+    t = np.arange(10_000) * 0.01
+    foreign = np.zeros(t.size, dtype=np.bool_)
+    for start in (1000, 3000, 3500, 7000, 9000):
+        foreign[start : start + 150] = True
+    t[foreign] = (np.flatnonzero(foreign) * 0.01 * 1.7 + offset) % 1e4
+    time, index, rows = order(t)
+    assert set(np.flatnonzero(~foreign)) == set(index) and codes(rows) == {"imu_astray": 750}
+    np.testing.assert_allclose(time, index * 0.01)
+
+
+def test_a_short_second_run_of_the_clock_is_not_mixed_into_the_gaps_of_the_first() -> None:
+    first = np.delete(np.arange(2000) * 0.1, np.s_[500:700])
+    t = np.concatenate([first, 52.0 + np.arange(100) * 0.1])
+    _, index, rows = order(t)
+    assert index.tolist() == list(range(1800)) and codes(rows) == {"imu_clock_restart": 100}
+
+
 def test_a_file_from_the_newest_row_to_the_oldest_may_have_gaps() -> None:
     t = np.delete(np.arange(1000) * 0.1, np.s_[40::50])
     t = (t + 1.1 * np.floor(t / 5.0))[::-1]

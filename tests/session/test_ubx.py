@@ -64,6 +64,15 @@ def test_what_is_no_fix_is_none(tmp_path: Path, other: dict[str, int]) -> None:
     assert len(read_ubx(path).gnss) == COUNT - 10
 
 
+def test_messages_that_were_written_twice_cost_nothing(tmp_path: Path) -> None:
+    every = [message(k) for k in range(COUNT)]
+    twice = every[: COUNT // 2] + every + every[COUNT // 4 :]
+    assert len(read_ubx(write(tmp_path, *twice)).gnss) == COUNT
+    others = [message(k // 3, lat_1e7=450_000_000 + 64 * k) for k in range(3 * COUNT)]
+    with pytest.raises(SessionError, match="repeat the time of another"):
+        read_ubx(write(tmp_path, *others))
+
+
 def test_the_week_ends_and_utc_is_not_known_yet(tmp_path: Path) -> None:
     start = WEEK_MS - 3000
     path = write(tmp_path, *(message(k, start, valid=0x37 if k > 20 else 0x01) for k in range(COUNT)))
