@@ -20,6 +20,8 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.estimate.gnss_path import GnssPath
 
+UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
+SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
 BIN = 2.0  # s, of the means: a fifth of the shortest time that counts as slow
 GAP = 1.5  # s without Doppler, over which it cannot be added up
 WILD = 5.0  # m/s^2, what is unknown of the motion over a gap
@@ -100,6 +102,22 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     if lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE:
         return OffsetModel(own, fit.tau, fit.tau_spread)
     return _walked(seen, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
+
+
+def unseen_variance(offset: OffsetModel, white: float, population: Array, n_fixes: int) -> Array:
+    """Variance (3,) m^2 of the offset beyond what a session's `offset` shows, to be added to absolute positions.
+
+    A receiver with little white noise (m) has filtered its fixes. They wander slowly, by more than a drive can show,
+    since neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and
+    the population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may
+    find that there is no offset at all, where there are so many fixes that it would be seen; if they show one, it is as
+    others are. A session that lasts for many times the time over which its offset is forgotten is its own judge.
+    """
+    seen = white / math.sqrt(max(n_fixes, 1)) < SHOWN * population[0]
+    shows_none = seen and white > UNFILTERED and offset.sigma[0] < SHOWN * population[0]
+    if shows_none or math.isfinite(offset.tau_spread):
+        return np.zeros(3)
+    return np.maximum(population**2 - offset.sigma**2, 0.0)
 
 
 def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:

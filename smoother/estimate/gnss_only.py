@@ -9,12 +9,13 @@ does not change, are given apart from it, and the report says so.
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.gnss_settling import settling_problems, unsettled
@@ -62,6 +63,7 @@ class GnssSmoother:
         early = unsettled(session)
         session = without_positions(session, early) if early.any() else session
         path = fit_path(session, options.path)
+        offset = _offset(session, path, options.path)
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
         t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate
@@ -69,7 +71,7 @@ class GnssSmoother:
         acceleration_b, angular_rate_b = _body_motion(motion, sigma, options)
         latency_sigma = 0.0 if _is_latency_stated(session, options) else options.position_latency_sigma
         report = EstimateReport(
-            identified=_identified(session, path, options, latency_sigma),
+            identified=_identified(session, path, offset, options, latency_sigma),
             residuals=_statistics(path),
             fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
             timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
@@ -84,11 +86,18 @@ class GnssSmoother:
             R_nb=np.full((t.size, 3, 3), np.nan),
             acceleration_b=acceleration_b,
             angular_rate_b=angular_rate_b,
-            sigmas=_sigmas(
-                motion, _widened(t, motion, sigma, path, session), np.asarray(options.path.offset_sigma), latency_sigma
-            ),
+            sigmas=_sigmas(motion, _widened(t, motion, sigma, path, session), offset.sigma, latency_sigma),
             report=report,
         )
+
+
+def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> OffsetModel:
+    """The slow offset of the fixes as far as Doppler tells, else the population's."""
+    usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
+    white = float(path.position_sigma[0])
+    found = offset_model(session.gnss.t, path, usual, white < UNFILTERED)
+    unseen = unseen_variance(found, white, usual.sigma, len(session.gnss))
+    return replace(found, sigma=np.sqrt(found.sigma**2 + unseen))
 
 
 def _widened(t: Array, motion: GnssMotion, sigma: GnssPathSigmas, path: GnssPath, session: Session) -> GnssPathSigmas:
@@ -194,7 +203,7 @@ def _rms(values: Array) -> float:
 
 
 def _identified(
-    session: Session, path: GnssPath, options: GnssOnlyOptions, latency_sigma: float
+    session: Session, path: GnssPath, offset: OffsetModel, options: GnssOnlyOptions, latency_sigma: float
 ) -> dict[str, Identified]:
     """What the session's values are and where from. latency_sigma s: of the position latency, 0 where it is stated."""
     lag, latency = path.velocity_lag, path.position_latency
@@ -215,8 +224,7 @@ def _identified(
             lag.value, lag.sigma, "s", lag.observable or lag.source == "configured", lag.source
         ),
         "gps_position_noise": Identified(path.position_sigma.tolist(), None, "m", True, "identified"),
-        "gps_offset_sigma": Identified(list(options.path.offset_sigma), None, "m", False, "default"),
-        "gps_offset_tau": Identified(options.path.offset_tau, None, "s", False, "default"),
+        **_identified_offset(offset, options.path),
     }
     if has_velocity:
         found["gps_velocity_noise"] = Identified(path.velocity_sigma.tolist(), None, "m/s", True, "identified")
@@ -226,6 +234,16 @@ def _identified(
             bias, bias_sigma, "m/s", is_seen, "identified" if is_seen else "default"
         )
     return {**found, **_inertial(session)}
+
+
+def _identified_offset(offset: OffsetModel, options: GnssPathOptions) -> dict[str, Identified]:
+    """How far fixes wander, and how long that lasts."""
+    told, shown = bool(np.isfinite(offset.tau_spread)), not np.allclose(offset.sigma, options.offset_sigma)
+    tau_sigma = offset.tau * offset.tau_spread if told else None
+    return {
+        "gps_offset_sigma": Identified(offset.sigma.tolist(), None, "m", told, "identified" if shown else "default"),
+        "gps_offset_tau": Identified(offset.tau, tau_sigma, "s", told, "identified" if told else "default"),
+    }
 
 
 def _inertial(session: Session) -> dict[str, Identified]:

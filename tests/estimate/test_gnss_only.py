@@ -16,6 +16,7 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gps_alone import GpsAlone
 from smoother.estimate.quality import assess
 from smoother.frames import Origin, nwu_to_geodetic
+from smoother.laps.sigma import position_errors
 from smoother.laps.top_speed import top_speed
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Session
@@ -23,6 +24,7 @@ from smoother.session.load import load_raw
 from smoother.sim.simulation import simulate_preset
 
 Make = Callable[..., Any]
+STATED = SessionConfig(gps=GnssTiming(position_latency=0.0))
 RADIUS, RATE = 30.0, 0.5  # m, rad/s: 15 m/s anticlockwise, 7.5 m/s^2 to the left
 
 
@@ -122,6 +124,33 @@ def test_report_tells_what_was_found_and_what_was_rejected(lap_fixes: Make) -> N
     assert not identified["gps_velocity_latency"].observable
     assert identified["gps_offset_tau"].source == "default"
     assert (identified["lever_arm_b"].value, identified["R_bs"].source) == ([0.0, 0.0, 0.0], "default")
+
+
+@pytest.mark.parametrize(("offset", "tau"), [(2.0, 60.0), (4.0, 30.0)])
+def test_an_offset_that_wanders_faster_than_others_makes_positions_and_laps_as_unsure(
+    offset: float, tau: float
+) -> None:
+    squares, changes, said = [], [], []
+    for seed in range(3):
+        changed = {"gnss_offset_horizontal": offset, "gnss_offset_tau": tau, "gnss_position_latency": 0.0}
+        simulation = simulate_preset("kart", 40 + seed, duration=400.0, gnss_jumps=(), **changed)
+        session = replace(prepare(replace(simulation.raw, imu=None, mag=None)), config=STATED)
+        found = GnssSmoother(GnssOnlyOptions(rate=5.0)).estimate(session)
+        true = simulation.truth.trajectory(found.t, simulation.scenario.lever_arm_b, session.origin)
+        known = np.isfinite(true.position_n[:, 0])
+        error = (found.position_n - true.position_n)[known, :2]
+        assert found.sigmas is not None
+        squares.append(np.mean((error / found.sigmas.position_n[known, :2]) ** 2))
+        errors, source = position_errors(found, 0.2)
+        assert errors is not None and source == "model"
+        ends = np.stack([found.t[known][:-150], found.t[known][150:]], axis=1)  # half a minute apart
+        north = np.tile([1.0, 0.0, 0.0], (2, 1))
+        expected = np.mean([np.array([-1, 1]) @ errors.covariance(t, north) @ np.array([-1, 1]) for t in ends[::50]])
+        changes.append(np.mean((error[150:] - error[:-150]) ** 2) / expected)
+        said.append(found.report.identified["gps_offset_sigma"])
+    assert all((one.source == "identified") == (offset > 2.0) for one in said)
+    assert np.mean(squares) < 2.0
+    assert 0.4 < np.mean(changes) < 1.6
 
 
 def test_without_doppler_nothing_is_said_of_its_noise(lap_fixes: Make) -> None:

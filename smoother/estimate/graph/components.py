@@ -11,6 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces
+from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
@@ -25,8 +26,6 @@ from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROW_CONSTANTS_S
 SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
 SMALLEST_POSITION = 0.02  # m; a digit of latitude is worth about this
 SMALLEST_VELOCITY = 0.02  # m/s, likewise of speed and course
-UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
-SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
 # m that one fix scatters against the next. Receivers filter: four walked beside RTK and two on karts show 0.01-0.03,
 # and all else of the 0.2-0.5 m that is faster than 20 s goes on from fix to fix. Others may not.
 USUAL_POSITION = np.array([0.05, 0.05, 0.1])
@@ -195,19 +194,9 @@ def _component_of(solved: Solved, name: str, counts: BoolArray) -> "RowComponent
 
 
 def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
-    """Variance (3,) m^2 of the GPS offset beyond what the session shows, to be added to absolute positions.
-
-    A receiver with little white noise has filtered its fixes. They wander slowly, by more than a drive can show, since
-    neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and the
-    population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may find
-    that there is no offset at all, where there are so many fixes that it would be seen; if they show one, it is as
-    others are. A session that lasts for many times the time over which its offset is forgotten is its own judge.
-    """
-    seen = noise.position[0] / math.sqrt(max(n_fixes, 1)) < SHOWN * population[0]
-    shows_none = seen and noise.position[0] > UNFILTERED and noise.offset_sigma[0] < SHOWN * population[0]
-    if shows_none or math.isfinite(noise.offset_tau_spread):
-        return np.zeros(3)
-    return np.maximum(population**2 - noise.offset_sigma**2, 0.0)
+    """Variance (3,) m^2 of the GPS offset beyond what the session shows, see :func:`unseen_variance`."""
+    offset = OffsetModel(noise.offset_sigma, noise.offset_tau, noise.offset_tau_spread)
+    return unseen_variance(offset, float(noise.position[0]), population, n_fixes)
 
 
 def _density(component: VarianceComponent, density: float, scatter: float) -> float:

@@ -8,12 +8,12 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
-from smoother.estimate.gnss_offset import OffsetModel, follows_positions, has_doppler, offset_model
+from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.at_rest import scale_at_rest
 from smoother.estimate.graph.batch import Data, Noise, Priors
-from smoother.estimate.graph.components import OWN_SCATTER, UNFILTERED, Scatter
+from smoother.estimate.graph.components import OWN_SCATTER, Scatter
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise, hole_lengths
 from smoother.estimate.graph.keyframes import keyframe_times
