@@ -18,6 +18,9 @@ MIN_SPEED, FEWEST = 4.5, 500  # m/s, and samples at it
 # whose wheel turns by 10 deg -1.0 to -1.2 and -0.8 to -0.9. On frames simulated karts have -0.14 to 0.01, four cars
 # -0.04 to 0.01, or -0.1 to 0.1 together
 LEAST_ROLL, LEAST_TOGETHER = 0.5, 0.7
+# Share of the power of those turns which may be vibration that the sampling folds: a tone, that all axes have in common
+# in any proportion. Real boxes on wheels have 0.04 and 0.2, shaken ones whose wheel does not show 0.6 and more
+MOST_FOLDED = 0.5
 
 
 def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
@@ -27,15 +30,26 @@ def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
         return False
     step = float(np.median(np.diff(imu.t)))
     rate = imu.angular_rate_s - np.median(imu.angular_rate_s, axis=0)
-    slow, quicker = (running_mean(rate, 2 * max(1, round(0.5 * seconds / step))) for seconds in (SLOW_TURN, QUICK_TURN))
+    widths = [2 * max(1, round(0.5 * seconds / step)) for seconds in (SLOW_TURN, QUICK_TURN)]
+    slow, quicker = (running_mean(rate, width) for width in widths)
     quick = (quicker - slow)[driving]
     ahead, up = _ahead_and_up(imu.specific_force_s[driving], slow[driving])
     yaw, roll = quick @ up, quick @ ahead
     power = float(yaw @ yaw)
     if power == 0.0 or not np.any(roll):
         return False
+    if _folded((rate - quicker)[driving] @ up, *widths) > MOST_FOLDED * power:
+        return False
     shared = float(roll @ yaw)
     return shared / power < -LEAST_ROLL and shared / np.sqrt(power * float(roll @ roll)) < -LEAST_TOGETHER
+
+
+def _folded(shaking: Array, slow: int, quick: int) -> float:
+    """Power that turns between means of `slow` and of `quick` samples have of vibration, by what is quicker (N,).
+
+    Hands hardly turn a wheel more quickly; what the sampling folds is there too, and on average as much per Hz.
+    """
+    return float(shaking @ shaking) * (1.0 / quick - 1.0 / slow) / (1.0 - 1.0 / quick)
 
 
 def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:

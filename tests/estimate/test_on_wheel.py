@@ -48,6 +48,15 @@ def test_a_box_that_rocks_by_more_than_it_turns_is_loose_and_not_on_the_wheel() 
     assert is_on_wheel(imu, simulation.raw.gnss) and not is_on_wheel(loose, simulation.raw.gnss)
 
 
+def test_vibration_that_is_folded_alike_into_two_axes_is_no_wheel() -> None:
+    simulation = simulate_preset("kart", 2, duration=90.0, imu_rate=25.0)
+    assert simulation.raw.imu is not None
+    imu, (ahead_s, _, up_s) = beginning(simulation.raw.imu), simulation.scenario.R_bs
+    folded = 80.0 * DEG * np.random.default_rng(4).normal(size=len(imu.t))
+    shaken = replace(imu, angular_rate_s=imu.angular_rate_s + folded[:, None] * (up_s - 0.9 * ahead_s))
+    assert not is_on_wheel(shaken, simulation.raw.gnss)
+
+
 def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:
     imu, fixes = driven("kart", 2, 10.0 * DEG)
     still = replace(fixes, velocity_n=np.zeros_like(fixes.velocity_n))

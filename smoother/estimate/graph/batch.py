@@ -49,6 +49,7 @@ from smoother.estimate.graph.state import (
     VELOCITY,
     ChainState,
 )
+from smoother.estimate.graph.upright import along_path_rows, unsteadiness, upright_rows
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 
 # A residual beyond this loses weight as (limit / distance)^2: redescending. Of two components the distance is that in
@@ -298,9 +299,15 @@ class Batch:
             duration = state.interval + self._data.pauses.between(state.t)
             set_apart(inertial, apart, state, noise.inertial, APART, duration)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
-        slip = None
-        if noise.slip is not None:
+        slip, share = None, 0.0 if state.constants.is_steered else unsteadiness(noise.inertial.gyro)
+        if noise.slip is not None or share > 0.0:
             slip = self._slip_along(state, path, felt)
+        if slip is not None and share > 0.0:
+            asked = [upright_rows(state, slip, share)]
+            if noise.slip is None:  # which asks for more of the slip
+                asked.append(along_path_rows(state, slip, share))
+            rows.update({r.name: _robust(r) for r in asked if len(r.interval)})
+        if slip is not None and noise.slip is not None:
             for r in slip_rows(slip, state.interval, noise.slip.sigma):
                 judged = not_doubted_by(slip, noise.slip.unsure, r) if was_without_wheels else r
                 rows[r.name] = replace(r, weight=_robust(judged).weight)

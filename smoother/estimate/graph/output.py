@@ -33,6 +33,7 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
+from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.frames import euler_jacobian
 from smoother.samples import Problem, Session
@@ -172,9 +173,10 @@ def build_trajectory(
     joint = _joint(found, keyframes, unsure, source.doppler)
     t = _times(session, pauses, rate)
     rows = _Rows.empty(len(t))
+    unsteady = unsteadiness(noise.inertial.gyro) if session.config.gps.position_latency is None else 0.0
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
-        rows.unsure_of_time(part, unsure_moment(sampled_every, session.config.imu_delay))
+        rows.unsure_of_time(part, unsure_moment(sampled_every, session.config.imu_delay, unsteady))
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
 
