@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.laps.braking import braking_points
 from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, steady_speed
-from smoother.laps.delta import GRID
 from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
@@ -25,9 +25,6 @@ TIGHTEST_STRAIGHT = 1.0 / 70.0  # 1/m; a bend must be tighter than this somewher
 BEND_ENDS = 1.0 / 160.0  # 1/m, or a third of the bend's own greatest curvature
 LEAST_TURN = 20.0 * DEG  # rad
 JOINED = 8.0  # m; two bends to the same side closer than this are one corner
-ACCELERATION_SIGMA = 0.7  # m/s^2, of the smoothed acceleration that starts a braking zone
-EARLY = 30.0  # m before its segment that the braking for a corner may begin
-LEAST_JERK = 3.0  # m/s^3; nobody brakes more softly
 MOST_LAPS = 60  # of which it is worked out how much their losses have in common; more say no more
 OF_MEDIAN = 0.5 * np.pi  # variance of a median of normal values over that of their mean, of three or more
 
@@ -261,7 +258,7 @@ def _corner(
 ) -> Corner:
     inside = (traces.distance >= bend.start) & (traces.distance <= bend.end)
     speeds = corner_speeds(speed, traces, bend.start, bend.end)
-    braking, braking_sigma = _braking(traces, bounds[i], bend.apex)
+    braking, braking_sigma = braking_points(traces, bounds[i], bend.apex)
     slide, slide_sigma = outward(traces.sideslip, traces.sideslip_sigma, inside, bend.curvature > 0.0)
     return Corner(
         number=i + 1,
@@ -290,46 +287,3 @@ def _corner(
         usual_lost_sigma=float(usual.sigma[i]),
         usual_is_real=bool(usual.is_real[i]),
     )
-
-
-def _braking(traces: Traces, start: float, apex: float) -> tuple[Array, Array]:
-    """Where each lap began the braking zone that takes most speed before the apex, (L,) m, and its sigma (L,) m."""
-    part = np.flatnonzero((traces.distance >= start) & (traces.distance <= apex))
-    point, sigma = np.full(len(traces.t), np.nan), np.full(len(traces.t), np.nan)
-    if part.size < 2:
-        return point, sigma
-    laps, places = [], []
-    for lap in range(len(traces.t)):
-        braking = traces.zone[lap, part] == -1
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], braking.astype(np.int8), [0]])))
-        if edges.size == 0:
-            continue
-        gains = [
-            float(-np.sum(traces.longitudinal[lap, part[a:b]])) for a, b in zip(edges[::2], edges[1::2], strict=True)
-        ]
-        first = int(part[edges[2 * int(np.argmax(gains))]])
-        earliest = max(0, first - round(EARLY / GRID))
-        while first > earliest and traces.zone[lap, first - 1] == -1:
-            first -= 1  # this lap braked before the place where laps are usually fastest
-        laps.append(lap)
-        places.append(first)
-    if laps:
-        point[laps] = traces.distance[places]
-        sigma[laps] = _braking_sigma(traces, np.array(laps), np.array(places))
-    return point, sigma
-
-
-def _braking_sigma(traces: Traces, laps: IntArray, places: IntArray) -> Array:
-    """Position of the kart, and how far it goes while the acceleration cannot be told from the threshold, (K,) m.
-
-    laps, places (K,): index of a lap, and of the place where it began to brake.
-    """
-    later = np.minimum(places + round(4.0 / GRID), len(traces.distance) - 1)
-    change = traces.longitudinal[laps, later] - traces.longitudinal[laps, places]
-    seconds = traces.t[laps, later] - traces.t[laps, places]
-    lasts = seconds > 0.0
-    jerk = np.full(len(laps), LEAST_JERK)
-    jerk[lasts] = np.fmax(LEAST_JERK, np.abs(change[lasts] / seconds[lasts]))
-    along = np.nan_to_num(traces.place_sigma[laps, places])
-    late = traces.speed[laps, places] * ACCELERATION_SIGMA / jerk
-    return np.asarray(np.sqrt(along**2 + late**2 + GRID**2 / 12.0))
