@@ -20,6 +20,7 @@ from smoother.trajectory import JointPosition
 
 BROKEN: frozenset[str] = frozenset({"gap", "off-track", "short-cut"})  # laps over which no rolling lap is timed
 PLACES = 24  # of a lap from which windows are looked at; what lies between two of them has most in common with both
+ROUGH = 1e-6  # share of the variance of true times that no two windows have in common, without which rounding decides
 MOST_WINDOWS = 144  # of all laps that may be the best; the slower ones are not
 
 
@@ -117,21 +118,20 @@ def _least(
 
 def _true_times(seen: Array, noise: Array, together: Array, usual: Array, variance: float) -> Array:
     """Samples (SPREADS, SAMPLES, W) s of the true times of windows seen (W,) with a covariance of errors `noise` (W, W)
-    and correlations of true times `together` (W, W). usual (K,) s: lap times, timed with `variance` s^2."""
+    and correlations of true times `together` (W, W). usual (K,) s: lap times, timed with `variance` s^2.
+
+    In the axes in which both covariances are diagonal, a spread only weighs one against the other.
+    """
     rng = np.random.default_rng(SEED)
     spread = spreads(usual, variance)
     expected = usual.mean() + rng.standard_normal((SPREADS, SAMPLES)) * (spread / np.sqrt(len(usual)))[:, None]
+    root = np.linalg.cholesky(together + ROUGH * np.eye(len(seen)))
+    whitening = np.linalg.inv(root)
+    of_noise, axes = np.linalg.eigh(whitening @ noise @ whitening.T)
+    of_noise, axes, back = np.maximum(of_noise, 0.0), whitening.T @ axes, root @ axes
     drawn = rng.standard_normal((2, SPREADS, SAMPLES, len(seen)))
-    of_noise, of_times = (_root(matrix) for matrix in (noise, together))
-    wanted = expected[..., None] + spread[:, None, None] * (drawn[0] @ of_times.T)
-    error = drawn[1] @ of_noise.T
-    out = np.empty(wanted.shape)
-    for k, own in enumerate(spread**2):
-        gain = np.linalg.solve(noise + own * together + 1e-12 * np.eye(len(seen)), own * together)
-        out[k] = wanted[k] + (seen - wanted[k] - error[k]) @ gain
-    return out
-
-
-def _root(covariance: Array) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    drawn[0] *= spread[:, None, None]
+    drawn[1] *= np.sqrt(of_noise)
+    missed = (seen - expected[..., None]) @ axes - drawn[0] - drawn[1]
+    share = spread[:, None] ** 2 / (spread[:, None] ** 2 + of_noise)
+    return np.asarray(expected[..., None] + (drawn[0] + share[:, None, :] * missed) @ back.T)
