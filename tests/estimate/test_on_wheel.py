@@ -57,6 +57,16 @@ def test_vibration_that_is_folded_alike_into_two_axes_is_no_wheel() -> None:
     assert not is_on_wheel(shaken, simulation.raw.gnss)
 
 
+def test_an_engine_that_turns_about_as_often_as_samples_are_taken_is_no_wheel() -> None:
+    simulation = simulate_preset("kart", 2, duration=90.0, imu_rate=100.0)
+    assert simulation.raw.imu is not None
+    imu, (ahead_s, _, up_s) = beginning(simulation.raw.imu), simulation.scenario.R_bs
+    engine_hz = 100.0 + 14.0 * np.sin(2.0 * np.pi * imu.t / 9.0)
+    folded = 100.0 * DEG * np.sin(2.0 * np.pi * np.cumsum(engine_hz) * 0.01)
+    shaken = replace(imu, angular_rate_s=imu.angular_rate_s + folded[:, None] * (up_s - 0.9 * ahead_s))
+    assert not is_on_wheel(shaken, simulation.raw.gnss)
+
+
 def test_nothing_is_said_of_a_kart_that_did_not_drive() -> None:
     imu, fixes = driven("kart", 2, 10.0 * DEG)
     still = replace(fixes, velocity_n=np.zeros_like(fixes.velocity_n))

@@ -47,6 +47,7 @@ from smoother.estimate.graph.start import (
     is_partly_sampled,
     make_start,
     on_path_without,
+    with_louder_force,
 )
 from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.uncertainty import nose_variance
@@ -158,7 +159,7 @@ class GraphSmoother:
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             raise _FixesAlone((*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
-            start, found, solution = _identify_and_solve(session, start, options, watch.say)
+            start, found, solution = _within_reach(session, start, options, watch.say)
         if session.config.mounting.lever_arm_b is None and (arm := _level_arm(found)) > LONGEST_ARM:
             raise _FixesAlone((*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm))))
         with watch("output"):
@@ -305,6 +306,22 @@ class Stopwatch:
         """Report progress of the current stage."""
         if self._progress is not None:
             self._progress(self._stage, fraction)
+
+
+def _within_reach(
+    session: Session, start: Start, options: GraphOptions, say: Say
+) -> tuple[Start, Estimated, Solution | WindowsSolution]:
+    """Identify and solve; where the arm comes out too long, once more from a louder force.
+
+    That one counts where its arm is none too long and its rates are the quieter ones: a wrong arm and delay turn
+    attitudes, which the rates do not follow. An arm that is as long, or averaged speeds, stay as they were found.
+    """
+    first = _identify_and_solve(session, start, options, say)
+    if session.config.mounting.lever_arm_b is not None or _level_arm(first[1]) <= LONGEST_ARM:
+        return first
+    again = _identify_and_solve(session, with_louder_force(start), options, say)
+    is_quieter = again[2].noise.inertial.gyro < first[2].noise.inertial.gyro
+    return again if is_quieter and _level_arm(again[1]) <= LONGEST_ARM else first
 
 
 def _identify_and_solve(

@@ -32,6 +32,7 @@ from smoother.units import DEG
 DATA_SHEET_ACCEL = 300e-6 * 9.80665  # m/s^2/sqrt(Hz), MPU9250 product specification, noise of the accelerometer
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
+LOUDER = 3.0  # times the force's density, from which a second look begins; see :func:`with_louder_force`
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 # m: an accuracy that only fixed carrier phases have, and their scatter and wander beside Doppler at most; of all other
 # receivers these are 0.06 and 0.35 or more, of those 0.02 and 0.13 or less. The least error that is left to them.
@@ -205,6 +206,18 @@ def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
     sigma = start.priors.constants_sigma.copy()
     sigma[VELOCITY_RESPONSE] = SLOW_RESPONSE
     return replace(start, priors=replace(start.priors, constants_sigma=sigma))
+
+
+def with_louder_force(start: Start) -> Start:
+    """Return `start` with the density of the force LOUDER times as high.
+
+    Means over half a second, which the alignment is made of, hide vibration that the sampling folds. From too quiet a
+    force attitudes follow it, rates seem to be many times as noisy as they are, and delay and arm run away together.
+    """
+    if start.stated.accel_noise:
+        return start
+    inertial = replace(start.noise.inertial, accel=LOUDER * start.noise.inertial.accel)
+    return replace(start, noise=replace(start.noise, inertial=inertial))
 
 
 def _first_guess(
