@@ -12,6 +12,7 @@ from smoother.words import UNREADABLE
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")
 LONGEST = 3600.0  # s; beyond, a row holds something else than a lap time
 ODD_SHARE = 0.05  # of the characters that are none; in a file of another kind some digits stand alone, too
+MOST = 10_000  # laps; a day of a relay has fewer, and to compare them with ours takes the square of their number
 LONGEST_ROW = 4096  # characters; what is longer is damage
 
 
@@ -26,6 +27,8 @@ def load_official(path: Path) -> tuple[float, ...]:
     rows = [row for line in lines if (row := _row(line, delimiter)) and not row[0].startswith("#")]
     times = (parse_time(cell) for cell in _cells(rows))
     found = tuple(time for time in times if time is not None)
+    if len(found) > MOST:
+        raise SessionError(f"{path}: {len(found)} lap times, more than anybody drives; is it of another kind?")
     if not found:
         raise SessionError(f"{path}: no lap times; wanted a column lap_time_s in seconds or m:ss.mmm")
     return found
