@@ -19,7 +19,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import each
 from smoother.cli.output import progress_on_terminal, say, say_json, say_pairs, warn
-from smoother.cli.pipeline import naming, read
+from smoother.cli.pipeline import naming, read, require_usable_beside
 from smoother.errors import SmootherError
 
 if TYPE_CHECKING:
@@ -63,7 +63,9 @@ def _attempt(path: Path, is_only: bool) -> Check | SmootherError:
         progress("reading", 0.0)
         try:
             with naming(path):
-                return check_recording(read(path))
+                raw = read(path)
+                require_usable_beside(raw, path)
+                return check_recording(raw)
         except SmootherError as error:
             if is_only:
                 raise

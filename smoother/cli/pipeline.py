@@ -163,6 +163,17 @@ def calibrated(raw: RawSession, directory: Path) -> Session:
     return prepare(raw, find_calibration(directory))
 
 
+def require_usable_beside(raw: RawSession, path: Path) -> None:
+    """Raise SmootherError where what lies beside a recording would keep it from being smoothed: a calibration, a track
+    or official times that cannot be read."""
+    from smoother.calibration import find_calibration, load_calibration
+
+    directory = session_directory(path)
+    if (calibration := find_calibration(directory)) is not None:
+        load_calibration(calibration)
+    stated(raw.config, directory, path)
+
+
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Run smoother and baseline, and judge the result; its session has the times that were found."""
     from smoother.disc import settle

@@ -4,10 +4,16 @@ import csv
 import math
 from pathlib import Path
 
+from smoother.documents import LARGEST
 from smoother.errors import SessionError
+from smoother.session.encoding import in_utf8
+from smoother.words import UNREADABLE
 
 NAMES = ("lap_time_s", "lap_time", "laptime", "time", "time_s")
 LONGEST = 3600.0  # s; beyond, a row holds something else than a lap time
+ODD_SHARE = 0.05  # of the characters that are none; in a file of another kind some digits stand alone, too
+MOST = 10_000  # laps; a day of a relay has fewer, and to compare them with ours takes the square of their number
+LONGEST_ROW = 4096  # characters; what is longer is damage
 
 
 def load_official(path: Path) -> tuple[float, ...]:
@@ -16,13 +22,13 @@ def load_official(path: Path) -> tuple[float, ...]:
     Rows without a time are left out; decimals may follow a comma. Raises SessionError, with file and remedy, where
     there is none at all.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-            rows = [row for row in csv.reader(file, delimiter=_delimiter(path)) if row and not row[0].startswith("#")]
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
+    lines = _lines(path)
+    delimiter = max(",;\t", key=lines[0].count) if lines else ","
+    rows = [row for line in lines if (row := _row(line, delimiter)) and not row[0].startswith("#")]
     times = (parse_time(cell) for cell in _cells(rows))
     found = tuple(time for time in times if time is not None)
+    if len(found) > MOST:
+        raise SessionError(f"{path}: {len(found)} lap times, more than anybody drives; is it of another kind?")
     if not found:
         raise SessionError(f"{path}: no lap times; wanted a column lap_time_s in seconds or m:ss.mmm")
     return found
@@ -58,10 +64,23 @@ def _are_halves(rows: list[list[str]]) -> bool:
     return first != [str(i) for i in range(int(first[0]), int(first[0]) + len(rows))] if first[0].isdecimal() else True
 
 
-def _delimiter(path: Path) -> str:
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        first = file.readline()
-    return max(",;\t", key=first.count)
+def _lines(path: Path) -> list[str]:
+    """The lines of the file, whatever program wrote it. Raises SessionError where it is too large, or unreadable."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if len(data) > LARGEST:
+        raise SessionError(f"{path}: larger than {LARGEST >> 20} MB; this is no table of lap times")
+    lines = [line.decode("utf-8-sig", errors="replace") for line in in_utf8(data).splitlines()]
+    odd = sum(line.count(UNREADABLE) for line in lines)
+    return lines if odd <= ODD_SHARE * sum(map(len, lines)) else []
+
+
+def _row(line: str, delimiter: str) -> list[str]:
+    """The cells of a line. Each is read by itself: a quotation mark without a partner must not swallow those behind."""
+    return next(csv.reader([line], delimiter=delimiter), []) if len(line) <= LONGEST_ROW else []
 
 
 def _column(header: list[str]) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.session.rows import RowFilter
+from smoother.session.speed_parts import parts_in_other_units
 from smoother.units import FOOT, KMH, KNOT, MPH
 from smoother.words import counted
 
@@ -68,7 +69,10 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     t (N,) s, in order. Taken for measured, it would pull the path away from fixes that are right.
     """
     _say_missing_course(rows, c)
-    c = _without_wrong_unit(rows, t, c)
+    converted = _without_wrong_unit(rows, t, c)
+    # speeds below those of the positions may be the positions' noise, where nothing says that any are in another unit
+    units = UNIT_RATIOS if converted is not c else {name: ratio for name, ratio in UNIT_RATIOS.items() if ratio > 1.0}
+    c = _without_wrong_unit_in_parts(rows, t, converted, units)
     c = _without_repeats(rows, _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c)))
     return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, c))
 
@@ -97,6 +101,30 @@ def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
     rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", 1)
     names = ("speed", "velocity_north", "velocity_east")  # upwards it may be in a unit of its own
     return replace(c, **{name: getattr(c, name) / UNIT_RATIOS[unit] for name in names}, velocity_up=unknown)
+
+
+def _without_wrong_unit_in_parts(rows: RowFilter, t: Array, c: FixColumns, units: dict[str, float]) -> FixColumns:
+    """The same of stretches whose speeds are in another unit than the others; where it changes they are left out."""
+    if t.size < FEWEST_STEPS:
+        return c
+    steps, speed = _steps_of(t, c), sent_speed(c)
+    known = np.isfinite(speed)
+    if np.count_nonzero(known) < FEWEST_STEPS:
+        return c
+    sent = np.interp(steps.t, t[known], speed[known])
+    told = steps.told(steps.noise(slice(None))) & known
+    ratios = sent / np.maximum(steps.speed, FASTER)
+    for unit, surely, maybe in parts_in_other_units(steps.t, ratios, told, units):
+        ratio, begin, end = units[unit], t[maybe][0], t[maybe][-1]
+        text = f"its speeds from about {begin:.0f} to {end:.0f} s are {ratio:.2f} times those of its positions"
+        rows.say("speed_unit", f"{text}, as if in {unit}; taken as such", maybe.stop - maybe.start)
+        for name in ("speed", "velocity_north", "velocity_east", "velocity_up"):
+            values = getattr(c, name).copy()
+            values[maybe] = np.nan
+            if name != "velocity_up":  # upwards it may be in a unit of its own
+                values[surely] = getattr(c, name)[surely] / ratio
+            c = replace(c, **{name: values})
+    return c
 
 
 def _share_of_speed(t: Array, c: FixColumns) -> tuple[float, float]:

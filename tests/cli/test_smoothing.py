@@ -144,6 +144,26 @@ def test_a_recording_is_no_place_for_results(monday: Path, simulated: Path, tmp_
         assert contents(place) == before
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "settings"),
+    [
+        ("calibration.toml", "[accelerometer", ""),
+        ("official.csv", "404, not found", ""),
+        ("mine.geojson", "{", '[session]\ntrack = "mine.geojson"\n'),
+    ],
+)
+def test_what_keeps_a_session_from_being_smoothed_is_seen_at_the_track(
+    monday: Path, capsys: Captured, name: str, content: str, settings: str
+) -> None:
+    (monday / name).write_text(content)
+    (monday / "session.toml").write_text(settings)
+    assert run([str(monday), *TABLES_ONLY]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and name in said
+    assert run(["check", str(monday)]) == 2
+    assert capsys.readouterr().err == said
+
+
 def test_a_mirrored_sensor_is_said_and_not_good_to_drive(tmp_path: Path, capsys: Captured) -> None:
     monday = tmp_path / "monday"
     assert run(["simulate", str(monday), "--duration", "60", "--seed", "3"]) == 0

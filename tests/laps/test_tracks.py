@@ -180,6 +180,31 @@ def test_whole_seconds_beside_the_number_of_the_lap_are_no_decimals(tmp_path: Pa
     assert load_official(path) == (62.0, 61.0, 62.0)
 
 
+def test_a_damaged_row_of_official_times_costs_itself_alone(tmp_path: Path) -> None:
+    path = tmp_path / "official.csv"
+    path.write_text('lap,lap_time_s\n1,"62.0\n' + "2,61.0\n" * 9_000 + "7" * 200_000 + "\n3,62.0\n")
+    assert load_official(path) == (62.0, *([61.0] * 9_000), 62.0)
+
+
+def test_official_times_may_be_written_as_unicode_text(tmp_path: Path) -> None:
+    path = tmp_path / "official.csv"
+    path.write_bytes("lap\tlap_time_s\r\n1\t1:02,345\r\n2\t61,5\r\n".encode("utf-16"))
+    assert load_official(path) == pytest.approx((62.345, 61.5))
+
+
+def test_what_is_no_table_of_official_times_is_refused_in_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "official.csv"
+    path.write_bytes(np.random.default_rng(1).bytes(100_000))
+    with pytest.raises(SessionError, match="no lap times"):
+        load_official(path)
+    path.write_bytes(b"lap_time_s\n" + b"62.0\n" * 100_000)
+    with pytest.raises(SessionError, match=r"100000 lap times, more than anybody drives"):
+        load_official(path)
+    path.write_bytes(b"lap_time_s\n" + b"62.0\n" * 4_000_000)
+    with pytest.raises(SessionError, match=r"larger than 16 MB; this is no table of lap times"):
+        load_official(path)
+
+
 def test_official_times_stand_beside_the_laps_they_belong_to() -> None:
     laps = (lap(0, np.nan), lap(1, 58.60), lap(2, 57.31), lap(3, 56.49), lap(4, 55.90))
     found = official_times((57.320, 56.479, 55.889, 55.834), laps)  # theirs begins a lap later and goes on longer

@@ -403,3 +403,19 @@ def test_a_coarse_or_steady_velocity_is_repeated_now_and_then_and_stays(tmp_path
         fixes, said = lap(tmp_path, **coarse)
         assert "gps_velocity_repeated" not in said
         assert np.isfinite(fixes.velocity_n[:, 0]).all()
+
+
+@pytest.mark.parametrize("unit", [3.6, 1.94384, 2.23694])
+@pytest.mark.parametrize(("begin", "end"), [(0, 240), (200, 330), (350, 600)])
+def test_speeds_in_another_unit_for_a_part_of_the_file_are_converted(
+    tmp_path: Path, unit: float, begin: int, end: int
+) -> None:
+    good = sound(tmp_path)
+    factor = np.ones(600)
+    factor[begin:end] = unit
+    t = np.arange(0.0, 120.0, 0.2)
+    fixes, said = lap(tmp_path, speed_mps=factor * (SPEED + 4.0 * np.sin(t / 4.0)))
+    assert "times those of its positions, as if in" in said["gps_speed_unit"]
+    known = np.isfinite(fixes.velocity_n[:, 0])
+    assert np.mean(known) > 0.75
+    np.testing.assert_allclose(fixes.velocity_n[known, :2], good.velocity_n[known, :2], atol=0.01)

@@ -1,0 +1,110 @@
+"""A box that lies otherwise for a while as it drives: turned over, put back another way, or its axes written anew.
+
+The mean force on a vehicle is gravity and what its bends and brakes add to it, at a right angle. How much they added,
+the size of the mean tells: so much it may be tilted, and no more. What is left, hills and the sensor's faults, is far
+less than a box that was turned. One that was turned about the vertical is not seen here.
+
+To the smoother the box is one with the kart. It would look for a motion in which both lie as they do, and find one: the
+next lap, another clock, a kart upside down.
+"""
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.disc import release
+from smoother.frames import Origin
+from smoother.samples import GnssFixes, Problem, RawImu
+from smoother.session.frozen import without_rows
+from smoother.units import DEG, STANDARD_GRAVITY
+from smoother.words import counted
+
+WINDOW = 10.0  # s over which forces are averaged: bends to both sides, starts and stops
+FEWEST_WINDOWS = 4
+MARGIN = 35.0 * DEG  # beyond what bends and brakes tilt: hills, biases, forces cut off at the end of a range
+SHORTEST = 2  # windows; in less a kart lies on its side, and is put back
+FEW_BETWEEN = 3  # windows between two that are turned are turned: a steady bend hides it
+LEAST_WAY = 100.0  # m driven while it is turned; a box in the hand before the start harms nothing
+MOST_CANDIDATES = 64  # of the windows, as how the box lies mostly
+
+
+def without_turned(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
+    """Return the samples without those in which the box lies otherwise than on most of the way, said in `problems`.
+
+    file : name for the sentences. A window on either side goes with them, as the box may be turned within it.
+    """
+    starts = _starts(imu.t)
+    if starts.size < FEWEST_WINDOWS:
+        return imu
+    force, way = _mean_forces(imu, starts), _ways(gnss, imu.t, starts)
+    usual = _usual(force, way)
+    bad = np.zeros(imu.t.size, dtype=np.bool_)
+    ends = np.append(starts[1:], imu.t.size)
+    for first, last in _runs(~_lie_alike(force, usual)):
+        if np.sum(way[first : last + 1]) < LEAST_WAY:
+            continue
+        rows = slice(int(starts[max(0, first - 1)]), int(ends[min(last + 1, ends.size - 1)]))
+        bad[rows] = True
+        angle, lost = median(_angles(force[first : last + 1], usual)) / DEG, rows.stop - rows.start
+        text = (
+            f"{file}: from {imu.t[rows][0]:.0f} to {imu.t[rows][-1]:.0f} s the box lies otherwise, turned by "
+            f"about {angle:.0f} deg; {counted(lost, 'sample')} left out. Smooth that part for itself, if it counts"
+        )
+        problems.append(Problem("imu_turned", text, lost))
+    return without_rows(imu, bad) if bad.any() else imu
+
+
+def _starts(t: Array) -> IntArray:
+    """First sample (K,) of each WINDOW that holds any."""
+    return np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW))) if t.size else np.empty(0, dtype=np.int64)
+
+
+def _mean_forces(imu: RawImu, starts: IntArray) -> Array:
+    """Mean force (K, 3) m/s^2 of each window."""
+    count = np.diff(np.append(starts, imu.t.size))
+    means = np.add.reduceat(imu.accel, starts, axis=0) / count[:, None] * imu.accel_scale
+    release(imu)
+    return np.asarray(means)
+
+
+def _ways(gnss: GnssFixes, t: Array, starts: IntArray) -> Array:
+    """How far (K,) m the kart came in each window from sample `starts` (K,) at t (N,) s, by the fixes, straight across
+    half of it: at rest fixes wander less."""
+    position = gnss.position_n(Origin(float(gnss.lat_deg[0]), float(gnss.lon_deg[0]), 0.0))[:, :2]
+    begin = t[starts]
+    times = np.stack([begin, begin + 0.5 * WINDOW, begin + WINDOW])
+    north, east = (np.interp(times, gnss.t, position[:, axis]) for axis in (0, 1))
+    return np.asarray(np.sum(np.hypot(np.diff(north, axis=0), np.diff(east, axis=0)), axis=0))
+
+
+def _usual(force: Array, way: Array) -> Array:
+    """The mean force (3,) as the box lies on most of the way (K,) m, of those (K, 3) of the windows."""
+    some = np.unique(np.linspace(0, len(force) - 1, MOST_CANDIDATES).round().astype(np.int64))
+    alike = [_lie_alike(force, force[k]) for k in some]
+    best = alike[int(np.argmax([np.sum(way[one]) for one in alike]))]
+    return np.asarray(np.mean(force[best], axis=0))
+
+
+def _lie_alike(force: Array, other: Array) -> BoolArray:
+    """Mask (K,) of the windows whose mean force (K, 3) is as another (3,) of a box that lies the same way may be."""
+    return np.asarray(_angles(force, other) <= MARGIN + _tilts(force) + _tilts(other))
+
+
+def _angles(force: Array, other: Array) -> Array:
+    """Angle (K,) rad of forces (K, 3) to another (3,)."""
+    size = np.linalg.norm(force, axis=1) * np.linalg.norm(other)
+    return np.asarray(np.arccos(np.clip(force @ other / np.maximum(size, 1e-9), -1.0, 1.0)))
+
+
+def _tilts(force: Array) -> Array:
+    """By how much (...) rad bends and brakes tilted mean forces (..., 3), by how much larger than gravity they are."""
+    return np.asarray(np.arccos(STANDARD_GRAVITY / np.maximum(np.linalg.norm(force, axis=-1), STANDARD_GRAVITY)))
+
+
+def _runs(turned: BoolArray) -> list[tuple[int, int]]:
+    """First and last window of each run of those that are turned, with the few between two of them."""
+    index = np.flatnonzero(turned)
+    if index.size == 0:
+        return []
+    cuts = np.flatnonzero(np.diff(index) > FEW_BETWEEN + 1)
+    first, last = index[np.append(0, cuts + 1)], index[np.append(cuts, -1)]
+    return [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if b + 1 - a >= SHORTEST]
