@@ -21,7 +21,7 @@ LEAST_ROLL, LEAST_TOGETHER = 0.5, 0.7
 # Share of the power of those turns which may be vibration that the sampling folds: a tone, that all axes have in
 # common in any proportion. Real boxes on wheels have 0.04 and 0.2, shaken ones whose wheel does not show 0.6 and more
 # at 25 Hz. At 100 Hz an engine that turns as often is folded to turns as slow as a hand's: frames have 0.23 to 0.45
-MOST_FOLDED = 0.25
+MOST_FOLDED = 0.3
 
 
 def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
