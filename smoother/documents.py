@@ -4,6 +4,8 @@ import contextlib
 import json
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -74,6 +76,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Path]:
     """Give a directory whose files go to `directory` together, on success; on failure or a kill nothing changes.
 
+    Who ends the run while they go has to wait for the last of them.
+
     seal : the file that says the results are whole: the old one goes first and the new one comes last. `stale` :
     what an earlier run may have left there and is removed where this one has not written it, with folders that leaves
     empty.
@@ -84,15 +88,33 @@ def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Pa
         staging.mkdir()
         yield staging
         written = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
-        (directory / seal).unlink(missing_ok=True)
-        for name in sorted(written, key=lambda name: name == Path(seal)):
-            (directory / name).parent.mkdir(parents=True, exist_ok=True)
-            (staging / name).replace(directory / name)
-        for old in set(stale) - {name.as_posix() for name in written}:
-            (directory / old).unlink(missing_ok=True)
-            _remove_empty((directory / old).parent, directory)
+        with _undisturbed():
+            (directory / seal).unlink(missing_ok=True)
+            for name in sorted(written, key=lambda name: name == Path(seal)):
+                (directory / name).parent.mkdir(parents=True, exist_ok=True)
+                (staging / name).replace(directory / name)
+            for old in set(stale) - {name.as_posix() for name in written}:
+                (directory / old).unlink(missing_ok=True)
+                _remove_empty((directory / old).parent, directory)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Hold back Ctrl-C and a wish to end until the block is done; only the main thread gets these."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = {one: signal.signal(one, lambda number, _: held.append(number)) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, signal.SIG_DFL if handler is None else handler)
+        if held:
+            signal.raise_signal(held[0])
 
 
 def _remove_empty(folder: Path, within: Path) -> None:

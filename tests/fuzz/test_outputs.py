@@ -30,6 +30,21 @@ def test_results_appear_together_and_replace_the_old_ones(tmp_path: Path) -> Non
     assert contents(tmp_path) == {SEAL: b"new", "a.csv": b"new", "figures/x.png": b"new", "mine.txt": b"mine"}
 
 
+def test_who_stops_the_run_while_results_appear_has_them_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_files(tmp_path, {SEAL: b"old", "a.csv": b"old"})
+    replace, before = Path.replace, signal.getsignal(signal.SIGINT)
+
+    def interrupted(self: Path, target: Path) -> Path:
+        signal.raise_signal(signal.SIGINT)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), staged(tmp_path, SEAL) as staging:
+        write_files(staging, {SEAL: b"new", "a.csv": b"new"})
+    assert contents(tmp_path) == {SEAL: b"new", "a.csv": b"new"}
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_a_failed_run_leaves_the_old_results(tmp_path: Path) -> None:
     before = {SEAL: b"old", "a.csv": b"old"}
     write_files(tmp_path, before)
