@@ -201,7 +201,11 @@ HARD = (
     Hard("box slips by 10 deg", "right, or code 3", damage=turned_after(MIDDLE, np.array([0.0, 10.0 * DEG, 0.0]))),
     Hard("box slips by 4 deg", "right, or code 3", damage=turned_after(MIDDLE, np.array([0.0, 4.0 * DEG, 0.0]))),
     Hard("box turns by 6 deg", "right, or code 3", damage=turned_after(MIDDLE, np.array([0.0, 0.0, 6.0 * DEG]))),
-    Hard("box turned over", "right, or code 3", damage=turned_after(MIDDLE, np.array([np.pi, 0.0, 0.0]))),
+    Hard(
+        "box turned over",
+        "right: the part with less way is left out",
+        damage=turned_after(MIDDLE, np.array([np.pi, 0.0, 0.0])),
+    ),
     Hard("box on the wheel", "right: roll and yaw as unsure as the wheel makes them", {"motion_steering": 10.0 * DEG}),
     Hard(
         "the same, accelerometer 50 ms late",
