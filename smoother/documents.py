@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from smoother.errors import ConfigError
+from smoother.errors import ConfigError, SmootherError
 
 LARGEST = 16 << 20  # bytes; the settings of a session have 1 kB, the lines of all tracks of the world some megabytes
 STAGING = ".writing-"  # and the number of the process, of a directory whose files are not yet results
@@ -39,14 +39,20 @@ def load_json(path: Path) -> Any:
 
 
 def _text(path: Path) -> str:
+    too_large = f"{path.name}: larger than {LARGEST >> 20} MB; this is no file of settings"
+    return read_bounded(path, ConfigError, too_large).decode("utf-8-sig")
+
+
+def read_bounded(path: Path, error: type[SmootherError], too_large: str) -> bytes:
+    """Return what a person wrote to a file. Raises `error`: `too_large` beyond LARGEST, or why it is unreadable."""
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({reason.strerror or reason})") from reason
     if len(data) > LARGEST:
-        raise ConfigError(f"{path.name}: larger than {LARGEST >> 20} MB; this is no file of settings")
-    return data.decode("utf-8-sig")
+        raise error(too_large)
+    return data
 
 
 def _not_utf8(error: UnicodeDecodeError) -> str:

@@ -4,7 +4,7 @@ import csv
 import math
 from pathlib import Path
 
-from smoother.documents import LARGEST
+from smoother.documents import LARGEST, read_bounded
 from smoother.errors import SessionError
 from smoother.session.encoding import in_utf8
 from smoother.words import UNREADABLE
@@ -66,13 +66,8 @@ def _are_halves(rows: list[list[str]]) -> bool:
 
 def _lines(path: Path) -> list[str]:
     """The lines of the file, whatever program wrote it. Raises SessionError where it is too large, or unreadable."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
-    if len(data) > LARGEST:
-        raise SessionError(f"{path}: larger than {LARGEST >> 20} MB; this is no table of lap times")
+    too_large = f"{path}: larger than {LARGEST >> 20} MB; this is no table of lap times"
+    data = read_bounded(path, SessionError, too_large)
     lines = [line.decode("utf-8-sig", errors="replace") for line in in_utf8(data).splitlines()]
     odd = sum(line.count(UNREADABLE) for line in lines)
     return lines if odd <= ODD_SHARE * sum(map(len, lines)) else []
