@@ -1,4 +1,4 @@
-"""Array types, the one way data types hold arrays (float64, contiguous, read-only, shape checked), and medians."""
+"""Array types, the one way data types hold arrays (float64, contiguous, read-only, shape checked); runs, medians."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -51,6 +51,12 @@ def are_near(t: Array, others: Array, reach: float) -> BoolArray:
     """Mask (N,) of the times t (N,) s that lie within `reach` s of any of `others` (M,) s, in order."""
     first, last = (np.searchsorted(others, t + side * reach) for side in (-1.0, 1.0))
     return np.asarray(last > first)
+
+
+def runs_of(mask: BoolArray) -> tuple[IntArray, IntArray]:
+    """First index of each run of true in `mask` (N,), and the index behind its last, both (R,)."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return changes[0::2], changes[1::2]
 
 
 def median(values: Array) -> float:

@@ -1,10 +1,12 @@
 """Data types hold float64, read-only arrays of the stated shape."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from smoother.arrays import MAD_TO_SIGMA, frozen, frozen_int, median, require_increasing
+from smoother.arrays import MAD_TO_SIGMA, frozen, frozen_int, median, require_increasing, runs_of
 
 
 def test_frozen_array_is_float64_contiguous_and_read_only() -> None:
@@ -83,3 +85,12 @@ def test_there_is_no_median_where_a_value_is_not_known() -> None:
 
 def test_half_of_normal_numbers_lie_within_their_sigma_over_its_factor() -> None:
     assert norm.cdf(1.0 / MAD_TO_SIGMA) - norm.cdf(-1.0 / MAD_TO_SIGMA) == pytest.approx(0.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("word", ["", "0", "1", "0110", "1011", "10100111", "1111"])
+def test_runs_are_those_of_true_with_the_index_behind_their_last(word: str) -> None:
+    mask = np.array([letter == "1" for letter in word], dtype=np.bool_)
+    first, behind = runs_of(mask)
+    assert [(m.start(), m.end()) for m in re.finditer("1+", word)] == list(
+        zip(first.tolist(), behind.tolist(), strict=True)
+    )

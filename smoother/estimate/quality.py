@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, are_near, median
+from smoother.arrays import Array, BoolArray, are_near, median, runs_of
 from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
@@ -165,11 +165,10 @@ def _accuracy(session: Session) -> Array:
     return np.zeros(len(session.gnss)) if reported is None else np.nan_to_num(reported, nan=0.0)
 
 
-def _longest_stretch(t: Array, chosen: Array) -> float:
+def _longest_stretch(t: Array, chosen: BoolArray) -> float:
     """Duration (s) of the longest run of chosen rows, zero for a single row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int64), [0]])))
-    starts, ends = edges[::2], edges[1::2] - 1
-    return float(np.max(t[ends] - t[starts], initial=0.0))
+    first, behind = runs_of(chosen)
+    return float(np.max(t[behind - 1] - t[first], initial=0.0))
 
 
 def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[str]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, runs_of
 from smoother.disc import pieces, release, thinned
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Session
@@ -99,7 +99,7 @@ def detect_standstill(
 
 def standstill_intervals(t: Array, is_standstill: BoolArray) -> Array:
     """First and last sample times (K, 2) s of each run of the mask (N,) over t (N,)."""
-    first, after = _runs(is_standstill)
+    first, after = runs_of(is_standstill)
     return np.stack([t[first], t[after - 1]], axis=1) if first.size else np.empty((0, 2))
 
 
@@ -247,14 +247,8 @@ def _is_quiet(blocks: _Blocks, bound: float, options: StandstillOptions) -> Bool
     return np.asarray(scatter <= min(level, np.sqrt(3.0) * bound))
 
 
-def _runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
-    """First index of each run of True, and the first index after it."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-
-
 def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
-    first, after = _runs(mask)
+    first, after = runs_of(mask)
     long = after - first >= shortest
     edges = np.zeros(len(mask) + 1, dtype=np.int64)
     edges[first[long]] += 1

@@ -238,9 +238,7 @@ def _sigma_elsewhere(distance: Array, options: LapOptions) -> Array:
 
 
 def _sectors(circuit: Circuit, corners: tuple[Corner, ...], valid: BoolArray) -> tuple[Line, ...]:
-    if not valid.any() or (circuit.start_line.source != "found" and circuit.sector_lines):
-        return ()
-    return found_sectors(circuit.curve, corners, valid)
+    return found_sectors(circuit.curve, corners, valid) if valid.any() else ()
 
 
 def _laps(

@@ -7,7 +7,7 @@ lower by that much. Where a driver brakes hard both are near; where he hardly do
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, runs_of
 from smoother.laps.delta import BRAKING, BRAKING_ENDS
 from smoother.laps.results import Traces
 
@@ -42,9 +42,8 @@ def _beginning(distance: Array, slowing: Array, start: float, more: float) -> fl
     distance (M,) m; slowing (M,) m/s^2; more: m/s^2 by which thresholds are higher.
     """
     enter, leave = more - BRAKING, more - BRAKING_ENDS
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slowing > leave, [False]])))
     best, beginning = 0.0, np.nan
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    for a, b in zip(*runs_of(slowing > leave), strict=True):
         later = np.arange(a, b)[distance[a:b] >= start]
         if not later.size or slowing[a:b].max() < enter:
             continue

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, runs_of
 from smoother.laps.braking import braking_points
 from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, steady_speed
 from smoother.laps.path import PlanPath
@@ -50,9 +50,8 @@ def find_bends(curve: Curve) -> tuple[Bend, ...]:
 
 def _bends_to(curvature: Array, side: float, spacing: float, curve: Curve) -> list[Bend]:
     bent = _joined(curvature > BEND_ENDS, round(JOINED / spacing))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bent.astype(np.int8), [0]])))
     found = []
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    for a, b in zip(*runs_of(bent), strict=True):
         inside = curvature[a:b]
         peak = float(inside.max())
         tight = np.flatnonzero(inside > max(BEND_ENDS, peak / 3.0))
@@ -105,9 +104,7 @@ def make_corners(
     others = np.array([lap for lap in np.flatnonzero(counting) if lap != reference], dtype=np.int64)
     usual = _judged_usual(lost[others], _usual_sigma(curve, bounds, at_bounds, path, reference, others, errors))
     steady = steady_speed(trajectory)
-    return tuple(
-        _corner(i, bend, bounds, traces, trajectory, steady, spent[:, i], losses, usual) for i, bend in enumerate(bends)
-    )
+    return tuple(_corner(i, bend, bounds, traces, steady, spent[:, i], losses, usual) for i, bend in enumerate(bends))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +247,6 @@ def _corner(
     bend: Bend,
     bounds: Array,
     traces: Traces,
-    trajectory: Trajectory,
     speed: SteadySpeed,
     spent: Array,
     losses: _Losses,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, runs_of
 from smoother.laps.circuit import Circuit
 from smoother.laps.path import PlanPath, in_gaps
 from smoother.laps.results import FixPath, Reason
@@ -124,23 +124,23 @@ def _where_to(
     """Stops and excursions."""
     found: list[Reason] = []
     t = path.t[rows]
-    for first, last in _runs_of(away, t, OFF_FOR):
+    for first, last in _lasting(away, t, OFF_FOR):
         slow = float(np.mean(path.speed[rows[first : last + 1]])) < PIT_SPEED * usual_speed
         found.append("pit" if slow or t[last] - t[first] > PIT_FOR else "off-track")
-    for first, last in _runs_of(standing, t, STOPPED_FOR):
+    for first, last in _lasting(standing, t, STOPPED_FOR):
         found.append("stopped" if on[first : last + 1].mean() > 0.5 else "pit")
     lateral = np.abs(circuit.followed.lateral[rows])
     wide = on & (lateral > RUN_OFF + 2.0 * circuit.followed.spread)
-    if _runs_of(wide, t, OFF_FOR):
+    if _lasting(wide, t, OFF_FOR):
         found.append("off-track")
     return found
 
 
-def _runs_of(mask: BoolArray, t: Array, shortest: float) -> list[tuple[int, int]]:
+def _lasting(mask: BoolArray, t: Array, shortest: float) -> list[tuple[int, int]]:
     """First and last index of each run of true that lasts at least `shortest` s."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    pairs = zip(edges[::2], edges[1::2] - 1, strict=True)
-    return [(int(a), int(b)) for a, b in pairs if t[b] - t[a] >= shortest]
+    first, behind = runs_of(mask)
+    pairs = zip(first.tolist(), (behind - 1).tolist(), strict=True)
+    return [(a, b) for a, b in pairs if t[b] - t[a] >= shortest]
 
 
 def _is_blind(trajectory: Trajectory, rows: np.ndarray, in_gap: BoolArray) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, runs_of
 from smoother.session.fix_columns import FixColumns, metres, sent_speed
 from smoother.session.rows import RowFilter
 from smoother.session.speed_parts import parts_in_other_units
@@ -268,8 +268,7 @@ def _stuck(t: Array, steps: _Steps, values: Array, off: Callable[[float], BoolAr
 def _runs(values: Array) -> Iterator[tuple[int, int]]:
     """First row and the one behind the last of each run of at least STUCK_ROWS equal rows of `values` (N, M)."""
     same = np.all(values[1:] == values[:-1], axis=1)  # never where they are NaN
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    for first, last in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, last in zip(*(index.tolist() for index in runs_of(same)), strict=True):
         if last + 1 - first >= STUCK_ROWS:
             yield first, last + 1
 
@@ -353,8 +352,7 @@ def _or_beside(t: Array, mask: BoolArray) -> BoolArray:
 
 def _stretches(mask: BoolArray, first: int) -> Iterator[tuple[int, int]]:
     """First row and the one behind the last of each run of the mask, which begins at row `first`."""
-    edges = first + np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    yield from zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True)
+    yield from zip(*((first + index).tolist() for index in runs_of(mask)), strict=True)
 
 
 def _way(c: FixColumns, first: int, last: int) -> float:

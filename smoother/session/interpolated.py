@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, runs_of
 
 DIGITS = 1.05  # of the last digit: rounding moves a row by half of one, and the line beside it by as much
 MANTISSA = 1e-15  # share; as finely as a float is written
@@ -85,8 +85,7 @@ def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
     off = off_chord(t, channels)
     beside = np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1]))
     off[off < SLIGHT * beside] = 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], off > 0.0, [False]]).astype(np.int8)))
-    first, end = edges[0::2], edges[1::2]
+    first, end = runs_of(off > 0.0)
     if first.size < FEWEST_KNOTS or np.mean(end - first > LONGEST_RUN) > FEW_RUNS:
         return None
     if np.median(np.maximum.reduceat(off, first)) < CLEARLY:
@@ -146,8 +145,7 @@ def on_drawn_lines(t: Array, channels: Sequence[Array], way: Array) -> BoolArray
     """
     on = (off_chord(t, channels) == 0.0) & (np.arange(t.size) > 0) & (np.arange(t.size) < t.size - 1)
     drawn = np.zeros(t.size, dtype=np.bool_)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
-    for first, end in zip(edges[0::2], edges[1::2], strict=True):  # end : the next that is on no line
+    for first, end in zip(*runs_of(on), strict=True):  # end : the next that is on no line
         is_long = t[end] - t[first - 1] >= LONGEST_LINE and end - first >= MOST_ON_LINE
         drawn[first:end] = is_long and np.sum(way[first : end + 1]) >= LONG_WAY
     others = ~drawn & (way > 0.0)
