@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a second (of wall time); implies --headless.")
 @click.option("--view", type=click.Choice(["auto", "window", "terminal"]), default="auto", help="What to show it in.")
 @click.option("--calibration", metavar="FILE", type=click.Path(path_type=Path), help="calibration.toml of this box.")
-@click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found after two laps].")
+@click.option("--line", metavar="LAT,LON;LAT,LON", help="The start/finish line [found in the second lap].")
 @click.option("--seconds", metavar="S", type=Number(0.1), help="Stop after this time.")
 def live(
     target: str,
@@ -81,7 +81,8 @@ def live(
     if came and not is_understood:
         warn(
             f"{_bytes(came)} came, and nothing in them was in the format of the logger's line; "
-            "is the speed right (--baud)? A file of a card is named itself: smooth live FILE"
+            "is the speed right (--baud), and does stream=200 stand in its CONFIG.TXT? "
+            "A file of a card is named itself: smooth live FILE"
         )
     return EXIT_DONE if recorder is None or _say_recorded(recorder, came > 0) else EXIT_UNUSABLE
 

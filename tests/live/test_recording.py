@@ -221,3 +221,4 @@ def test_bytes_of_another_format_are_not_called_nothing(tmp_path: Path, count: i
     text = done.stderr.decode()
     assert done.returncode == 0 and said in text and "nothing was recorded" in text
     assert ("in the format of the logger's line" in text) == (count > 0)
+    assert ("stream=200 stand in its CONFIG.TXT" in text) == (count > 0)  # as it comes, the logger sends messages only
