@@ -54,6 +54,7 @@ def imported_modules(path: Path) -> Iterator[str]:
 @pytest.mark.parametrize("name", LAYERS)
 def test_module_imports_only_layers_below(name: str) -> None:
     above = LAYERS[LAYERS.index(name) + 1 :]
+    assert existing(name), f"no module is called as the layer {name}"
     for path in existing(name):
         layers = [module.split(".")[1] for module in imported_modules(path) if module.startswith("smoother.")]
         assert not set(layers) & set(above), f"{path.relative_to(ROOT)} imports a layer above its own"

@@ -48,6 +48,7 @@ def test_laps_are_those_of_the_truth_within_their_sigmas(lapped: Path) -> None:
 def test_every_row_of_the_trajectory_says_its_lap(lapped: Path) -> None:
     folder = lapped / "saturday" / "smoothed"
     rows, laps = pl.read_csv(folder / "trajectory.csv"), pl.read_csv(folder / "laps.csv")
+    assert laps.height > 2
     for lap in laps.iter_rows(named=True):
         inside = rows.filter((pl.col("t_s") > lap["start_s"]) & (pl.col("t_s") < lap["end_s"]))
         assert inside["lap"].unique().to_list() == [lap["lap"]]

@@ -41,10 +41,11 @@ def test_left_and_right_are_those_of_the_driver(circle: Trajectory, fixes: Fixes
 def test_sectors_add_up_to_the_lap(circle: Trajectory, fixes: Fixes) -> None:
     sectors = (np.array([[54.0, 0.0], [66.0, 0.0]]), np.array([[0.0, 54.0], [0.0, 66.0]]))
     found = analyse(circle, fixes(circle), LapOptions(lines=GivenLines(GATE.start, sectors)))
-    for lap in found.laps:
-        if lap.is_timed:
-            assert lap.sector_time.sum() == pytest.approx(lap.time, abs=1e-9)
-            assert sorted(lap.sector_time) == pytest.approx([LAP / 4.0, LAP / 4.0, LAP / 2.0], abs=1e-3)
+    timed = [lap for lap in found.laps if lap.is_timed]
+    assert len(timed) == 5
+    for lap in timed:
+        assert lap.sector_time.sum() == pytest.approx(lap.time, abs=1e-9)
+        assert sorted(lap.sector_time) == pytest.approx([LAP / 4.0, LAP / 4.0, LAP / 2.0], abs=1e-3)
 
 
 def test_crossings_are_those_of_the_truth_to_the_millisecond(
@@ -82,16 +83,15 @@ def test_independent_errors_of_both_crossings_add_up(circle: Trajectory, fixes: 
     sure = Trajectory(**{**vars(circle), "joint": _Independent()})
     found = analyse(sure, fixes(circle), LapOptions(lines=GATE))
     assert found.sigma_source == "joint"
-    for lap in found.laps:
-        if lap.is_timed:
-            assert lap.sigma == pytest.approx(np.sqrt(2.0) * 0.3 / 15.0, rel=1e-3)
+    sigmas = [lap.sigma for lap in found.laps if lap.is_timed]
+    assert sigmas == pytest.approx([np.sqrt(2.0) * 0.3 / 15.0] * 5, rel=1e-3)
 
 
 def test_an_offset_common_to_both_crossings_cancels(circle: Trajectory, fixes: Fixes) -> None:
     sure = Trajectory(**{**vars(circle), "joint": _Common()})
-    for lap in analyse(sure, fixes(circle), LapOptions(lines=GATE)).laps:
-        if lap.is_timed:
-            assert lap.sigma < 2e-3  # the direction at both crossings is the same but for rounding
+    sigmas = [lap.sigma for lap in analyse(sure, fixes(circle), LapOptions(lines=GATE)).laps if lap.is_timed]
+    # the direction at both crossings is the same but for rounding
+    assert sigmas == pytest.approx([0.0] * 5, abs=2e-3)
 
 
 def test_without_a_joint_covariance_the_offset_is_modelled_and_said_so(circle: Trajectory, fixes: Fixes) -> None:

@@ -89,7 +89,9 @@ def test_the_map_keeps_to_the_track_when_fixes_and_baseline_stray(session: Sessi
 
 def test_a_session_of_two_rows_can_be_drawn(tmp_path: Path, session: Session, trajectory: Trajectory) -> None:
     two = {name: value[:2] for name, value in vars(trajectory).items() if isinstance(value, np.ndarray)}
-    save_figures(Shown(session, Trajectory(**two), None, "short"), tmp_path)
+    saved = save_figures(Shown(session, Trajectory(**two), None, "short"), tmp_path)
+    assert {path.stem for path in saved} >= {"overview", "track", "speed"}
+    assert all(path.stat().st_size > 1000 for path in saved)
 
 
 def test_drawing_leaves_matplotlib_as_it_was(

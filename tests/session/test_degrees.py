@@ -65,7 +65,9 @@ def test_velocities_that_fit_nothing_leave_the_positions_alone(tmp_path: Path) -
 
 
 def test_no_real_recording_is_taken_for_another_form(data_directory: Path) -> None:
-    for table in sorted(data_directory.glob("*/gps.csv")):
+    tables = sorted(data_directory.glob("*/gps.csv"))
+    assert tables
+    for table in tables:
         assert len(load_raw(table).gnss)
 
 

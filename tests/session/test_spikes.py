@@ -113,6 +113,7 @@ def test_what_a_kart_does_to_a_sensor_stays_as_it_is(make: object) -> None:
 
 def test_no_real_recording_has_any(data_directory: object) -> None:
     tables = sorted(data_directory.glob("*/imu.csv"))  # type: ignore[attr-defined]
-    for table in tables:
-        if (table.parent / "gps.csv").exists():
-            assert "imu_spikes" not in [problem.code for problem in load_raw(table.parent).problems], table
+    sessions = [table.parent for table in tables if (table.parent / "gps.csv").exists()]
+    assert sessions
+    for session in sessions:
+        assert "imu_spikes" not in [problem.code for problem in load_raw(session).problems], session
