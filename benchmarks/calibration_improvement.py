@@ -149,6 +149,7 @@ def main() -> None:
         found = np.array(list(pool.map(evaluated, cases)))
     text = table(cases, found)
     print(text)
+    arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "calibration_improvement.md").write_text(document(arguments, text), encoding="utf-8")
 
 
