@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import chi2
 
-from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, recorded, score
+from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, recorded, rms, score
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 
 HEADINGS = ("vel m/s", "1 s m", "roll deg", "pitch deg", "yaw deg")
@@ -110,13 +110,13 @@ def _digits(scale: float) -> int:
 
 def _pooled(batch: list[Score]) -> str:
     """Pooled errors over pooled bounds, and the largest ratio of a session."""
-    pooled = "".join(_times(_rms(s.rms[q] for s in batch), _rms(s.bound[q] for s in batch)) for q in QUANTITIES)
+    pooled = "".join(_times(rms(s.rms[q] for s in batch), rms(s.bound[q] for s in batch)) for q in QUANTITIES)
     for key, scale in VALUES:
         values = [s.values[key] for s in batch if key in s.values]
-        error, bound = _rms(v.error for v in values), _rms(v.bound for v in values if v.bound is not None)
+        error, bound = rms(v.error for v in values), rms(v.bound for v in values if v.bound is not None)
         pooled += f"{f'{error * scale:.{_digits(scale)}f} ({error / bound:.2f})':>14}"
-    bounds = "".join(f"{_rms(s.bound[q] for s in batch):>14.3f}" for q in QUANTITIES)
-    bounds += "".join(f"{_rms(s.values[k].bound for s in batch if k in s.values) * c:>14.4f}" for k, c in VALUES)
+    bounds = "".join(f"{rms(s.bound[q] for s in batch):>14.3f}" for q in QUANTITIES)
+    bounds += "".join(f"{rms(s.values[k].bound for s in batch if k in s.values) * c:>14.4f}" for k, c in VALUES)
     worst = "".join(f"{f'({max(s.rms[q] / s.bound[q] for s in batch):.2f})':>14}" for q in QUANTITIES)
     worst += "".join(f"{_largest_z(batch, key):>14}" for key, _ in VALUES)
     lines = [f"{name:<33}{cells}" for name, cells in (("all", pooled), ("bound", bounds), ("worst", worst))]
@@ -160,14 +160,14 @@ def _mountings(batch: list[Score]) -> str:
     for key, _ in MOUNTING:
         values = [s.values[key] for s in batch if key in s.values]
         if values:
-            z = _rms(v.z for v in values)
-            parts.append(f"{key[-1]} {_rms(v.error for v in values):.2f} deg (rms z {z:.2f})")
+            z = rms(v.z for v in values)
+            parts.append(f"{key[-1]} {rms(v.error for v in values):.2f} deg (rms z {z:.2f})")
     error, bound = (
-        {key: _rms(getattr(s, kind)[key] for s in batch) for key in ("position", "track")} for kind in ("rms", "bound")
+        {key: rms(getattr(s, kind)[key] for s in batch) for key in ("position", "track")} for kind in ("rms", "bound")
     )
     position = f"position {error['position']:.2f} m (bound {bound['position']:.2f})"
     track = f"track {error['track']:.3f} m per axis where there are fixes (bound {bound['track']:.3f})"
-    sensor = ", ".join(f"{a} {_rms(s.rms['sensor_' + a] for s in batch):.3f}" for a in ANGLES)
+    sensor = ", ".join(f"{a} {rms(s.rms['sensor_' + a] for s in batch):.3f}" for a in ANGLES)
     return f"mounting error about {', '.join(parts)}; attitude but for it (deg): {sensor}\n{position}; {track}"
 
 
@@ -198,11 +198,6 @@ def _nees(batch: list[Score]) -> str:
         values = " ".join(f"{m:.2f}" for m in means)
         lines.append(f"NEES/{dimension} {name:<9} {low:.2f} to {high:.2f}: {values}  ({outside} outside)")
     return "\n".join(lines)
-
-
-def _rms(values: object) -> float:
-    array = np.array([v for v in values if v is not None and np.isfinite(v)], dtype=np.float64)  # type: ignore[attr-defined]
-    return float(np.sqrt(np.mean(array**2))) if array.size else float("nan")
 
 
 if __name__ == "__main__":

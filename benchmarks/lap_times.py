@@ -27,7 +27,7 @@ import numpy as np
 from scipy.sparse import block_array, coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from scoring import Case, cases, recorded
+from scoring import Case, cases, recorded, rms
 from smoother import so3
 from smoother.arrays import Array
 from smoother.cli.lap_stage import fix_path
@@ -268,9 +268,9 @@ def main() -> None:
 
 def _row(s: SessionScore) -> str:
     laps = [lap for lap in s.laps if lap.is_valid]
-    rms, bound, raw = (1e3 * _rms(getattr(lap, name) for lap in laps) for name in ("error", "bound", "raw_error"))
+    error, bound, raw = (1e3 * rms(getattr(lap, name) for lap in laps) for name in ("error", "bound", "raw_error"))
     counts = "{:>4} {:>7} {:>5}".format(*s.given) + "   |           {:>6} {:>6} {:>5}".format(*s.found)
-    return f"{s.case.name:<32} {counts} | {rms:6.1f} {bound:6.1f} {raw:6.1f}  {s.seconds[0]:.1f} + {s.seconds[1]:.1f}"
+    return f"{s.case.name:<32} {counts} | {error:6.1f} {bound:6.1f} {raw:6.1f}  {s.seconds[0]:.1f} + {s.seconds[1]:.1f}"
 
 
 def _summary(scores: list[SessionScore]) -> str:
@@ -298,29 +298,24 @@ def _summary(scores: list[SessionScore]) -> str:
         f"line given: {totals[0][0]} laps, {totals[0][1]} missed, {totals[0][2]} false, "
         f"{len(everything) - len(counting)} do not count",
         f"line found: {totals[1][0]} laps, {totals[1][1]} missed, {totals[1][2]} false, "
-        f"rms {1e3 * _rms(e for e, _ in found):.1f} ms",
+        f"rms {1e3 * rms(e for e, _ in found):.1f} ms",
     ]
     return "\n".join(lines)
 
 
 def _choice(name: str, laps: list[LapScore]) -> str:
     """A row: our error and how many times the bound; raw errors and how many times ours; theirs in bounds; coverage."""
-    rms, bound, raw, logged, sigma = (
-        1e3 * _rms(getattr(lap, which) for lap in laps)
+    error, bound, raw, logged, sigma = (
+        1e3 * rms(getattr(lap, which) for lap in laps)
         for which in ("error", "bound", "raw_error", "logged_error", "sigma")
     )
-    ours = f"{name:<24} {len(laps):5d} {rms:6.1f} {bound:6.1f} {rms / bound:5.2f}"
-    theirs = f"{raw:6.1f} {raw / rms:5.2f}  {logged:9.1f} {logged / rms:5.2f}  {raw / bound:11.2f}"
+    ours = f"{name:<24} {len(laps):5d} {error:6.1f} {bound:6.1f} {error / bound:5.2f}"
+    theirs = f"{raw:6.1f} {raw / error:5.2f}  {logged:9.1f} {logged / error:5.2f}  {raw / bound:11.2f}"
     return f"{ours} | {theirs} | {100 * _within(laps, 1.0):6.1f} {100 * _within(laps, 2.0):7.1f} {sigma:8.1f}"
 
 
 def _within(laps: list[LapScore], sigmas: float) -> float:
     return float(np.mean([abs(lap.error) <= sigmas * lap.sigma for lap in laps])) if laps else np.nan
-
-
-def _rms(values: object) -> float:
-    known = np.array([v for v in values if np.isfinite(v)])  # type: ignore[attr-defined]
-    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 Shared by the benchmarks. Angles are in degrees here, because everything ends in a table that people read.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -191,12 +191,12 @@ def rms_errors(simulation: Simulation, compared: Compared, inside: BoolArray | N
     euler = errors.euler[inside] / DEG
     sensor = _sensor_errors(simulation, compared.found, compared.truth)[inside] / DEG
     return {
-        "velocity": _rms(np.linalg.norm(errors.velocity_n[inside, :2], axis=1)),
+        "velocity": rms(np.linalg.norm(errors.velocity_n[inside, :2], axis=1)),
         "relative": _relative(errors.position_n[:, :2], inside),
-        **{name: _rms(euler[:, i]) for i, name in enumerate(ANGLES)},
-        **{f"sensor_{name}": _rms(sensor[:, i]) for i, name in enumerate(ANGLES)},
-        "position": _rms(np.linalg.norm(errors.position_n[inside, :2], axis=1)),
-        "track": np.nan if compared.track is None else _rms(compared.track[inside]),
+        **{name: rms(euler[:, i]) for i, name in enumerate(ANGLES)},
+        **{f"sensor_{name}": rms(sensor[:, i]) for i, name in enumerate(ANGLES)},
+        "position": rms(np.linalg.norm(errors.position_n[inside, :2], axis=1)),
+        "track": np.nan if compared.track is None else rms(compared.track[inside]),
     }
 
 
@@ -225,7 +225,7 @@ def _relative(error: Array, inside: BoolArray) -> float:
     """Horizontal rms (m) of the error of the change of position over a second, both of whose ends count."""
     n = round(RELATIVE_INTERVAL * SCORED_RATE)
     both = inside[:-n] & inside[n:]
-    return _rms(np.linalg.norm(error[n:] - error[:-n], axis=1)[both])
+    return rms(np.linalg.norm(error[n:] - error[:-n], axis=1)[both])
 
 
 def _sensor_errors(simulation: Simulation, found: Trajectory, truth: Trajectory) -> Array:
@@ -387,6 +387,8 @@ def _number(sigma: object) -> float:
     return float(sigma) if isinstance(sigma, int | float) else np.nan
 
 
-def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
+def rms(values: Iterable[float | None] | Array) -> float:
+    """Root mean square of those that are known, NaN where none is."""
+    numbers = np.array(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64)  # None is NaN
+    known = numbers[np.isfinite(numbers)]
     return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
