@@ -43,6 +43,7 @@ _UNUSED = (IMU_AXES_UNKNOWN, IMU_INCOMPLETE, "imu_unused", "imu_empty", "imu_fol
 SPEED_NEAR = 1.0  # s from a fix, within which receivers that send a speed at all have sent one
 WHEEL_SAMPLES = 1 << 18  # that tell of a box on the wheel, twenty minutes at 200 Hz
 NO_SENSOR = "no motion sensor"
+FARTHER_AWAY = "move the box farther from the engine"  # not onto something soft: what shakes by itself is not the kart
 _JUDGED_HERE = ("gps_gap", "imu_gap", DEAD_AXES, STUCK_AXES, VIBRATION)  # of the reader, judged below by themselves
 
 
@@ -244,7 +245,7 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
     for sensor, words in (("accel", "acceleration"), ("gyro", "turn rate")):
         share = measures[f"{sensor}_clipped_share"]
         if share > limits.clipped:
-            text = f"{100 * share:.2g} % of the {words} samples are clipped; set a wider range, or mount the box softer"
+            text = f"{100 * share:.2g} % of the {words} samples are clipped; set a wider range, or {FARTHER_AWAY}"
             yield Finding("stop" if share > limits.clipped_stop else "warning", "IMU", text)
     accel, gyro = measures["accel_vibration_mps2"], measures["gyro_vibration_dps"]
     strong = accel > limits.accel_vibration or gyro * DEG > limits.gyro_vibration
@@ -255,7 +256,7 @@ def _judge_imu_values(measures: dict[str, float], limits: CheckLimits) -> Iterat
         reads = f"the accelerometer reads {measures['slow_force_mps2']:.2f} m/s² where 9.8 is due"
         least, most = limits.bent_gravity
         if accel > limits.accel_bent and least <= gravity <= most:
-            text = f"{reads}, as where vibration is clipped; damp the box, or set a wider range"
+            text = f"{reads}, as where vibration is clipped; set a wider range, or {FARTHER_AWAY}"
             yield Finding("warning", "IMU", text)
         else:
             yield Finding("stop", "IMU", f"{reads}; is it in another unit?")

@@ -6,6 +6,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.estimate.check import FARTHER_AWAY
 from smoother.laps.results import LapAnalysis
 from smoother.laps.sigma import least_real
 from smoother.report.page_html import Child, element, row, table
@@ -18,8 +19,7 @@ from smoother.words import measured, repeated
 
 # what a user can do about problems that are lived with, beside what the check of the recording says
 _REMEDIES: Mapping[str, str] = {
-    IMU_SHAKEN: "IMU: damp the box against the engine's vibration (rubber, foam), or sample faster with the sensor's "
-    "low-pass filter on",
+    IMU_SHAKEN: f"IMU: {FARTHER_AWAY}, or sample faster with the sensor's low-pass filter on",
     BOX_ON_WHEEL: "IMU: mount the box on the frame, not on the steering wheel: roll, yaw and sideslip are then the "
     "kart's",
 }

@@ -234,7 +234,9 @@ def test_clipping_is_found_from_the_stated_range(kart: RawSession) -> None:
     limit = 1.0 * STANDARD_GRAVITY
     clipped = np.clip(kart.imu.accel * kart.imu.accel_scale, -limit, limit)
     result = check(with_imu(kart, accel=clipped, accel_scale=1.0, accel_full_scale=limit))
-    assert "acceleration samples are clipped" in texts(result, "stop")
+    # not onto rubber or foam: what shakes by itself is not the kart (README, "Mount the box and the antenna")
+    told = "acceleration samples are clipped; set a wider range, or move the box farther from the engine"
+    assert told in texts(result, "stop")
 
 
 def test_clipping_is_found_without_a_stated_range(kart: RawSession) -> None:
@@ -293,7 +295,8 @@ def test_gravity_that_clipped_vibration_bends_is_no_unit(kart: RawSession) -> No
     force[:, 2] = np.clip(force[:, 2], None, 50.0)
     found = check(with_imu(kart, accel=force, accel_scale=1.0, accel_full_scale=None))
     assert "another unit" not in texts(found, "stop")
-    assert "as where vibration is clipped; damp the box, or set a wider range" in texts(found, "warning")
+    told = "as where vibration is clipped; set a wider range, or move the box farther from the engine"
+    assert told in texts(found, "warning")
 
 
 def test_strong_vibration_is_a_warning_that_says_what_to_do(kart: RawSession) -> None:
