@@ -8,7 +8,10 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.laps.analysis import LapOptions, analyse
-from smoother.laps.results import FixPath, GivenLines, LapAnalysis, Statistics
+from smoother.laps.path import plan_path
+from smoother.laps.reference import Curve
+from smoother.laps.results import FixPath, GivenLines, LapAnalysis, Reason, Statistics
+from smoother.laps.rolling import rolling_best
 from smoother.trajectory import Trajectory
 
 Made = Callable[..., Trajectory]
@@ -97,3 +100,18 @@ def test_with_one_lap_that_counts_it_is_as_it_was_timed(make: Made, fixes: Fixes
     said = statistics(circling(make, lambda t: t / ROUND, 1, 60.0), fixes)
     assert said.counted == 1
     assert said.rolling == said.rolling_raw and said.rolling_sigma > 0.0
+
+
+@pytest.mark.parametrize("broken", [2, 3])
+def test_no_window_goes_over_a_lap_that_left_the_track(make: Made, fixes: Fixes, broken: int) -> None:
+    """Whether it begins or ends on that lap: from the third lap to the fourth it is five seconds shorter."""
+    drive = circling(make, lambda t: t / ROUND, None)
+    found = analyse(drive, fixes(drive), LapOptions(lines=GATE))
+    assert found.traces is not None and found.reference is not None
+    earlier = np.where(np.arange(len(found.laps)) > 2, 5.0, 0.0)[:, None]
+    traces = replace(found.traces, t=found.traces.t - earlier)
+    curve, path = Curve(found.reference), plan_path(drive)
+    assert rolling_best(found.laps, traces, curve, path, None).raw == pytest.approx(ROUND - 5.0, abs=0.005)
+    reasons: tuple[Reason, ...] = ("short-cut",)
+    laps = tuple(replace(lap, reasons=reasons) if i == broken else lap for i, lap in enumerate(found.laps))
+    assert rolling_best(laps, traces, curve, path, None).raw == pytest.approx(ROUND, abs=0.005)

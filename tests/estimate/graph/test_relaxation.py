@@ -73,3 +73,9 @@ def test_it_goes_whole_steps_again_when_nothing_swings() -> None:
     for _ in range(6):
         share = relaxation.share(solution(START))
     assert share == 1.0
+
+
+def test_a_tenth_of_each_step_is_gone_however_far_it_goes_too_far() -> None:
+    relaxation = Relaxation()
+    shares = [relaxation.share(solution((-1.0) ** i * 20.0**i * START)) for i in range(8)]
+    assert min(shares) == 0.1
