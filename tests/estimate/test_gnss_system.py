@@ -112,3 +112,32 @@ def test_an_axis_that_nothing_measures_is_left_out() -> None:
     unknown, scale = np.full((2, 3), np.nan), np.ones((2, 3))
     assert system.fix_rows(position, unknown, scale, scale).n_axes == 2
     assert system.fix_rows(np.nan_to_num(position), unknown, scale, scale).n_axes == 3
+
+
+def test_residuals_are_prediction_minus_measurement_zero_on_the_true_path() -> None:
+    """A path of constant acceleration, whose fixes are an offset off and whose speeds lag and are biased."""
+    start, speed, pull = np.array([1.0, -2.0, 0.5]), np.array([10.0, 3.0, -1.0]), np.array([-2.0, 4.0, 0.3])
+    offset, lag, bias = np.array([0.7, -0.4, 0.2]), float(AT_LAG[0]), AT_LAG[1:]
+
+    def motion(t: Array) -> tuple[Array, Array]:
+        seconds = t[:, None]
+        return start + speed * seconds + 0.5 * pull * seconds**2, speed + pull * seconds
+
+    position, velocity = motion(NODES)
+    columns = (position, velocity, np.tile(pull, (NODES.size, 1)), np.tile(offset, (NODES.size, 1)))
+    at = system.Unknowns(np.stack(columns, axis=-1).transpose(1, 0, 2), AT_LAG)
+    fixes, speeds = motion(FIX_TIMES)[0] + offset, motion(FIX_TIMES - lag)[1] + bias
+    ones = np.ones(fixes.shape)
+    for more in (0.0, 0.25):
+        rows = system.fix_rows(fixes + more, speeds + more, ones, ones)
+        np.testing.assert_allclose(system.design(rows, NODES, FIX_TIMES, at).residual, -more, atol=1e-12)
+
+
+def test_the_offset_is_forgotten_as_a_gauss_markov_process_is() -> None:
+    _, prior, _ = problem()
+    between, dt = system.transitions(NODES, prior, 3), np.diff(NODES)
+    for axis, sigma in enumerate(prior.offset_sigma):
+        keeps, added = between.step[axis, :, 3, 3], 1.0 / between.information[axis, :, 3, 3]
+        np.testing.assert_allclose(keeps, np.exp(-dt / prior.offset_tau))
+        np.testing.assert_allclose(keeps**2 * sigma**2 + added, sigma**2)  # it scatters as much at all times
+        assert between.first[axis, 3, 3] == pytest.approx(sigma**-2.0)
