@@ -10,7 +10,7 @@ from smoother.arrays import Array
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_path import GnssMotion
 from smoother.estimate.graph.imu import bin_imu
-from smoother.estimate.graph.made_up import MadeUpSamples
+from smoother.estimate.graph.made_up import FORGOTTEN, SPACINGS, TOLD, MadeUpSamples
 from smoother.frames import rotation_from_euler
 from smoother.samples import ImuSamples
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -121,6 +121,30 @@ def test_fixes_say_how_long_nothing_is_told() -> None:
     np.testing.assert_allclose(often.blind(keyframes, 0.01 * hole), 0.09)  # a hole is no longer than it is
     slow = made_up(Circle(0.5), [(4.0, 14.0)])
     np.testing.assert_allclose(slow.blind(keyframes, hole), np.tile([0.2, 9.0], (10, 1)))
+
+
+def test_each_interval_is_told_by_the_fixes_around_it_the_last_one_by_those_before() -> None:
+    keyframes, hole = np.array([4.9, 5.1, 6.9, 7.1, 13.0, 13.2]), np.full(5, 99.0)
+    usual = made_up(Circle(15.0), [(4.0, 14.0)])
+    gnss = SimpleNamespace(t=np.array([0.0, 5.0, 5.5, 8.0, 11.0]), velocity_n=np.zeros((5, 3)))
+    found = replace(usual, gnss=gnss).blind(keyframes, hole)  # type: ignore[arg-type]
+    middle = 0.5 * (keyframes[1:] + keyframes[:-1]) + LATENCY
+    between = np.array([0.5, 2.5, 2.5, 3.0, middle[-1] - 8.0])
+    assert [5.0 < middle[0] < 5.5, middle[-1] > 11.0] == [True, True]
+    np.testing.assert_allclose(found[:, 0], np.maximum(TOLD[0], SPACINGS[0] * between))
+
+
+def test_what_differs_on_the_two_sides_of_a_hole_goes_over_from_one_to_the_other() -> None:
+    before, after = 1.0, 3.0  # rad/s
+    samples = made_up(Circle(15.0), [(4.0, 4.4)])
+    begin, end = samples.imu.t[samples.imu.t < 4.2][-1], samples.imu.t[samples.imu.t > 4.2][0]
+    more = np.where(samples.imu.t <= begin, before, after)[:, None] * R_BS[2]
+    imu = replace(samples.imu, angular_rate_s=samples.imu.angular_rate_s + more)
+    t = np.linspace(begin, end, 9)[1:-1]
+    made = replace(samples, imu=imu).at(t)[1] @ R_BS.T - samples.at(t)[1] @ R_BS.T
+    share = (t - begin) / (end - begin)
+    want = (1.0 - share) * np.exp(-(t - begin) / FORGOTTEN) * before + share * np.exp(-(end - t) / FORGOTTEN) * after
+    np.testing.assert_allclose(made, np.column_stack([0.0 * t, 0.0 * t, want]), atol=1e-9)
 
 
 def test_a_stated_latency_does_not_move_the_time_without_fixes() -> None:
