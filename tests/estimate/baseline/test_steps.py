@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 
+from smoother.disc import pieces
+from smoother.estimate.baseline import steps as module
 from smoother.estimate.baseline.steps import CHUNK, average_into_steps, collect, nearest
 from smoother.samples import ImuSamples
 
@@ -51,6 +53,19 @@ def test_a_slow_imu_fills_only_some_steps():
     steps = average_into_steps(ramp(t, 0.04), np.zeros(t.size, dtype=bool), 0.0, 0.02)
     assert len(steps.number) == 99
     np.testing.assert_array_equal(np.diff(steps.number), 2)
+
+
+def test_a_long_recording_is_averaged_piece_by_piece_as_a_whole(monkeypatch):
+    """Steps that two pieces have samples of, and the interval before the first sample of a piece, are those of all."""
+    t = np.delete(np.arange(1, 1000), slice(400, 500)) / 130.0
+    imu, is_at_rest = ramp(t, 1.0 / 130.0), t < 2.0
+    whole = average_into_steps(imu, is_at_rest, 1.0, 0.02)
+    monkeypatch.setattr(module, "pieces", lambda count: pieces(count, 37))
+    parts = average_into_steps(imu, is_at_rest, 1.0, 0.02)
+    np.testing.assert_array_equal(parts.number, whole.number)
+    np.testing.assert_array_equal(parts.is_at_rest, whole.is_at_rest)
+    np.testing.assert_allclose(parts.specific_force_s, whole.specific_force_s)
+    np.testing.assert_allclose(parts.angular_rate_s, whole.angular_rate_s)
 
 
 def test_collect_fills_in_chunks_and_in_order():
