@@ -102,6 +102,17 @@ def test_a_true_acceleration_is_no_error():
     assert np.sqrt(covariance[0, 0]) < 0.5  # integration by sums, half a step late
 
 
+@pytest.mark.parametrize(("driven", "sigma"), [(300.0, 3.0), (0.0, 0.3)])
+def test_a_stand_counts_only_where_nothing_was_driven(driven, sigma):
+    """At rest nothing shakes: a session half of which is a stand is as noisy as its drive."""
+    t, fix_t = 0.02 * np.arange(30_000), 0.2 * np.arange(1, 2990)
+    noise = np.where(t < driven, 3.0, 0.3)[:, None] * np.random.default_rng(5).normal(size=(t.size, 2))
+    course = Course(fix_t, np.where(fix_t < driven, 10.0, 0.0)[:, None] * [1.0, 0.0])
+    noise[np.searchsorted(t, driven), 0] -= 10.0 / 0.02 if driven else 0.0  # it stops at once
+    covariance = accel_covariance_in_motion(t, noise, course, 0.02)
+    np.testing.assert_allclose(np.diagonal(covariance), sigma**2, rtol=0.4)  # 150 independent spans of 2 s
+
+
 def test_too_few_fixes_tell_nothing():
     t = 0.02 * np.arange(100)
     course = Course(np.array([0.5, 1.0]), np.zeros((2, 2)))
