@@ -13,6 +13,7 @@ from smoother.estimate.graph.inertial_noise import (
     LocalLevel,
     hole_lengths,
     interval_noise,
+    shared_densities,
 )
 from smoother.samples import ImuSamples
 
@@ -86,3 +87,19 @@ def test_noise_follows_the_vibration_by_its_share() -> None:
     accel, gyro = interval_noise(binned, replace(NOISE, accel_share=0.8))
     np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(0.2 + 0.8 * binned.rough[:, 0]))
     np.testing.assert_allclose(gyro, NOISE.gyro)
+    accel, gyro = interval_noise(binned, replace(NOISE, gyro_share=0.5))
+    np.testing.assert_allclose(gyro, NOISE.gyro * np.sqrt(0.5 + 0.5 * binned.rough[:, 1]))
+    np.testing.assert_allclose(accel, NOISE.accel)
+
+
+def test_calm_is_what_is_left_without_vibration() -> None:
+    assert replace(NOISE, accel_share=0.75, gyro_share=0.36).calm == pytest.approx((0.5 * 0.1, 0.8 * 0.01))
+
+
+def test_intervals_share_a_handful_of_densities_each_within_a_hundredth() -> None:
+    no, rough = np.zeros((200, 4, 3)), np.linspace(0.5, 2.0, 400).reshape(2, 200).T
+    binned = BinnedImu(0.2 * np.arange(201), 0.05, no, no, np.zeros(200), rough)
+    noise = replace(NOISE, accel_share=0.9, gyro_share=0.9)
+    for shared, own in zip(shared_densities(binned, noise), interval_noise(binned, noise), strict=True):
+        assert np.max(np.abs(shared / own - 1.0)) < 0.0101
+        assert len(np.unique(shared)) < 25
