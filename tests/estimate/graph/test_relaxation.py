@@ -79,3 +79,11 @@ def test_a_tenth_of_each_step_is_gone_however_far_it_goes_too_far() -> None:
     relaxation = Relaxation()
     shares = [relaxation.share(solution((-1.0) ** i * 20.0**i * START)) for i in range(8)]
     assert min(shares) == 0.1
+
+
+def test_what_swings_goes_the_share_of_the_secant_each_constant_over_its_sigma() -> None:
+    relaxation, uneven = Relaxation(), np.linspace(0.5, 1.5, CONSTANTS_SIZE)
+    steps = [START, -1.1 * START, 1.3 * uneven * START]
+    shares = [relaxation.share(solution(step)) for step in steps]
+    last, step = ((steps[i] / SIGMA)[SWINGING] for i in (1, 2))
+    assert shares[2] == pytest.approx(shares[1] * float(last @ (last - step)) / float((last - step) @ (last - step)))
