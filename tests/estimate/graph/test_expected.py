@@ -100,6 +100,20 @@ class TestExpectedMotion:
         true = path.acceleration_n[:, :2]
         assert np.std(acceleration - true) < 0.5 * np.std(shaken.acceleration_n[:, :2] - true)
 
+    def test_turn_and_lateral_force_tell_of_one_another_by_the_speed_beside_them(self) -> None:
+        """Speeds change by half here: by a turn over the speed, or a force times it, next to nothing would be told."""
+        path, rate = corners()
+        left = path.R_ns[:-1, :2, 1]
+
+        def off(noise: InertialNoise) -> tuple[float, float]:
+            acceleration, yaw_rate = middles(expected(noisy(path, noise), np.eye(3), noise))
+            beside = np.sum((acceleration - path.acceleration_n[:, :2]) * left, axis=1)
+            return float(np.std(beside)), float(np.std(yaw_rate - rate[:, 2]))
+
+        useless_turn, useless_force = off(replace(NOISE, gyro=1000.0 * DEG)), off(replace(NOISE, accel=100.0))
+        assert off(replace(NOISE, gyro=0.3 * DEG))[0] < 0.8 * useless_turn[0]
+        assert off(replace(NOISE, accel=0.1))[1] < 0.8 * useless_force[1]
+
     @pytest.mark.parametrize("column", [35.0 * DEG, 55.0 * DEG])
     def test_the_turn_of_a_box_on_the_wheel_is_that_of_its_kart(self, column: float) -> None:
         path, rate = corners()
@@ -385,3 +399,10 @@ class TestTurningLead:
         np.testing.assert_allclose(found[short], leads[short] * DT, rtol=0.15)
         np.testing.assert_allclose(found[long], 0.0, atol=1e-12)
         assert np.max(np.abs(np.diff(found))) < 2.0 * DT
+
+
+def test_velocities_come_as_often_as_they_are_known() -> None:
+    t = np.arange(0.0, 10.1, 0.2)
+    known = np.where(np.arange(len(t)) % 2, np.nan, 1.0)
+    assert DopplerNoise.of(t, known, 0.1) == DopplerNoise(0.1, pytest.approx(0.4))
+    assert DopplerNoise.of(t, np.full(len(t), np.nan), 0.1) is None
