@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from smoother.cli import arguments
-from smoother.cli.smoothing import EPILOG
+from smoother.cli.smoothing import EPILOG, HELP
 from smoother.sim.bench import BenchPlan, simulate_bench, write_bench
 from smoother.sim.scenario import ImuErrors, MagErrors
 
@@ -36,6 +36,13 @@ def test_it_and_the_help_name_every_exit_code() -> None:
         listed = text.partition("Exit codes:")[2]
         listed = listed.partition("The gate")[0]
         assert {"0", "1", *codes} <= set(re.findall(r"\b\d+\b", listed))
+
+
+def test_the_help_names_every_kind_of_file_that_can_go_in() -> None:
+    table = README.partition("## What goes in")[2].partition("If a folder holds several")[0]
+    endings = set(re.findall(r"`[*\w]*(\.\w+)`", table))
+    assert endings >= {".KLG", ".csv", ".vbo", ".gpx", ".ubx"}
+    assert not [ending for ending in endings if ending not in HELP]
 
 
 def test_its_smooth_commands_run(tmp_path: Path) -> None:
