@@ -1,8 +1,11 @@
 """What GTSAM makes of the bins: the covariance of white noise, and every interval about its own bias."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from smoother import so3
 from smoother.estimate.graph.imu import BinnedImu, bin_imu
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.preintegration import preintegrate
@@ -38,3 +41,28 @@ def test_every_interval_is_preintegrated_about_its_own_bias() -> None:
         np.testing.assert_array_equal(measured.biasHat().accelerometer(), accel[k])
         np.testing.assert_array_equal(measured.biasHat().gyroscope(), gyro[k])
         assert measured.deltaTij() == pytest.approx(0.4)
+
+
+def test_every_interval_turns_as_its_own_bins_do_about_one_bias_as_about_many() -> None:
+    binned = bin_imu(
+        Shaken(1.0, 0.1, 1.0).samples(100.0, 0.0, 2.0), np.array([0.4, 0.8, 1.2, 1.6]), 20, NO_BIAS, NO_BIAS
+    )
+    turned = []
+    for rates in binned.angular_rate_s:
+        R = np.eye(3)
+        for rate in rates:
+            R = R @ so3.exp(rate * binned.dt)
+        turned.append(R)
+    assert np.max(np.abs(turned[0] - turned[1])) > 0.01
+    for found in (preintegrated(binned), preintegrate(binned, NOISE, NO_BIAS, NO_BIAS)):
+        np.testing.assert_allclose(
+            [measured.deltaRij().matrix() for measured in found], turned, atol=2e-4
+        )  # a rotation vector is added up
+
+
+def test_what_bins_integrate_the_samples_to_is_the_position_s_own_noise() -> None:
+    imu = Shaken(0.0, 0.0, 0.0, turn=0.0).samples(200.0, 0.0, 3.0)
+    binned = bin_imu(imu, np.array([1.0, 2.0]), 50, NO_BIAS, NO_BIAS)
+    quiet = replace(NOISE, accel=1e-9, gyro=1e-9, accel_bias_walk=1e-9, gyro_bias_walk=1e-9)
+    (measured,) = preintegrate(binned, quiet, NO_BIAS, NO_BIAS)
+    np.testing.assert_allclose(np.diag(measured.preintMeasCov())[3:6], 1e-8, rtol=1e-3)  # m^2, after one second
