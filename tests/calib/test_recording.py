@@ -49,6 +49,8 @@ def test_rests_of_a_drive_are_judged_with_the_fixes(tmp_path: Path) -> None:
 
 def test_all_recordings_on_a_card_are_read(tmp_path: Path) -> None:
     assert smooth(["simulate", str(tmp_path), "--preset", "kart", "--duration", "30", "--format", "klg"]) == 0
+    (tmp_path / "session.toml").write_text('[session]\ndate = "2026-05-16"\n')
     (one,) = load_recordings(tmp_path)
     assert one.imu is not None and one.mag is not None and one.fixes is not None
-    assert one.is_driven
+    assert one.is_driven and one.config.date == "2026-05-16"
+    np.testing.assert_allclose(one.mag_stamps, one.mag.t, atol=0.01)  # those that were evened

@@ -55,3 +55,10 @@ def test_braking_that_began_before_its_corners_segment_counts_but_not_that_of_th
     early, of_another = ramp(30.0, 4.0, 6.0), ramp(15.0, 2.0, 6.0, until=38.0)
     point, _ = braking_points(laps(early, np.maximum(of_another, ramp(70.0, 4.0, 5.0))), 40.0, 130.0)
     np.testing.assert_allclose(point, [30.7, 70.8], atol=0.5)
+
+
+def test_braking_that_began_before_anything_is_known_begins_at_the_first_known_place() -> None:
+    from_the_start = np.where(DISTANCE < 60.0, 6.0, 0.0)
+    behind_a_hole = np.where(DISTANCE < 20.0, np.nan, from_the_start)
+    point, _ = braking_points(laps(from_the_start, behind_a_hole), 0.0, 130.0)
+    np.testing.assert_allclose(point, [0.0, 20.0])
