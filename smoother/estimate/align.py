@@ -21,6 +21,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
+from smoother.estimate import axis_mistakes
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
@@ -39,15 +40,14 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
 LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 and 0.78 or more, noise alone 0.2 and 0.1
-HANDED = 0.8  # of 1, the determinant of three directions; real and simulated boxes have 0.96 or more
 APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
 MIRRORED = (
     "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
-    "two are exchanged. Change it in the recording, for the gyroscope alike; attitude and accelerations are wrong"
+    "two are exchanged{}. Change it in the recording; attitude and accelerations are wrong"
 )
 DISAGREE = (
     "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "
-    "the accelerometer's, one has the wrong sign, or two are exchanged. Change it in the recording; attitude is wrong"
+    "the accelerometer's, one has the wrong sign, or two are exchanged{}. Change it in the recording; attitude is wrong"
 )
 FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
@@ -216,19 +216,14 @@ def _doubts(force_fit: "_Lines", rate_fit: "_Lines") -> Iterator[Problem]:
     came out within 15 deg of it or the mirror image. What is up by the forces and by turns likewise: within 8 deg.
     """
     along, aside, gravity = force_fit.lines
-    if min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE:
-        handedness = np.linalg.det([_unit(along), _unit(aside), _unit(gravity)])
-        if handedness < -HANDED:
-            yield Problem(MIRRORED_AXES, MIRRORED)
     upward = rate_fit.lines[0]
-    if np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE:
-        apart = float(np.arccos(np.clip(_unit(upward) @ _unit(gravity), -1.0, 1.0)))
-        if apart > APART:
-            yield Problem(UNLIKE_AXES, DISAGREE.format(apart / DEG))
-
-
-def _unit(vector: Array) -> Array:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
+    feels = min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE
+    turns = np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE
+    hint = axis_mistakes.advice(along, aside, gravity, upward) if feels and turns else ""
+    if feels and axis_mistakes.handedness(along, aside, gravity) < -axis_mistakes.HANDED:
+        yield Problem(MIRRORED_AXES, MIRRORED.format(hint))
+    if turns and (angle := axis_mistakes.apart(upward, gravity)) > APART:
+        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint))
 
 
 def path_axes(path: PathMotion) -> Array:

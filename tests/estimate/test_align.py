@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude, rotation_to_up
-from smoother.frames import euler_from_rotation, wrap_angle
+from smoother.frames import euler_from_rotation, rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive
 from smoother.sim.scenario import ImuErrors
@@ -210,6 +210,34 @@ def test_a_gyroscope_that_turns_the_wrong_way_is_noticed(truth: Truth) -> None:
     imu, path = box(truth, np.eye(3), np.zeros(3)), fixes(truth)
     (problem,) = align(ImuSamples(imu.t, imu.specific_force_s, imu.angular_rate_s @ SIGNS[2]), path).problems
     assert problem.code == "imu_axes_disagree" and ("180 deg" in problem.text or "17" in problem.text)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate", "named"),
+    [
+        (np.eye(3), SIGNS[0], "the sign of gx is changed"),
+        (np.eye(3), SWAPPED, "gx and gy are exchanged"),
+        (-np.eye(3), np.eye(3), "the signs of ax, ay and az are changed"),
+        (SIGNS[2], np.eye(3), "the sign of az is changed"),
+        (SIGNS[1], SIGNS[1], "the signs of ax and gx are changed"),  # as good as those that were wrong
+    ],
+)
+def test_the_axis_that_is_wrong_is_named_where_the_box_lies_askew(
+    truth: Truth, force: np.ndarray, rate: np.ndarray, named: str
+) -> None:
+    imu, path = box(truth, rotation_from_euler(*np.array([-0.35, -0.93, 0.4])), np.zeros(3)), fixes(truth, lag=0.15)
+    wrong = ImuSamples(imu.t, imu.specific_force_s @ force, imu.angular_rate_s @ rate)
+    problems = align(wrong, path).problems
+    assert problems
+    assert all(named in problem.text for problem in problems)
+
+
+def test_a_level_box_does_not_tell_which_of_two_mistakes_it_was(truth: Truth) -> None:
+    imu, path = box(truth, np.eye(3), np.zeros(3)), fixes(truth)
+    (problem,) = align(ImuSamples(imu.t, imu.specific_force_s, imu.angular_rate_s @ SIGNS[2]), path).problems
+    assert "fits once the sign of gz is changed or the signs of gx, gy and gz are changed" in problem.text
+    (problem,) = align(ImuSamples(imu.t, imu.specific_force_s @ SWAPPED, imu.angular_rate_s), path).problems
+    assert "fits once" not in problem.text
 
 
 def test_noise_alone_is_not_called_left_handed(truth: Truth) -> None:
