@@ -1,4 +1,8 @@
-"""Laps while driving: the path since the last few laps, the line across it, and the time since it was crossed."""
+"""Laps while driving: the path since the last few laps, the line across it, and the time since it was crossed.
+
+Until a smoother runs the path is that of the fixes as they come. One that jumps leaps over the line and back again, and
+would be a lap: it waits until those after it have stayed with it, as after an outage, or have come back without it.
+"""
 
 from dataclasses import dataclass
 
@@ -11,6 +15,8 @@ from smoother.laps.timing import BESIDE, gate_crossings
 
 KEPT = 600.0  # s of path, enough for three laps of a long circuit
 STEP = 0.1  # s between rows
+ASTRAY = 5.0  # m beside where its velocity leads to, from which on a fix has jumped; they scatter by less
+STAYED = 3.0  # s after which fixes that have left the path are the path; reflections pull for a second or two
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,25 @@ class LapClock:
         self._rows: list[tuple[float, Array, Array]] = []
         self._line: Line | None = None
         self._crossed: list[float] = []
+        self._astray: list[tuple[float, Array, Array]] = []  # fixes that have left the path, each led to by the last
         self._lap, self._best = 0, float("nan")
 
     @property
     def has_line(self) -> bool:
         """Whether the start line is known."""
         return self._line is not None
+
+    def add_fix(self, t: float, position_n: Array, velocity_n: Array) -> None:
+        """Take in a fix as it came, as :meth:`add` does a row; one that jumped counts only if others stay with it."""
+        fix = t, position_n, velocity_n
+        if self._rows and not _leads_to(self._rows[-1], fix):
+            if self._astray and not _leads_to(self._astray[-1], fix):
+                self._astray.clear()
+            self._astray.append(fix)
+            if t - self._astray[0][0] < STAYED:
+                return
+        self._astray.clear()
+        self.add(*fix)
 
     def add(self, t: float, position_n: Array, velocity_n: Array) -> None:
         """Take in a row: t s, position_n, velocity_n (3,) of the antenna."""
@@ -86,3 +105,11 @@ class LapClock:
                 self._best = float(np.fmin(self._best, lap))
             self._crossed = [*self._crossed[-1:], at]
             self._lap += 1
+
+
+def _leads_to(one: tuple[float, Array, Array], other: tuple[float, Array, Array]) -> bool:
+    """Whether a fix, t s with position and velocity (3,), is where an earlier one was heading, or that is long ago."""
+    (t, position_n, velocity_n), (later, there_n, then_n) = one, other
+    step = later - t
+    off = there_n - position_n - 0.5 * step * (velocity_n + then_n)
+    return step > STAYED or float(np.hypot(off[0], off[1])) < ASTRAY * (1.0 + step)

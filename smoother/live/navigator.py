@@ -172,7 +172,7 @@ class Navigator:
         self._fixes.append(fix)
         self._pass_on(fix)
         if self._lag is None and np.isfinite(speed_of(fix)):  # laps from the fixes until the smoother runs
-            self._laps.add(t, np.nan_to_num(fix.position_n(self._origin)[-1]), np.nan_to_num(fix.velocity_n[-1]))
+            self._laps.add_fix(t, np.nan_to_num(fix.position_n(self._origin)[-1]), np.nan_to_num(fix.velocity_n[-1]))
 
     def _pass_on(self, item: Item) -> None:
         if self._next is not None:
