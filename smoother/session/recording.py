@@ -30,6 +30,7 @@ from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
 from smoother.session.inertial import FEWEST_IMU_SAMPLES
 from smoother.session.leap_seconds import with_learnt_leap_seconds
+from smoother.session.pace import with_even_pace
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
@@ -82,9 +83,10 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
     recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
-    imu = _usable_imu(recording, problems)
-    gnss = _with_true_times(recording, problems)
-    gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
+    imu, mag = _usable_imu(recording, problems), _evened_mag(recording.mag)
+    gnss, imu, mag = with_even_pace(recording.gnss, imu, mag, recording.gnss_file, problems)
+    gnss = _with_true_times(replace(recording, gnss=gnss), problems)
+    gnss, imu, mag = longest_recording(gnss, imu, mag, recording.gnss_file, problems)
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
