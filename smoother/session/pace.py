@@ -109,7 +109,9 @@ def _pace(t: Array, unix_s: Array) -> Pace | None:
         first, last = max(0, begin - 1), min(end + SLOPE_KNOTS + 1, at.size - 1)  # where it began within three knots
         gain = lead[last] - lead[first]
         rows = np.flatnonzero((t >= at[first]) & (t <= at[last]))
-        jumps = np.abs(np.diff((t - utc - usual * t)[rows]))[np.diff(utc[rows]) < LONGEST_BETWEEN]
+        jumps = np.abs(np.diff((t - utc - usual * t)[rows]))[
+            np.minimum(np.diff(utc[rows]), np.diff(t[rows])) < LONGEST_BETWEEN
+        ]
         if abs(gain) < max(LEAST_LEAD, SIGMAS * noise):
             continue
         if np.max(jumps, initial=0.0) > max(STEP_SHARE * abs(gain), LEAST_LEAD):
