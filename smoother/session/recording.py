@@ -36,7 +36,7 @@ from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.standing import dead_problems, stuck_problems, without_frozen
 from smoother.session.time_unit import LONGEST_PERIOD
-from smoother.session.turned import without_turned
+from smoother.session.turned import without_turned, without_turned_about
 from smoother.session.week_rollover import with_present_dates
 from smoother.words import counted, span
 
@@ -101,6 +101,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         config = replace(config, imu_delay=config.imu_delay if recording.imu_delay is None else recording.imu_delay)
         imu = without_other_units(imu, recording.imu_file, problems)
         imu = without_turned(imu, gnss, recording.imu_file, problems)
+        imu = without_turned_about(imu, gnss, recording.imu_file, problems)
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
