@@ -9,6 +9,7 @@ next lap, another clock, a kart upside down.
 """
 
 import numpy as np
+import numpy.typing as npt
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import release
@@ -17,6 +18,8 @@ from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.frozen import without_rows
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
+
+ComplexArray = npt.NDArray[np.complex128]
 
 WINDOW = 10.0  # s over which forces are averaged: bends to both sides, starts and stops
 FEWEST_WINDOWS = 4
@@ -147,12 +150,12 @@ def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list
     return without_rows(imu, bad) if bad.any() else imu
 
 
-def _told(points: Array, way: Array) -> float:
+def _told(points: ComplexArray, way: Array) -> float:
     """How much of the way (K,) m tells where the box points (K,)."""
     return float(np.sum(np.abs(points) * way))
 
 
-def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: float) -> Array:
+def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: float) -> ComplexArray:
     """Where the box points in each window, (K,) complex: correlation of the level force with the kart's path.
 
     up (3,) : the usual force. Velocities are late by `lag` s. 0 where nothing tells.
@@ -180,7 +183,7 @@ def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: f
     return points
 
 
-def _level_axes(up: Array) -> Array:
+def _level_axes(up: Array) -> ComplexArray:
     """(3,) complex: what makes of a force (3,) its level part, forwards and i times to the left, of some axes."""
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     first = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
