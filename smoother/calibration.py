@@ -13,7 +13,7 @@ from smoother.disc import pieces, release, roomy
 from smoother.documents import load_toml, replacing
 from smoother.errors import ConfigError
 from smoother.frames import Origin
-from smoother.samples import AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
+from smoother.samples import SENSOR_AXES, AppliedValue, ImuSamples, MagSamples, RawImu, RawMag, RawSession, Session
 from smoother.words import did_you_mean
 
 FILE_NAME = "calibration.toml"
@@ -144,6 +144,9 @@ _UNITS = {
     "hard_iron": "of the readings",
     "soft_iron": "per unit of the readings",
 }
+_LARGEST = {"accel_offset": 10.0, "gyro_bias": 4.0, "gyro_bias_slope": 0.1}  # length; an offset of gravity is none
+_STRETCHES = (0.7, 1.4)  # by matrices of accelerometers and gyroscopes; the cheapest are off by a tenth
+_ROUNDNESS = 0.1  # least stretch of a soft iron, of its most
 _TABLES = {
     "accelerometer": {"offset": "accel_offset", "matrix": "accel_matrix"},
     "gyroscope": {"bias": "gyro_bias", "bias_per_kelvin": "gyro_bias_slope", "matrix": "gyro_matrix"},
@@ -184,8 +187,11 @@ def load_calibration(path: Path) -> Calibration:
         for key, name in keys.items():
             if key in section:
                 values[name] = _numbers(section[key], _SHAPES[name], path, table, key)
+                _require_credible(name, values[name], path, table, key)
             if key in section and f"{key}_sigma" in section:
                 sigmas[name] = _numbers(section[f"{key}_sigma"], _SHAPES[name], path, table, f"{key}_sigma")
+                if np.any(sigmas[name] < 0.0):
+                    raise ConfigError(f"{path.name}: [{table}] {key}_sigma is negative; a standard deviation is not")
     if ("hard_iron" in values) != ("soft_iron" in values):
         raise ConfigError(f"{path.name}: [magnetometer] needs both hard_iron and soft_iron")
     source = f"../{path.name}" if path.parent.name == ".." else path.name
@@ -339,7 +345,30 @@ def _numbers(value: object, shape: tuple[int, ...], path: Path, table: str, key:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
-    if array.shape != shape or not np.all(np.abs(array) < WILD):
+    if array.shape != shape or not np.all(np.abs(array) < WILD) or _holds_other(value):
         wanted = f"{' x '.join(map(str, shape))} finite numbers" if shape else "a finite number"
         raise ConfigError(f"{path.name}: [{table}] {key} must be {wanted}")
     return array
+
+
+def _holds_other(value: object) -> bool:
+    """Whether something in a value of the file is no number, but would be taken for one: a truth value, or a text."""
+    if isinstance(value, list):
+        return any(_holds_other(item) for item in value)
+    return isinstance(value, bool | str)
+
+
+def _require_credible(name: str, value: Array, path: Path, table: str, key: str) -> None:
+    """Raise ConfigError for values that no sensor needs: they would be applied, and make nonsense of the samples."""
+    if name in _LARGEST and float(np.linalg.norm(value)) > _LARGEST[name]:
+        most = f"{_LARGEST[name]:g} {_UNITS[name]}"
+        raise ConfigError(f"{path.name}: [{table}] {key} is larger than {most}, more than of any sensor; mend it")
+    if value.shape != (SENSOR_AXES, SENSOR_AXES):
+        return
+    least, _, most_stretched = sorted(np.linalg.svd(value, compute_uv=False).tolist())
+    low, high = _STRETCHES
+    if name == "soft_iron" and not least > _ROUNDNESS * most_stretched:
+        raise ConfigError(f"{path.name}: [{table}] {key} makes a disc of the field; calibrate again, or delete it")
+    if name != "soft_iron" and not low < least <= most_stretched < high:
+        text = f"stretches by {least:.3g} to {most_stretched:.3g}, where sensors need 0.9 to 1.1"
+        raise ConfigError(f"{path.name}: [{table}] {key} {text}; mend it or delete it")

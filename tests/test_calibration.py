@@ -222,9 +222,12 @@ def test_only_what_changes_a_sensor_that_is_there_was_applied() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]", "needs the temperature"),
-        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 'hot'", "temperature must be a finite number"),
-        ("[gyroscope]\nbias_per_kelvin = [1.0, 2.0, 3.0]\ntemperature = 5\ntemperature_span = 3", "two numbers"),
+        ("[gyroscope]\nbias_per_kelvin = [0.01, 0.02, 0.03]", "needs the temperature"),
+        (
+            "[gyroscope]\nbias_per_kelvin = [0.01, 0.02, 0.03]\ntemperature = 'hot'",
+            "temperature must be a finite number",
+        ),
+        ("[gyroscope]\nbias_per_kelvin = [0.01, 0.02, 0.03]\ntemperature = 5\ntemperature_span = 3", "two numbers"),
         ("[accelerometer]\noffset = [0, 0, 1]\noffset_sigma = [0.1]", "offset_sigma must be 3 finite numbers"),
         ("[accelerometer]\noffset = [0, 0, 1e200]", "offset must be 3 finite numbers"),
     ],
@@ -232,3 +235,23 @@ def test_only_what_changes_a_sensor_that_is_there_was_applied() -> None:
 def test_flawed_temperatures_and_sigmas_are_named(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_calibration(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[accelerometer]\nmatrix = [[1, 0, 0], [0, 0, 0], [0, 0, 1]]", "stretches by 0 to 1"),
+        ("[accelerometer]\nmatrix = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "stretches by 0 to 0"),
+        ("[gyroscope]\nmatrix = [[1000, 0, 0], [0, 1000, 0], [0, 0, 1000]]", "stretches by 1e"),
+        ("[accelerometer]\noffset = [50, 0, 0]", "larger than 10 m/s"),
+        ("[gyroscope]\nbias = [10, 0, 0]", "larger than 4 rad/s"),
+        ("[gyroscope]\nbias = [true, false, true]", "must be 3 finite numbers"),
+        ("[gyroscope]\nbias = ['1', '2', '3']", "must be 3 finite numbers"),
+        ("[gyroscope]\nbias = [0, 0, 0]\nbias_sigma = [-1, 1, 1]", "is negative"),
+        ("[magnetometer]\nhard_iron = [0, 0, 0]\nsoft_iron = [[1, 0, 0], [0, 1, 0], [0, 0, 0]]", "makes a disc"),
+    ],
+)
+def test_values_that_no_sensor_needs_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "calibration.toml").write_text(text)
+    with pytest.raises(ConfigError, match=reason):
+        load_calibration(tmp_path / "calibration.toml")

@@ -27,6 +27,8 @@ ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares 
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 WHOLE_SECOND = 1.0  # s, within which UTC without fractions stands still
 NMEA_ESTIMATED = 6  # quality of a fix that a receiver made up without satellites
+FEWEST_COARSE, COARSE_SHARE, MOSTLY_COARSE = 20, 0.2, 0.95  # rows; shares of them that share a stamp, and agree
+COARSEST = 1.5  # s from one stamp to the next; what is coarser is no want of decimals
 FIX_COLUMNS = ("t_s", "lat_deg", "lon_deg")
 UTC_COLUMNS = ("unix_s", "utc_ms")  # beside utc, which is text
 OPTIONAL_FIX_COLUMNS = (
@@ -141,6 +143,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
         _require_numbers(path, name, table.column(name))
     _require_clock(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
+    t, finer = _finer_by_utc(t, unix_s, path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
     t, joined = joined_where_set_back(t, "gps", path.name, unix_s)
     sigma = _per_axis(table, "hacc_m", ("hacc_n_m", "hacc_e_m"))
@@ -167,8 +170,36 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name)
-    of_columns = [*said, *joined, *said_of_utc, *said_of_quality]
+    of_columns = [*said, *finer, *joined, *said_of_utc, *said_of_quality]
     return fixes, [*_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
+
+
+def _finer_by_utc(t: Array, unix_s: Array, file: str) -> tuple[Array, list[Problem]]:
+    """Times t (N,) s of fixes by their UTC (N,) s where stamps want decimals and are shared, and what to say.
+
+    What is between the two in the mean stays: it is their delay. Rows whose stamp is not the UTC's stay as they are.
+    """
+    known = np.flatnonzero(np.isfinite(t) & np.isfinite(unix_s))
+    if known.size < FEWEST_COARSE:
+        return t, []
+    stamps, utc = t[known], unix_s[known]
+    later = np.diff(utc) > 0.0
+    shared = later & (np.diff(stamps) == 0.0)
+    if np.mean(later) < MOSTLY_COARSE or np.mean(shared) < COARSE_SHARE:
+        return t, []
+    tick = median(np.diff(stamps)[np.diff(stamps) > 0.0]) if np.any(np.diff(stamps) > 0.0) else np.inf
+    ahead = stamps - (utc - utc[0])
+    off = np.abs(ahead - median(ahead))
+    near = off <= tick
+    if not tick <= COARSEST or np.mean(near) < MOSTLY_COARSE:
+        return t, []
+    fine = t.copy()
+    fine[known[near]] = (utc - utc[0] + median(ahead))[near]
+    count = int(np.count_nonzero(shared))
+    text = (
+        f"{file}: {counted(count, 'row')} with the t_s of the row before, but later UTC; that is taken for their times"
+    )
+    return fine, [Problem("gps_coarse_time", text, count)]
 
 
 def _require_numbers(path: Path, column: str, values: Array) -> None:

@@ -40,6 +40,12 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
 }
 UBX_SYNC = b"\xb5\x62"
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
+LARGE, STORED_SHARE = (
+    1 << 30,
+    0.02,
+)  # bytes of a file, and how much of it is on the disk at least: no text packs so well
+LARGEST = 64 << 30  # bytes; a month of samples in a table has less
+RECORDING_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".nmea", LOG_SUFFIX, ".vbo", ".gpx", ".ubx", OUT_NAME)
 PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")
 
 
@@ -183,10 +189,34 @@ def list_files(path: Path) -> SessionFiles:
     directory = path if path.is_dir() else path.parent
     try:
         names = tuple(sorted(entry.name for entry in directory.iterdir() if entry.is_file()))
+        for file in _of_session(path, directory, names):
+            _require_stored(file)
         role = None if path.is_dir() else _role(path)
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
     return SessionFiles(directory, names, None if role is None else (path, role))
+
+
+def _of_session(path: Path, directory: Path, names: tuple[str, ...]) -> list[Path]:
+    """What may be read as part of the session at `path`, by name."""
+    own = (*OWN_NAMES, *OF_A_SESSION)
+    if not path.is_dir():
+        return [path, *(directory / name for name in names if name.lower() in own)]
+    return [directory / name for name in names if name.lower().endswith(RECORDING_SUFFIXES)]
+
+
+def _require_stored(file: Path) -> None:
+    """Raise SessionError for a file too large for any recording, or of which hardly anything was ever stored.
+
+    Read to its end, zeros of a hole would keep the computer busy for minutes, or fill its memory.
+    """
+    stat = file.stat()
+    stored = getattr(stat, "st_blocks", None)  # of 512 bytes; not every system tells it
+    if stat.st_size > LARGE and stored is not None and 512 * stored < STORED_SHARE * stat.st_size:
+        told = f"{stat.st_size / 1e9:.3g} GB long, of which {512 * stored / 1e6:.3g} MB were ever written"
+        raise SessionError(f"{file.name}: {told}; copy it from the card again")
+    if stat.st_size > LARGEST:
+        raise SessionError(f"{file.name}: {stat.st_size / 1e9:.3g} GB long, more than any recording; is it one?")
 
 
 def _kind(entry: Path) -> str:

@@ -30,12 +30,13 @@ from smoother.session.files import SessionFiles
 from smoother.session.frozen import without_frozen_sensor
 from smoother.session.inertial import FEWEST_IMU_SAMPLES
 from smoother.session.leap_seconds import with_learnt_leap_seconds
+from smoother.session.pace import with_even_pace
 from smoother.session.plausible import implausible_units, without_other_units
 from smoother.session.settings import load_settings
 from smoother.session.spikes import without_spikes
 from smoother.session.standing import dead_problems, stuck_problems, without_frozen
 from smoother.session.time_unit import LONGEST_PERIOD
-from smoother.session.turned import without_turned
+from smoother.session.turned import without_turned, without_turned_about
 from smoother.session.week_rollover import with_present_dates
 from smoother.words import counted, span
 
@@ -51,6 +52,8 @@ OF_NO_COLUMN = (
 )
 FEWEST_FIXES_FOR_CLOCK = 32
 LEAST_AT_ODDS, FEW_AT_ODDS = 10.0, 0.01  # s beyond what clocks drift, and share of the fixes, worth a word
+LEAST_SET, BESIDE_SET = 0.25, 15  # s by which a clock was set, and fixes on either side that tell by how much
+SEEN_SET = 2.0  # s from one fix to the next, in which it shows which of the two it was
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -82,9 +85,10 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
     recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
-    imu = _usable_imu(recording, problems)
-    gnss = _with_true_times(recording, problems)
-    gnss, imu, mag = longest_recording(gnss, imu, _evened_mag(recording.mag), recording.gnss_file, problems)
+    imu, mag = _usable_imu(recording, problems), _evened_mag(recording.mag)
+    gnss, imu, mag = with_even_pace(recording.gnss, imu, mag, recording.gnss_file, problems)
+    gnss = _with_true_times(replace(recording, gnss=gnss), problems)
+    gnss, imu, mag = longest_recording(gnss, imu, mag, recording.gnss_file, problems)
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
@@ -97,6 +101,7 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         config = replace(config, imu_delay=config.imu_delay if recording.imu_delay is None else recording.imu_delay)
         imu = without_other_units(imu, recording.imu_file, problems)
         imu = without_turned(imu, gnss, recording.imu_file, problems)
+        imu = without_turned_about(imu, gnss, recording.imu_file, problems)
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
@@ -243,6 +248,31 @@ def _utc_at_odds(recording: Recording) -> Iterator[Problem]:
     if count > FEW_AT_ODDS * ahead.size:
         text = f"UTC of {counted(count, 'fix')} is {np.median(ahead[odd]):+.0f} s off that of the others by their times"
         yield Problem("gps_utc_at_odds", f"{recording.gnss_file}: {text}; one of the two clocks was set anew", count)
+        return
+    yield from _utc_set(gnss.t[known], gnss.unix_s[known], recording.gnss_file)
+
+
+def _utc_set(t: Array, unix_s: Array, file: str) -> Iterator[Problem]:
+    """What to say where one of the two clocks, stamps t (N,) s or UTC (N,) s, leapt against the other for good."""
+    ahead, usual = unix_s - t, median(np.diff(t))
+    for row in (np.flatnonzero(np.abs(np.diff(ahead)) > LEAST_SET) + 1).tolist():
+        before, after = ahead[max(0, row - BESIDE_SET) : row], ahead[row : row + BESIDE_SET]
+        by = median(after) - median(before)
+        steady = max(median(np.abs(side - median(side))) for side in (before, after))
+        if min(before.size, after.size) < BESIDE_SET or abs(by) < LEAST_SET or steady > 0.1 * abs(by):
+            continue
+        steps = (t[row] - t[row - 1], unix_s[row] - unix_s[row - 1])
+        if min(steps) > SEEN_SET:
+            text = f"UTC leaps by {by:+.2f} s against t_s in the gap at {t[row]:.0f} s: one of the two was set anew"
+            yield Problem("gps_utc_set", f"{file}: {text}; if it was t_s, the lap across it is off by as much")
+        elif abs(steps[1] - usual) > abs(steps[0] - usual):
+            text = (
+                f"UTC leaps by {by:+.2f} s at {t[row]:.0f} s, and t_s does not; times of day are off by as much there"
+            )
+            yield Problem("gps_utc_set", f"{file}: {text}")
+        else:
+            text = f"t_s leaps by {-by:+.2f} s at {t[row]:.0f} s, and UTC does not; the lap across it is off by as much"
+            yield Problem("gps_clock_set", f"{file}: {text}")
 
 
 def _compare_times(recording: Recording, imu: RawImu, gnss: GnssFixes, problems: list[Problem]) -> None:

@@ -17,6 +17,7 @@ from smoother.arrays import Array
 from smoother.errors import SessionError
 from smoother.samples import Problem
 from smoother.session.encoding import WIDE_BYTES, in_utf8, wide_encoding
+from smoother.session.tables import NOTHING
 from smoother.words import counted
 
 BLOCK_BYTES = 4 << 20
@@ -38,6 +39,7 @@ class Records:
     expected: int
     found: int  # cells in the first row that does not fit
     texts: dict[str, pl.Series] = field(default_factory=dict)
+    unread: dict[str, int] = field(default_factory=dict)  # cells of columns of numbers that hold something else
 
     def column(self, name: str) -> Array:
         """Column (N,), NaN throughout if the file has no such column."""
@@ -45,10 +47,14 @@ class Records:
 
     def problems(self, file: str) -> list[Problem]:
         """What was wrong with the rows."""
-        if not self.misfits:
-            return []
-        text = f"{file}: {counted(self.misfits, 'row')} without the {self.expected} values of a row; dropped"
-        return [Problem("gps_row_damaged", text, self.misfits)]
+        said = []
+        if self.misfits:
+            text = f"{file}: {counted(self.misfits, 'row')} without the {self.expected} values of a row; dropped"
+            said.append(Problem("gps_row_damaged", text, self.misfits))
+        for name, count in self.unread.items():
+            text = f"{file}: {name.partition(' #')[0]} of {counted(count, 'row')} is no number; not used"
+            said.append(Problem("gps_unread", text, count))
+        return said
 
 
 def _opened(path: Path) -> BinaryIO:
@@ -129,7 +135,10 @@ def read_records(
         raise SessionError(f"{path.name}: a header, but no rows; was the recording started?")
     table = pl.concat(parts)
     columns = {name: _finite(table[name]) for name in wanted}
-    return Records(columns, length, misfits, len(names), found, {name: table[_as_text(name)] for name in texts})
+    unread = {name: int(table[_as_unread(name)].sum()) for name in wanted}
+    of_numbers = {name: n for name, n in unread.items() if 0 < n <= np.count_nonzero(np.isfinite(columns[name]))}
+    as_text = {name: table[_as_text(name)] for name in texts}
+    return Records(columns, length, misfits, len(names), found, as_text, of_numbers)
 
 
 def _line_blocks(path: Path, offset: int, what: str) -> Iterator[list[bytes]]:
@@ -178,7 +187,18 @@ def _numbers(rows: list[bytes], names: Sequence[str], wanted: Sequence[str], tex
     )
     cells = {name: pl.col(f"c{names.index(name)}").str.strip_chars() for name in (*wanted, *texts)}
     numbers = [cells[name].cast(pl.Float64, strict=False).alias(name) for name in wanted]
-    return frame.select(*numbers, *(cells[name].alias(_as_text(name)) for name in texts))
+    unread = [_is_unread(cells[name]).alias(_as_unread(name)) for name in dict.fromkeys(wanted)]
+    return frame.select(*numbers, *unread, *(cells[name].alias(_as_text(name)) for name in texts))
+
+
+def _is_unread(cell: pl.Expr) -> pl.Expr:
+    """Whether a cell holds something that is no number, and no word for nothing either."""
+    is_something = (cell != "") & ~cell.str.contains(NOTHING.pattern)
+    return cell.cast(pl.Float64, strict=False).is_null() & is_something.fill_null(value=False)
+
+
+def _as_unread(name: str) -> str:
+    return f"unread {name}"
 
 
 def _finite(series: pl.Series) -> Array:

@@ -18,6 +18,7 @@ LONGEST_LEVER_ARM = 20.0  # m; beyond, millimetres were written for metres
 LONGEST_LATENCY = 5.0  # s
 LONGEST_FILTER_DELAY = 0.2  # s; a low-pass of 5 Hz has 0.05
 LARGEST_NUMBER = 1e300
+DENSITIES = (1e-12, 1e3)  # SI; what is not within is no sensor's, and its square may be no number
 DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "forward": (1.0, 0.0, 0.0),
     "back": (-1.0, 0.0, 0.0),
@@ -100,10 +101,10 @@ def _settings(document: _Reader) -> SessionConfig:
         notes=session.value("notes", _text),
         mounting=_mounting(mounting),
         imu=ImuNoise(
-            accel_noise=imu.value("accel_noise", _positive),
-            gyro_noise=imu.value("gyro_noise", _positive),
-            accel_bias_walk=imu.value("accel_bias_walk", _positive),
-            gyro_bias_walk=imu.value("gyro_bias_walk", _positive),
+            accel_noise=imu.value("accel_noise", _density),
+            gyro_noise=imu.value("gyro_noise", _density),
+            accel_bias_walk=imu.value("accel_bias_walk", _density),
+            gyro_bias_walk=imu.value("gyro_bias_walk", _density),
         ),
         imu_delay=imu.value("delay", _filter_delay),
         gps=GnssTiming(
@@ -160,6 +161,13 @@ def _positive(value: Any) -> float:
     number = _number(value)
     if number <= 0.0:
         raise ValueError("must be greater than zero; leave it out to have it estimated")
+    return number
+
+
+def _density(value: Any) -> float:
+    number, (low, high) = _positive(value), DENSITIES
+    if not low <= number <= high:
+        raise ValueError(f"must lie within {low:g} and {high:g}, in SI units; leave it out to have it estimated")
     return number
 
 

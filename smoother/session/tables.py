@@ -308,8 +308,12 @@ def _length_cut(tail: bytes, separator: bytes) -> int:
 
 def _read_cells(source: Path | bytes, wanted: _Wanted) -> tuple[pl.DataFrame, int]:
     """The columns and flags of a table: as numbers throughout, or else cell by cell; and how many headers it lost."""
-    of_times = [f"unread {name}" for name in wanted.times]
-    nothing = [pl.lit(value=False).alias(flag) for flag in wanted.flags if flag not in of_times]
+    nothing = [pl.lit(value=False).alias(f"empty {name}") for name in wanted.required]
+    nothing += [
+        pl.col(name).is_infinite().fill_null(value=False).alias(f"unread {name}")
+        for name in wanted.others
+        if name not in wanted.times
+    ]
     clean = _scan(source, wanted, wanted.numbers).select(*wanted.numbers, *_times(wanted), *nothing)
     frame = clean.collect(engine="streaming")
     if frame.select(wanted.numbers).null_count().sum_horizontal().sum() == 0:
@@ -366,8 +370,10 @@ def _is_named(name: str) -> pl.Expr:
 
 
 def _is_unread(name: str) -> pl.Expr:
-    """Whether a cell holds something that is no number, and no word for nothing either."""
-    return _number(name).is_null() & ~_is_blank(name) & ~_cell(name).str.contains(NOTHING.pattern)
+    """Whether a cell holds something that is no finite number, and no word for nothing either."""
+    number = _number(name)
+    is_none = number.is_null() & ~_is_blank(name) & ~_cell(name).str.contains(NOTHING.pattern)
+    return is_none | number.is_infinite().fill_null(value=False)
 
 
 def _times(wanted: _Wanted) -> Iterator[pl.Expr]:

@@ -9,6 +9,7 @@ next lap, another clock, a kart upside down.
 """
 
 import numpy as np
+import numpy.typing as npt
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import release
@@ -18,12 +19,20 @@ from smoother.session.frozen import without_rows
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
 
+ComplexArray = npt.NDArray[np.complex128]
+
 WINDOW = 10.0  # s over which forces are averaged: bends to both sides, starts and stops
 FEWEST_WINDOWS = 4
 MARGIN = 35.0 * DEG  # beyond what bends and brakes tilt: hills, biases, forces cut off at the end of a range
 SHORTEST = 2  # windows; in less a kart lies on its side, and is put back
 FEW_BETWEEN = 3  # windows between two that are turned are turned: a steady bend hides it
 LEAST_WAY = 100.0  # m driven while it is turned; a box in the hand before the start harms nothing
+FAST = 5.0  # m/s; slower, a kart may go backwards
+LONGEST_STEP = 0.6  # s from one velocity to the next; what is between two that are farther apart is not known
+LAGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # s that velocities may be late by; the one that fits best is taken
+COHERENT = 0.7  # correlation of force and path in a window that tells a side
+POINTS_ELSEWHERE = 60.0 * DEG  # a box on the wheel swings by half as much
+FEWEST_OF_WINDOW = 10  # velocities
 MOST_CANDIDATES = 64  # of the windows, as how the box lies mostly
 
 
@@ -108,3 +117,75 @@ def _runs(turned: BoolArray) -> list[tuple[int, int]]:
     cuts = np.flatnonzero(np.diff(index) > FEW_BETWEEN + 1)
     first, last = index[np.append(0, cuts + 1)], index[np.append(cuts, -1)]
     return [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if b + 1 - a >= SHORTEST]
+
+
+def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
+    """The same for a box turned about the vertical, where the fixes have velocities often enough to tell."""
+    starts = _starts(imu.t)
+    if starts.size < FEWEST_WINDOWS:
+        return imu
+    force, way = _mean_forces(imu, starts), _ways(gnss, imu.t, starts)
+    points = max((_pointings(imu, gnss, starts, _usual(force, way), lag) for lag in LAGS), key=lambda c: _told(c, way))
+    tells = np.abs(points) > COHERENT
+    if np.count_nonzero(tells) < FEWEST_WINDOWS:
+        return imu
+    apart = np.abs(np.angle(points[:, None] / points[None, tells]))
+    alike = apart < POINTS_ELSEWHERE
+    usual = int(np.argmax((way * tells) @ alike))
+    end = np.append(starts[1:], imu.t.size)
+    bad = np.zeros(imu.t.size, dtype=np.bool_)
+    for first, last in _runs(tells & ~alike[:, usual]):
+        between = slice(first, last + 1)
+        if np.sum(way[between]) < LEAST_WAY or np.any(tells[between] & alike[between, usual]):
+            continue
+        rows = slice(int(starts[max(0, first - 1)]), int(end[min(last + 1, end.size - 1)]))
+        bad[rows] = True
+        angle, lost = median(apart[between, usual][tells[between]]) / DEG, rows.stop - rows.start
+        text = (
+            f"{file}: from {imu.t[rows][0]:.0f} to {imu.t[rows][-1]:.0f} s the box points elsewhere, turned by "
+            f"about {angle:.0f} deg about the vertical; {counted(lost, 'sample')} left out. Smooth that part for "
+            "itself, if it counts"
+        )
+        problems.append(Problem("imu_turned", text, lost))
+    return without_rows(imu, bad) if bad.any() else imu
+
+
+def _told(points: ComplexArray, way: Array) -> float:
+    """How much of the way (K,) m tells where the box points (K,)."""
+    return float(np.sum(np.abs(points) * way))
+
+
+def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: float) -> ComplexArray:
+    """Where the box points in each window, (K,) complex: correlation of the level force with the kart's path.
+
+    up (3,) : the usual force. Velocities are late by `lag` s. 0 where nothing tells.
+    """
+    points = np.zeros(starts.size, dtype=np.complex128)
+    t = gnss.t - lag
+    velocity = gnss.velocity_n[:, 0] + 1j * gnss.velocity_n[:, 1]
+    at = np.searchsorted(imu.t, t)
+    some = np.isfinite(velocity) & (at < imu.t.size) & (np.abs(velocity) > FAST)
+    rows = np.flatnonzero(some[1:] & some[:-1] & (np.diff(t) < LONGEST_STEP) & (np.diff(at) > 0) & (at[:-1] > 0))
+    if rows.size < FEWEST_OF_WINDOW:
+        return points
+    bounds = np.stack([at[rows], at[rows + 1]], axis=1)
+    sums = np.add.reduceat(imu.accel, bounds.ravel(), axis=0)[::2]
+    release(imu)
+    force = sums / np.diff(bounds) * imu.accel_scale @ _level_axes(up)
+    along = 0.5 * (velocity[rows] + velocity[rows + 1])
+    pushed = (velocity[rows + 1] - velocity[rows]) / np.diff(t)[rows] * np.conj(along) / np.abs(along)
+    window = np.searchsorted(imu.t[starts], t[rows], side="right") - 1
+    for k in np.unique(window).tolist():
+        here = window == k
+        felt, did = force[here] - np.mean(force[here]), pushed[here] - np.mean(pushed[here])
+        if np.count_nonzero(here) >= FEWEST_OF_WINDOW:
+            points[k] = np.vdot(did, felt) / max(float(np.linalg.norm(did) * np.linalg.norm(felt)), 1e-9)
+    return points
+
+
+def _level_axes(up: Array) -> ComplexArray:
+    """(3,) complex: what makes of a force (3,) its level part, forwards and i times to the left, of some axes."""
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    first = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    first /= np.linalg.norm(first)
+    return np.asarray(first + 1j * np.cross(up, first))

@@ -583,3 +583,10 @@ def test_a_coordinate_that_lost_its_decimals_leaves_no_track(tmp_path: Path, los
     fixes, problems = read_fixes(save(tmp_path, "\n".join([head, *short]), "gps.csv"))
     assert len(whole) == 200 and len(fixes) == 0
     assert codes(problems)["gps_coordinate_stands"] == 200
+
+
+def test_infinite_values_of_optional_columns_are_said(tmp_path: Path) -> None:
+    rows = [f"{k / 5:.1f},{45 + 1e-4 * k:.6f},12.0,{'inf' if k % 9 == 0 else 100}" for k in range(50)]
+    (tmp_path / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg,alt_m", *rows]) + "\n")
+    _, problems = read_fixes(tmp_path / "gps.csv")
+    assert "gps.csv: alt_m of 6 rows is no number; not used" in [problem.text for problem in problems]

@@ -206,3 +206,20 @@ def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, seed: 
     assert_outlives_damage(
         read_racechrono, tmp_path / "session.csv", csv([fix_row(k) for k in range(40)] + [imu_row(9)]), seed
     )
+
+
+def test_cells_that_are_no_numbers_are_said(tmp_path: Path) -> None:
+    """Where both coordinates are damaged, the row would pass for one of another sensor, and be missed by nobody."""
+    rows = [fix_row(k) for k in range(60)]
+    latitude = rows[0].split(",").index(next(cell for cell in rows[0].split(",") if cell.startswith("45")))
+    for k in range(10, 40, 3):
+        cells = rows[k].split(",")
+        cells[latitude] = cells[latitude + 1] = "4#.1"
+        rows[k] = ",".join(cells)
+    reading = read(tmp_path, csv(rows))
+    assert len(reading.gnss) == 50
+    said = [problem.text for problem in reading.problems if problem.code == "gps_unread"]
+    assert [text.partition(": ")[2] for text in said] == [
+        "latitude of 10 rows is no number; not used",
+        "longitude of 10 rows is no number; not used",
+    ]

@@ -1,5 +1,6 @@
 """Files that look like a recording and are none: the reason is said, with what to do."""
 
+import time
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,28 @@ def refusal(folder: Path) -> str:
 def test_a_file_of_nothing_but_zeros_was_never_written(tmp_path: Path, name: str, size: int) -> None:
     (tmp_path / name).write_bytes(bytes(size))
     assert refusal(tmp_path).endswith(f"{name}: only zero bytes: it was never written; copy it from the card again")
+
+
+@pytest.mark.parametrize(
+    "name", ["gps.csv", "imu.csv", "mag.csv", "x.nmea", "x.vbo", "x.gpx", "x.klg", "out.txt", "a.csv"]
+)
+def test_a_file_that_is_one_large_hole_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    (tmp_path / "gps.csv").write_text(FIXES)
+    with (tmp_path / name).open("ab") as file:
+        file.truncate(50 << 30)
+    if (tmp_path / name).stat().st_blocks > 1 << 20:
+        pytest.skip("this disk has no holes in files")
+    begin = time.monotonic()
+    said = refusal(tmp_path)
+    assert time.monotonic() - begin < 2.0
+    assert said.startswith(f"{name}: 53.7 GB long, of which 0") and said.endswith("copy it from the card again")
+
+
+def test_a_hole_beside_the_file_that_was_named_harms_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(FIXES)
+    with (tmp_path / "other.csv").open("ab") as file:
+        file.truncate(50 << 30)
+    assert len(load_raw(tmp_path / "a.csv").gnss) == 50
 
 
 def test_a_file_that_only_begins_with_zeros_is_not_said_to_be_empty(tmp_path: Path) -> None:

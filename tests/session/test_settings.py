@@ -139,3 +139,11 @@ def test_bytes_that_are_no_text_are_one_clear_error(tmp_path: Path) -> None:
     path.write_bytes(b"[session]\n\ndriver = 'J\xfcrgen'\n")
     with pytest.raises(ConfigError, match=r"^session.toml: line 3 is not in UTF-8; save it as UTF-8$"):
         load_settings(path)
+
+
+@pytest.mark.parametrize("key", ["accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk"])
+@pytest.mark.parametrize("value", [1e300, 1e-300, 1e5])
+def test_a_density_of_no_sensor_is_refused(tmp_path: Path, key: str, value: float) -> None:
+    (tmp_path / "session.toml").write_text(f"[imu]\n{key} = {value}\n")
+    with pytest.raises(ConfigError, match=rf"\[imu\] {key} must lie within 1e-12 and 1000"):
+        load_settings(tmp_path / "session.toml")

@@ -279,7 +279,7 @@ def test_rows_with_too_many_or_too_few_values_are_dropped_and_counted(tmp_path: 
     rows[40] = rows[40].replace("+02743", "+0x743")
     reading = read(tmp_path, vbo(rows))
     assert len(reading.gnss) == 56
-    assert codes(reading) == {"gps_row_damaged": 3, "gps_invalid": 1, "gps_date_assumed": 1}
+    assert codes(reading) == {"gps_row_damaged": 3, "gps_unread": 1, "gps_invalid": 1, "gps_date_assumed": 1}
 
 
 @pytest.mark.parametrize(
