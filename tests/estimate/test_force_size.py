@@ -8,7 +8,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import PathMotion, align
-from smoother.estimate.force_size import size_delay
+from smoother.estimate.force_size import MODEL, size_delay
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
@@ -61,6 +61,23 @@ def test_a_box_may_swing_in_any_way() -> None:
     swinging = size_delay(replace(imu, specific_force_s=turned), path)
     assert swinging.is_seen
     assert swinging.delay == pytest.approx(size_delay(imu, path).delay, abs=0.012)
+
+
+def test_vibration_that_is_the_same_in_each_lap_does_not_average_out() -> None:
+    """Three times the same drive has three times the laps, and no more to say."""
+    _, imu, path = read("kart_harsh", 1, **SHAKEN, imu_rate=25.0)
+    last = float(imu.t[-1]) + 0.04
+    path = PathMotion(path.t[path.t < last - 1.0], path.velocity_n[path.t < last - 1.0])
+    again = [last * k for k in range(3)]
+    rates, forces = (np.tile(values, (3, 1)) for values in (imu.angular_rate_s, imu.specific_force_s))
+    imu_thrice = replace(
+        imu, t=np.concatenate([imu.t + k for k in again]), specific_force_s=forces, angular_rate_s=rates
+    )
+    path_thrice = PathMotion(np.concatenate([path.t + k for k in again]), np.tile(path.velocity_n, (3, 1)))
+    once, thrice = (
+        np.sqrt(found.sigma**2 - MODEL**2) for found in (size_delay(imu, path), size_delay(imu_thrice, path_thrice))
+    )
+    assert thrice > 0.85 * once
 
 
 def noise(imu: ImuSamples) -> Array:
