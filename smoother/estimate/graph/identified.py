@@ -11,8 +11,8 @@ from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, constant
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
-from smoother.estimate.graph.upright import unsteadiness
 from smoother.trajectory import Identified
+from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 # s^2, of the response: what an antenna half a metre above a box that leans by 1.5 mrad to a m/s^2 shows of its own
@@ -25,6 +25,9 @@ FILTERS = 1.5e-3
 # s, and m of the arm, that delays of boxes whose rates do not tell attitudes are off by beyond their own sigmas, rms:
 # 14 sessions of three sorts, karts and boxes on wheels with 60-90 deg/s of vibration in samples of 25 Hz
 UNSTEADY_DELAY, UNSTEADY_ARM = 0.02, 0.2
+# rad/s/sqrt(Hz) of the rates about the motion, from which on delays miss some of that, and all. Harsh simulated karts
+# and real ones on the wheel have 2.4 to 3.2 deg/s; six shaken boxes of 4.4 to 5.7 were off by 20 ms and 0.3 m rms
+DOUBTED, UNTOLD = 3.5 * DEG, 5.0 * DEG
 
 
 @dataclass(frozen=True)
@@ -34,10 +37,15 @@ class _Latency:
     configured: float | None
 
 
+def doubt_by_rates(gyro: float) -> float:
+    """Share, 0 to 1, of UNSTEADY_DELAY and UNSTEADY_ARM that delays and arm miss beside rates of density `gyro`."""
+    return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
+
+
 def unsure_moment(sampled_every: float, stated: float | None, unsteady: float = 0.0) -> float:
     """Sigma, s, of when a sample is true that comes every `sampled_every` s; stated: its delay, s, where it is known.
 
-    unsteady: share, as of :func:`upright.unsteadiness`, in which rates do not tell attitudes: what delays miss then.
+    unsteady: in parts of UNSTEADY_DELAY, what delays miss where rates do not tell attitudes.
     Else it is taken for the mean since the one before. Of a logger that stamps what is at that moment all latencies are
     longer by half of that, of one behind a filter they are shorter.
     """
@@ -55,15 +63,17 @@ def identified_values(
     config: SessionConfig,
     unseen: Array,
     sampled_every: float,
+    doubt: float = 0.0,
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
     covariance (29, 29) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
-    sampled_every s: see :func:`unsure_moment`.
+    sampled_every s: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
+    of UNSTEADY_DELAY and UNSTEADY_ARM.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
-    sigma, unsteady = np.sqrt(np.diag(S)), unsteadiness(noise.inertial.gyro)
+    sigma, unsteady = np.sqrt(np.diag(S)), max(doubt_by_rates(noise.inertial.gyro), doubt)
     return {
         **_of_the_receiver(constants, sigma, priors, config, unsure_moment(sampled_every, config.imu_delay, unsteady)),
         "lever_arm_b": _lever_arm(constants, S, priors, mounting, config, unsteady),

@@ -13,7 +13,7 @@ from smoother.estimate.graph.batch import Noise, Priors, Solved
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
-from smoother.estimate.graph.identified import identified_values, unsure_moment
+from smoother.estimate.graph.identified import doubt_by_rates, identified_values, unsure_moment
 from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path, motion_at
 from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
 from smoother.estimate.graph.joint import ChainJoint, Wandering
@@ -33,7 +33,6 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
-from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.frames import euler_jacobian
 from smoother.samples import Problem, Session
@@ -144,11 +143,13 @@ def build_trajectory(
     rate: float,
     population: Array,
     pauses: Pauses = NO_PAUSES,
+    doubt: float = 0.0,
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
-    pauses: where time is cut out of the session; the rows that fall into them are left out.
+    pauses: where time is cut out of the session; the rows that fall into them are left out. doubt: see
+    :func:`identified_values`.
     """
     unseen = unseen_offset(noise, population, len(session.gnss))
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
@@ -168,12 +169,13 @@ def build_trajectory(
         session.config,
         unseen,
         sampled_every,
+        doubt,
     )
     report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
     joint = _joint(found, keyframes, unsure, source.doppler)
     t = _times(session, pauses, rate)
     rows = _Rows.empty(len(t))
-    unsteady = unsteadiness(noise.inertial.gyro) if session.config.gps.position_latency is None else 0.0
+    unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt) if session.config.gps.position_latency is None else 0.0
     for part in _parts(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
         rows.unsure_of_time(part, unsure_moment(sampled_every, session.config.imu_delay, unsteady))

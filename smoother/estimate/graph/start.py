@@ -8,6 +8,7 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
 from smoother.config import ImuNoise
 from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
@@ -23,7 +24,7 @@ from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
 from smoother.estimate.left_out import without_positions
-from smoother.estimate.on_wheel import is_on_wheel, without_the_wheels
+from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -46,6 +47,10 @@ LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
 # s^2; a low-pass of 0.8 s has 0.32. And sigmas of the usual prior beyond which a receiver is one of those: recordings
 # have up to 2.6
 SLOW_RESPONSE, SLOW_SIGMAS = 0.1, 3.0
+# rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
+# karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
+DOUBTED_RATES = 2.0 * DEG
+HELD_BY_SIZE = 0.05  # s, sigma of latencies that are held: the size's own, and an arm of half a metre
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,8 @@ class Start:
     """Everything known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
 
     spans (S, 2) s: from when to when there are samples, see :mod:`smoother.estimate.graph.sampled`. wheels: whether
-    slip is asked for where it shows. pauses: where time is cut out of the session.
+    slip is asked for where it shows. pauses: where time is cut out of the session. by_size: delay of the positions by
+    the size of the force, looked for where rates are doubted.
     """
 
     path: GnssPath
@@ -118,6 +124,7 @@ class Start:
     spans: Array
     wheels: bool
     pauses: Pauses = NO_PAUSES
+    by_size: SizeDelay = UNSEEN
 
 
 def make_start(
@@ -136,11 +143,12 @@ def make_start(
     path = fit_path(session if doubted is None else without_positions(session, doubted))
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n)
     alignment = align(session.imu, driven)
-    priors = _priors(session, alignment, path, options)
+    is_steered, by_size = _on_wheel_and_delay(session, driven, alignment)
+    priors = _priors(session, alignment, path, options, by_size)
     spans = sampled_spans(session.imu.t)
     begin, end = _busiest_span(driven, spans, span)
     t = keyframe_times(begin - MAX_LATENCY, end + options.keyframe_interval, options.keyframe_interval)
-    if is_steered := is_on_wheel(session.imu, session.gnss):
+    if is_steered:
         alignment = replace(alignment, problems=without_the_wheels(alignment.problems))
     constants = Constants.from_vector(priors.constants, alignment.R_bs, is_steered=is_steered)
     fine, binned = _bins(session, t, path, alignment, constants, options)
@@ -161,7 +169,20 @@ def make_start(
         spans,
         options.wheels and priors.drives,
         pauses,
+        by_size,
     )
+
+
+def _on_wheel_and_delay(session: Session, driven: PathMotion, alignment: Alignment) -> tuple[bool, SizeDelay]:
+    """Whether the box is on the steering wheel; the delay of `driven` by the size of the force where that matters."""
+    assert session.imu is not None
+    is_steered = is_on_wheel(session.imu, session.gnss)
+    if alignment.is_level_only or not (is_steered or alignment.gyro_noise > DOUBTED_RATES):
+        return is_steered, UNSEEN
+    by_size = size_delay(session.imu, driven)
+    if not is_steered and by_size.is_seen:
+        is_steered = turns_with_bends(session.imu, driven, alignment.R_bs, by_size.delay)
+    return is_steered, by_size
 
 
 def informed(
@@ -206,6 +227,20 @@ def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
     sigma = start.priors.constants_sigma.copy()
     sigma[VELOCITY_RESPONSE] = SLOW_RESPONSE
     return replace(start, priors=replace(start.priors, constants_sigma=sigma))
+
+
+def on_the_wheel(start: Start) -> Start:
+    """Return `start` of a box that turns with the steering wheel."""
+    constants = replace(start.state.constants, is_steered=True)
+    alignment = replace(start.alignment, problems=without_the_wheels(start.alignment.problems))
+    return replace(start, state=replace(start.state, constants=constants), alignment=alignment)
+
+
+def held_by_size(start: Start) -> Start:
+    """Return `start` with latencies held near the delay that the size of the force tells, from a louder force."""
+    sigma = start.priors.constants_sigma.copy()
+    sigma[:2] = np.minimum(sigma[:2], HELD_BY_SIZE)
+    return with_louder_force(replace(start, priors=replace(start.priors, constants_sigma=sigma)))
 
 
 def with_louder_force(start: Start) -> Start:
@@ -312,13 +347,19 @@ def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float
     return max(claimed, RTK_LEAST) if is_one else None
 
 
-def _priors(session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions) -> Priors:
+def _priors(
+    session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions, by_size: SizeDelay
+) -> Priors:
     timing, mounting = session.config.gps, session.config.mounting
     has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
     lag = float(np.clip(alignment.lag + path.position_latency, 0.0, MAX_LATENCY))
     position = lag - (path.velocity_lag.value if has_velocity else 0.0)
     mean, sigma = np.zeros(CONSTANTS_SIZE), np.ones(CONSTANTS_SIZE)
     mean[:2] = max(position, 0.0), lag
+    if by_size.is_seen:  # the wheel turns before the kart: the alignment's lag is late by as much
+        position = by_size.delay + path.position_latency
+        both = np.array([position, position + (path.velocity_lag.value if has_velocity else 0.0)])
+        mean[:2] = np.clip(both, 0.0, MAX_LATENCY)
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
     sigma[SLIP] = SLIP_PRIOR
     sigma[DOPPLER_BIAS], sigma[VELOCITY_RESPONSE] = options.doppler_bias_sigma, options.velocity_response_sigma

@@ -13,6 +13,7 @@ from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
 from smoother.trajectory import Identified
+from smoother.units import DEG
 
 
 def told(
@@ -22,10 +23,12 @@ def told(
     config: SessionConfig | None = None,
     *,
     is_steered: bool = False,
+    gyro: float = 0.01,
+    doubt: float = 0.0,
     **priors: bool,
 ) -> dict[str, Identified]:
     """Of latencies known to `sigma`, s, with priors of 0.25 s."""
-    inertial, half = InertialNoise(0.1, 0.01, 0.003, 1e-4), np.full(3, 0.5)
+    inertial, half = InertialNoise(0.1, gyro, 0.003, 1e-4), np.full(3, 0.5)
     noise = Noise(inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread)
     beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
     return identified_values(
@@ -38,6 +41,7 @@ def told(
         config or SessionConfig(),
         np.zeros(3),
         sampled_every,
+        doubt,
     )
 
 
@@ -69,6 +73,19 @@ def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> 
     assert wheel["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.01 * 0.5))
     assert frame["lever_arm_b"].sigma == pytest.approx(np.full(3, 2e-4))
     assert wheel["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-4, [0.1, 0.1, 0.0]))
+
+
+def test_delays_miss_more_beside_rates_that_do_not_tell_attitudes() -> None:
+    """And wherever else there is a doubt, the larger one of both."""
+    steady, between, unsteady = (told(0.0, gyro=gyro * DEG) for gyro in (3.4, 4.5, 5.0))
+    doubted = told(0.0, gyro=5.0 * DEG, doubt=3.0)
+    own = math.hypot(2e-3, 1.5e-3)
+    assert steady["gps_position_latency"].sigma == pytest.approx(own)
+    assert unsteady["gps_position_latency"].sigma == pytest.approx(math.hypot(own, 0.02))
+    assert doubted["gps_position_latency"].sigma == pytest.approx(math.hypot(own, 0.06))
+    sigma = between["gps_velocity_latency"].sigma
+    assert isinstance(sigma, float) and own < sigma < 0.02
+    assert doubted["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-3, [0.6, 0.6, 0.0]))
 
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
