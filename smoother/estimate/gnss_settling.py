@@ -84,7 +84,7 @@ def _released_at(t: Array, position: Array, error: Array, usual: float) -> int:
 
 
 def _first_hold(t: Array, position: Array) -> tuple[int, int]:
-    """Index of the first fix at t (M,) s whose position (M, 2) m is held for HELD s, and of the first one after; 0, 0."""
+    """Index of the first fix at t (M,) s whose position (M, 2) m is held for HELD s, and of the next other; 0, 0."""
     moves = np.flatnonzero(np.hypot(*np.diff(position, axis=0).T) > SAME) + 1
     first, end = np.append(0, moves), np.append(moves, len(t))
     long = np.flatnonzero(t[end - 1] - t[first] >= HELD)
