@@ -34,6 +34,10 @@ NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
 TIMES = 10.0  # taus that a session has to last to tell them
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
+# s, of receivers. What is forgotten sooner are reflections, which a lap brings back again and again. They are most of
+# what there is to see, and the receiver's own wander goes on unseen beside them: that it is not slower than what was
+# found is told only by a session that lasts for TIMES the longest.
+SHORTEST, LONGEST = 30.0, 100.0
 # m of white noise, below which one fix stands for its bin: a mean of a path that wanders by more than its fixes scatter
 # would wander less over a bin than over two, and seem to last longer.
 AVERAGED = 1.0
@@ -93,13 +97,14 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     seen = drift_against_doppler(fixes_t, path)
     if not tells_offset(fixes_t, seen, path):
         return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
-    if is_filtered and lasts <= TIMES * usual.tau:
+    if is_filtered and lasts <= TIMES * max(usual.tau, LONGEST):
         return _walked(seen, usual)
     fit = fit_offset(seen)
     if not is_filtered and fit.evidence < PRICE:
         return OffsetModel(usual.sigma * NONE, usual.tau)
     own = usual.sigma * (fit.sigma / usual.sigma[0])
-    if lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE:
+    known = lasts > TIMES * fit.tau and fit.tau_spread < KNOWN_TAU and fit.evidence > PRICE
+    if known and not (is_filtered and fit.tau < SHORTEST):
         return OffsetModel(own, fit.tau, fit.tau_spread)
     return _walked(seen, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
 

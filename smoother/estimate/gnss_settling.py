@@ -5,6 +5,9 @@ Taken for a slow error they would bend the rest of the session: no Gauss-Markov 
 the velocity and the path would. Positions minus the integrated velocity show how the error of the fixes changes. Where
 it changes in the first minutes by far more than it ever does later, and for good, the receiver had not settled; an
 error that comes and goes is another matter.
+
+Some receivers hold their position while they stand. One that holds the first it has, tens of metres off, shows nothing
+until the kart drives off: then it steps to where it has settled meanwhile, and what it had held was never measured.
 """
 
 import numpy as np
@@ -20,6 +23,8 @@ AVERAGED = 3.0  # s, by a median
 SETTLING, SETTLINGS = 6.0, 3.0  # m, and times the usual change; a Gauss-Markov error does it in 2 runs of 1000
 LEAST = 5.0  # s; what is over sooner is a jump, LATER or now
 STEPWISE = 0.7  # of the whole change within LEAST s: a step, as of false Doppler, and no settling
+HELD = 5.0  # s for which a position is repeated, to the last digit: that of a receiver which holds it at rest
+SAME = 1e-4  # m; the last digit of a position is more
 LOST = 5.0  # s without fixes, in which a receiver may lose its satellites; a shorter hole is one of the recording
 EARLY = 120.0  # s, in which a receiver settles
 FEWEST = 200  # fixes later than that, from which on they alone tell what is usual
@@ -46,7 +51,9 @@ def unsettled(session: Session) -> BoolArray:
     for rows, error, change in zip(runs, errors, changes, strict=True):
         if rows[0] > known[0] and t[rows[0]] - t[known[known < rows[0]][-1]] < LOST:
             continue
-        out[rows[0] : rows[_settled_at(t[rows], error, change, usual)]] = True
+        free = _released_at(t[rows], position_n[rows], error, usual)
+        settled = _settled_at(t[rows[free:]], error[free:], change[free:], usual)
+        out[rows[0] : rows[free + settled]] = True
     return out
 
 
@@ -62,6 +69,33 @@ def settling_problems(t: Array, out: BoolArray) -> tuple[Problem, ...]:
     return (Problem(UNSETTLED, text, int(out.sum())),)
 
 
+def _released_at(t: Array, position: Array, error: Array, usual: float) -> int:
+    """Index of the first fix after those that were held far off, at t (M,) s; 0 if none were.
+
+    position, error (M, 2) m, `usual` m as below. While it holds, the error goes on unseen, and is far off at the end
+    where it has gone farther than one that wanders goes in as long.
+    """
+    first, end = _first_hold(t, position)
+    if end in (0, len(t)) or t[first] - t[0] > EARLY:
+        return 0
+    after = min(int(np.searchsorted(t, t[end] + LEAST)), len(t) - 1)
+    step = float(np.hypot(*(error[after] - error[(first + end) // 2])))
+    return end if step > _far(float(t[end] - t[0]), usual) else 0
+
+
+def _first_hold(t: Array, position: Array) -> tuple[int, int]:
+    """Index of the first fix at t (M,) s whose position (M, 2) m is held for HELD s, and of the next other; 0, 0."""
+    moves = np.flatnonzero(np.hypot(*np.diff(position, axis=0).T) > SAME) + 1
+    first, end = np.append(0, moves), np.append(moves, len(t))
+    long = np.flatnonzero(t[end - 1] - t[first] >= HELD)
+    return (int(first[long[0]]), int(end[long[0]])) if long.size else (0, 0)
+
+
+def _far(lasts: float, usual: float) -> float:
+    """How far, m, an error has to go in so many s, for one that wanders by `usual` m in LATER s not to do it."""
+    return max(SETTLING, SETTLINGS * usual * float(np.sqrt(max(1.0, lasts / LATER))))
+
+
 def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
     """Index of the first fix of a receiver that has settled, at t (M,) s with errors (M, 2) m; 0 if it always had.
 
@@ -75,9 +109,7 @@ def _settled_at(t: Array, error: Array, change: Array, usual: float) -> int:
         return 0
     if max(np.mean(is_far[calm[0] :]), np.mean(is_calm[early[0] : early[-1] + 1])) > COMES_AND_GOES:
         return 0
-    # an error that wanders goes as far as this, the root of the time, in as long
-    steps = max(1.0, float(t[calm[0]] - t[0]) / LATER)
-    far = max(SETTLING, SETTLINGS * usual * float(np.sqrt(steps)))
+    far = _far(float(t[calm[0]] - t[0]), usual)
     total = float(np.hypot(*(error[calm[0]] - error[0])))
     soon = np.minimum(np.searchsorted(t, t[: calm[0]] + LEAST), len(t) - 1)
     at_once = float(np.max(np.hypot(*(error[soon] - error[: calm[0]]).T)))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +18,10 @@ from smoother.estimate.gnss_offset import (
     follows_positions,
     offset_model,
     tells_offset,
+    unseen_variance,
 )
 from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+from smoother.frames import nwu_to_geodetic
 
 Made = tuple[np.ndarray, GnssPath]
 USUAL = OffsetModel(np.array([2.0, 2.0, 3.4]), 60.0)
@@ -90,6 +93,26 @@ def test_the_time_is_told_by_long_sessions_alone(half_hours: list[Made], fits: C
     assert all(m.tau == USUAL.tau for m in models if not math.isfinite(m.tau_spread))
     ten_minutes = fits(seed=5, duration=600.0, rate=2.0)
     assert math.isinf(offset_model(*ten_minutes, USUAL, is_filtered=True).tau_spread)
+
+
+@pytest.mark.parametrize(("seed", "duration"), [(1, 800.0), (4, 800.0), (5, 800.0), (1, 1400.0)])
+def test_reflections_of_every_lap_are_not_all_that_fixes_wander_by(
+    lap_fixes: Callable, seed: int, duration: float
+) -> None:
+    session = lap_fixes(
+        seed=seed, duration=duration, rate=2.0, tau=100.0, white=(0.05, 0.05, 0.1), offset=(1.2, 1.2, 2.0), doppler=0.05
+    ).session
+    t, rng = session.gnss.t, np.random.default_rng(seed)
+    beside_the_stand = np.exp(-0.5 * (((t + 16.0) % 32.0 - 16.0) / 3.0) ** 2)
+    off = 3.0 * beside_the_stand * rng.normal(1.0, 0.3, 50)[np.floor((t + 16.0) / 32.0).astype(int)]
+    position_n = session.fix_position_n + off[:, None] * np.array([0.8, -0.6, 0.0])
+    lat_deg, lon_deg, alt_m = nwu_to_geodetic(position_n, session.origin)
+    session = replace(session, gnss=replace(session.gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+    path = fit_gnss_path(session)
+    found = offset_model(t, path, USUAL, is_filtered=True)
+    unseen = unseen_variance(found, float(path.position_sigma[0]), USUAL.sigma, len(t))
+    assert found.tau == USUAL.tau  # it was 17 to 24 s
+    assert found.sigma[0] ** 2 + unseen[0] >= USUAL.sigma[0] ** 2  # it was 1 m, and nothing unseen
 
 
 @pytest.mark.parametrize("sigma", [0.1, 2.0, 4.0])

@@ -75,6 +75,55 @@ def test_a_receiver_may_wait_before_it_settles(session: Session, hold: float) ->
     assert hold + 10.0 < t[out][-1] < hold + 50.0
 
 
+STANDS = 25.0  # s on the grid
+
+
+@pytest.fixture(scope="module")
+def standing() -> Simulation:
+    return simulate_preset("kart", 6, duration=240.0, motion_standstill=STANDS)
+
+
+def holding(session: Session, off: Array, since: float = 2.0) -> Session:
+    """The session of a receiver that holds its place, `off` m from the true one, from `since` s until it drives off."""
+    t = session.gnss.t - session.gnss.t[0]
+    held = (t >= since) & (t < STANDS)
+    early = moved(session, np.where(t < STANDS, 1.0, 0.0)[:, None] * off)
+
+    def repeated(values: Array) -> Array:
+        return np.where(held if values.ndim == 1 else held[:, None], values[np.argmax(held)], values)
+
+    gnss = replace(
+        early.gnss,
+        lat_deg=repeated(early.gnss.lat_deg),
+        lon_deg=repeated(early.gnss.lon_deg),
+        alt_m=repeated(early.gnss.alt_m),
+        velocity_n=np.where(held[:, None], 0.0, early.gnss.velocity_n),
+    )
+    return replace(early, gnss=gnss)
+
+
+@pytest.mark.parametrize("size", [0.4, 1.0])
+def test_a_place_that_was_held_far_off_is_left_out(standing: Simulation, size: float) -> None:
+    session = prepare(standing.raw)
+    t = session.gnss.t - session.gnss.t[0]
+    out = unsettled(holding(session, size * OFF))
+    assert out[t < STANDS].all()
+    assert t[out][-1] < STANDS + 3.0
+
+
+def test_a_place_that_was_held_where_it_is_stays(standing: Simulation) -> None:
+    assert not unsettled(holding(prepare(standing.raw), 0.05 * OFF)).any()
+    assert not unsettled(holding(prepare(standing.raw), np.zeros(3), since=15.0)).any()
+
+
+def test_a_place_that_was_held_far_off_does_not_bend_the_rest(standing: Simulation) -> None:
+    plain = prepare(standing.raw)
+    cold = holding(plain, OFF)
+    alike, found = GraphSmoother().estimate(plain), GraphSmoother().estimate(cold)
+    assert error(found, standing, cold) < error(alike, standing, plain) + 0.5  # it was 8 m
+    assert "gps_settling" in [problem.code for problem in found.report.problems]
+
+
 @pytest.mark.parametrize(("first", "lasts"), [(10.0, 15.0), (30.0, 20.0), (60.0, 8.0)])
 def test_an_error_that_comes_and_goes_is_not_settling(session: Session, first: float, lasts: float) -> None:
     t = session.gnss.t - session.gnss.t[0]
