@@ -39,6 +39,8 @@ DRIFTS = 0.75  # of the step, that a drift beside it may make up over the sessio
 SMALLEST = 0.06  # s
 # s, of fixes more than QUICK s apart, or whose velocities are those of positions: the path is less well known
 SMALLEST_OF_FEW, QUICK = 0.3, 0.3
+# s between fixes: in more a kart goes round a bend. Of a real one, with a fix in 2 s, steps of 0.5 and 0.7 s were found
+SLOWEST = 1.5
 UNSURE_OF_FEW = 0.1  # s likewise, by which sizes were off, by more than their sigmas
 EVIDENCE = 4.0  # of the cost of independent fixes, by which a moment is as good as the best
 LASTS = (8.0, 16.0, 32.0, 64.0, 128.0)  # s, for which a delay may change that does not step
@@ -82,13 +84,14 @@ def clock_steps(
     imu_t, fixes_t: stamps s of samples and fixes. use: fixes of the path at speed that have samples around them.
     has_doppler: whether the path is one of measured velocities.
     """
-    if use.size < FEWEST or float(path.t[use[-1]] - path.t[use[0]]) < 2.0 * SIDE:
+    every = median(np.diff(path.t)) if len(path.t) > 1 else math.inf
+    if use.size < FEWEST or every > SLOWEST or float(path.t[use[-1]] - path.t[use[0]]) < 2.0 * SIDE:
         return ()
     axes, rows = path_axes(path), thinned(use, FEW)
     seams, lags = _segments(felt, path.t[rows], axes[rows])
     if not len(seams):
         return ()
-    tells_much = has_doppler and median(np.diff(path.t)) <= QUICK
+    tells_much = has_doppler and every <= QUICK
     smallest, unsure = (SMALLEST, 0.0) if tells_much else (SMALLEST_OF_FEW, UNSURE_OF_FEW)
     ends = np.concatenate([[-np.inf], seams, [np.inf]])
     found = []

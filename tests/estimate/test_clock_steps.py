@@ -191,6 +191,14 @@ STEP = ClockStep(100.0, 0.4, 0.01, 0.2, 99.0, 102.0, ClockMove(False, 99.8, 0.4)
 VAGUE = replace(STEP, last=130.0)
 
 
+@pytest.mark.parametrize("first", [0, 8])
+def test_a_kart_that_is_seen_once_in_two_seconds_tells_no_step(first: int, data_directory: Path) -> None:
+    """Between two of those fixes it goes round a bend."""
+    session = prepare(load_raw(data_directory / "kart_adria_first_half"))
+    seldom = np.arange(len(session.gnss)) % 16 == first
+    assert begin(replace(session, gnss=session.gnss.select(seldom)), GraphOptions(), pauses_of).steps == ()
+
+
 def test_what_is_reported(session: Session) -> None:
     first = float(session.gnss.t[0])
     (said,) = step_problems((STEP,), session)
