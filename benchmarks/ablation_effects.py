@@ -266,7 +266,14 @@ EFFECTS = (
     Effect("accelerometer delay", options={"in_step": False}),
     Effect("wheels that roll along", options={"wheels": False}),
     Effect("lever arm", session=_no_arm),
-    Effect("arm that stays with the kart, box on the wheel", patches=((start, "is_on_wheel", lambda *_: False),)),
+    Effect(
+        "arm that stays with the kart, box on the wheel",
+        patches=(
+            (start, "is_on_wheel", lambda *_: False),
+            (start, "turns_with_bends", lambda *_: False),
+            (smoother, "_turns_with_a_wheel", lambda *_: False),
+        ),
+    ),
     Effect("mounting refined", patches=((smoother, "fit_mounting", _rough_mounting),)),
     Effect("GPS offset", options=_NO_OFFSET, patches=((components, "_offset_ratio", _no_ratio),)),
     Effect("GPS offset's sigma identified", patches=((components, "_offset_ratio", _no_ratio),)),

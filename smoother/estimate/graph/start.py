@@ -359,7 +359,7 @@ def _priors(
     if by_size.is_seen:  # the wheel turns before the kart: the alignment's lag is late by as much
         position = by_size.delay + path.position_latency
         both = np.array([position, position + (path.velocity_lag.value if has_velocity else 0.0)])
-        mean[:2] = np.clip(both, 0.0, MAX_LATENCY)
+        mean[:2] = np.clip(both, -MAX_LATENCY, MAX_LATENCY)
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
     sigma[SLIP] = SLIP_PRIOR
     sigma[DOPPLER_BIAS], sigma[VELOCITY_RESPONSE] = options.doppler_bias_sigma, options.velocity_response_sigma
