@@ -9,6 +9,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+ComplexArray = npt.NDArray[np.complex128]
 MAD_TO_SIGMA = 1.4826  # sigma of normal numbers over the median of their distances from their middle
 _TOGETHER = 1 << 19
 

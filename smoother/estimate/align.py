@@ -107,7 +107,7 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 
     def best(tried: Array, rows: IntArray) -> float:
         force, rate = averages.around(path.t[rows] - tried[:, None], WINDOW)
-        return _peak(tried, _fit_lines(axes[rows, :2], force).share + _fit_lines(axes[rows, 2:], rate).share)
+        return peak(tried, _fit_lines(axes[rows, :2], force).share + _fit_lines(axes[rows, 2:], rate).share)
 
     few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
@@ -137,7 +137,7 @@ def _unsampled(sampled: Array, t: Array) -> BoolArray:
     return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
 
 
-def _peak(x: Array, y: Array) -> float:
+def peak(x: Array, y: Array) -> float:
     """Where y (N,) over evenly spaced x (N,) is largest, by the parabola through the three points around it."""
     i = int(np.clip(np.argmax(y), 1, y.size - 2))
     before, at, after = y[i - 1 : i + 2]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, IntArray, median
-from smoother.estimate.align import LAGS, WINDOW, Averages, PathMotion, path_axes, sampled_at_speed, thinned
+from smoother.estimate.align import LAGS, WINDOW, Averages, PathMotion, path_axes, peak, sampled_at_speed, thinned
 from smoother.samples import ImuSamples
 
 ENOUGH_FOR_DELAY, ENOUGH, FEWEST = 300, 1500, 100  # windows, evenly taken: to find it roughly, to tell it, and to try
@@ -58,7 +58,7 @@ def size_delay(imu: ImuSamples, path: PathMotion) -> SizeDelay:
         return [_fitted(design[rows], squares) for squares in np.einsum("ijk,ijk->ij", force, force)]
 
     rough = float(LAGS[int(np.argmax([fit.share for fit in fits(LAGS, few)]))])
-    delay = _highest(rough + FINER, np.array([fit.share for fit in fits(rough + FINER, use)]))
+    delay = peak(rough + FINER, np.array([fit.share for fit in fits(rough + FINER, use)]))
     fit = fits(np.array([delay]), use)[0]
     steeper = fit.lines[0] * np.gradient(design[:, 0], path.t)[use]
     laps = max(float(path.t[use[-1]] - path.t[use[0]]) / LAP, 1.0)
@@ -99,15 +99,6 @@ def _solved(design: Array, weight: Array, values: Array) -> Array:
     """Weighted least squares (4,) of values (N,)."""
     weighted = (design * weight[:, None]).T
     return np.asarray(np.linalg.lstsq(weighted @ design, weighted @ values, rcond=None)[0])
-
-
-def _highest(x: Array, y: Array) -> float:
-    """Where y (N,) over evenly spaced x (N,) is highest, by the parabola through the three points around it."""
-    i = int(np.clip(np.argmax(y), 1, y.size - 2))
-    before, at, after = y[i - 1 : i + 2]
-    bend = before - 2.0 * at + after
-    step = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    return float(x[i] + np.clip(step, -1.0, 1.0) * (x[1] - x[0]))
 
 
 def _scatter(t: Array, design: Array, steeper: Array, fit: _Fit) -> float:

@@ -69,9 +69,10 @@ def turns_with_bends(imu: ImuSamples, path: PathMotion, R_bs: Array, delay: floa
     design = np.column_stack([change, turn, np.gradient(left, path.t), np.ones(len(turn))])[use]
     _, rate = Averages(imu).around(path.t[use] - delay, WINDOW)
     inverse = np.linalg.pinv(design.T @ design)
-    of_change = rate @ R_bs[[0, 2]].T
-    roll, yaw = (inverse @ design.T @ of_change)[0]
-    rest = of_change[:, 0] - design @ (inverse @ design.T @ of_change[:, 0])
+    turned = rate @ R_bs[[0, 2]].T
+    lines = inverse @ design.T @ turned
+    roll, yaw = lines[0]
+    rest = turned[:, 0] - design @ lines[:, 0]
     score = np.zeros((int((path.t[use[-1]] - path.t[use[0]]) / BLOCK) + 1, design.shape[1]))
     np.add.at(score, ((path.t[use] - path.t[use[0]]) / BLOCK).astype(np.intp), design * rest[:, None])
     sigma = float(np.linalg.norm(score @ inverse[0]))

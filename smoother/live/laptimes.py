@@ -18,6 +18,8 @@ STEP = 0.1  # s between rows
 ASTRAY = 5.0  # m beside where its velocity leads to, from which on a fix has jumped; they scatter by less
 STAYED = 3.0  # s after which fixes that have left the path are the path; reflections pull for a second or two
 
+Row = tuple[float, Array, Array]  # time s, position m and velocity m/s (3,) in n
+
 
 @dataclass(frozen=True)
 class LapTimes:
@@ -34,10 +36,10 @@ class LapClock:
     """Rows of the path go in; where the start line is, is found elsewhere and given."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, Array, Array]] = []
+        self._rows: list[Row] = []
         self._line: Line | None = None
         self._crossed: list[float] = []
-        self._astray: list[tuple[float, Array, Array]] = []  # fixes that have left the path, each led to by the last
+        self._astray: list[Row] = []  # fixes that have left the path, each led to by the last
         self._lap, self._best = 0, float("nan")
 
     @property
@@ -107,7 +109,7 @@ class LapClock:
             self._lap += 1
 
 
-def _leads_to(one: tuple[float, Array, Array], other: tuple[float, Array, Array]) -> bool:
+def _leads_to(one: Row, other: Row) -> bool:
     """Whether a fix, t s with position and velocity (3,), is where an earlier one was heading, or that is long ago."""
     (t, position_n, velocity_n), (later, there_n, then_n) = one, other
     step = later - t

@@ -40,10 +40,8 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
 }
 UBX_SYNC = b"\xb5\x62"
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
-LARGE, STORED_SHARE = (
-    1 << 30,
-    0.02,
-)  # bytes of a file, and how much of it is on the disk at least: no text packs so well
+LARGE = 1 << 30  # bytes of a file, of which at least
+STORED_SHARE = 0.02  # is on the disk: no text packs so well
 LARGEST = 64 << 30  # bytes; a month of samples in a table has less
 RECORDING_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".nmea", LOG_SUFFIX, ".vbo", ".gpx", ".ubx", OUT_NAME)
 PACKED_SUFFIXES = (".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".bz2", ".xz")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median, runs_of
 from smoother.disc import thinned
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu, RawMag
@@ -105,8 +105,8 @@ def _pace(t: Array, unix_s: Array) -> Pace | None:
         return None
     lead = lead - usual * at
     stretches, gained = [], np.zeros(at.size)
-    for begin, end in _runs(off):
-        first, last = max(0, begin - 1), min(end + SLOPE_KNOTS + 1, at.size - 1)  # where it began within three knots
+    for begin, behind in zip(*(index.tolist() for index in runs_of(off)), strict=True):
+        first, last = max(0, begin - 1), min(behind + SLOPE_KNOTS, at.size - 1)  # where it began within three knots
         gain = lead[last] - lead[first]
         rows = np.flatnonzero((t >= at[first]) & (t <= at[last]))
         jumps = np.abs(np.diff((t - utc - usual * t)[rows]))[
@@ -130,13 +130,6 @@ def _knots(t: Array, lead: Array) -> tuple[Array, Array]:
     starts = np.flatnonzero(np.diff(member, prepend=-1))
     parts = [slice(a, b) for a, b in zip(starts, np.append(starts[1:], t.size), strict=True) if b - a >= FEWEST_OF_KNOT]
     return np.array([np.mean(t[part]) for part in parts]), np.array([np.median(lead[part]) for part in parts])
-
-
-def _runs(off: BoolArray) -> list[tuple[int, int]]:
-    """First and last of each run of true."""
-    edges = np.diff(np.concatenate([[0], off.astype(np.int8), [0]]))
-    ends = np.flatnonzero(edges == -1) - 1
-    return list(zip(np.flatnonzero(edges == 1).tolist(), ends.tolist(), strict=True))
 
 
 def _stretch(at: Array, lead: Array) -> tuple[float, float, float]:

@@ -9,17 +9,14 @@ next lap, another clock, a kart upside down.
 """
 
 import numpy as np
-import numpy.typing as npt
 
-from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, median
 from smoother.disc import release
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.frozen import without_rows
 from smoother.units import DEG, STANDARD_GRAVITY
 from smoother.words import counted
-
-ComplexArray = npt.NDArray[np.complex128]
 
 WINDOW = 10.0  # s over which forces are averaged: bends to both sides, starts and stops
 FEWEST_WINDOWS = 4
@@ -46,17 +43,31 @@ def without_turned(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Probl
         return imu
     force, way = _mean_forces(imu, starts), _ways(gnss, imu.t, starts)
     usual = _usual(force, way)
+    turned = [
+        (
+            first,
+            last,
+            f"lies otherwise, turned by about {median(_angles(force[first : last + 1], usual)) / DEG:.0f} deg",
+        )
+        for first, last in _runs(~_lie_alike(force, usual))
+        if np.sum(way[first : last + 1]) >= LEAST_WAY
+    ]
+    return _without(imu, starts, turned, file, problems)
+
+
+def _without(
+    imu: RawImu, starts: IntArray, turned: list[tuple[int, int, str]], file: str, problems: list[Problem]
+) -> RawImu:
+    """The samples without some windows, and one on either side: (first, last, how the box lies in them), said."""
     bad = np.zeros(imu.t.size, dtype=np.bool_)
     ends = np.append(starts[1:], imu.t.size)
-    for first, last in _runs(~_lie_alike(force, usual)):
-        if np.sum(way[first : last + 1]) < LEAST_WAY:
-            continue
+    for first, last, how in turned:
         rows = slice(int(starts[max(0, first - 1)]), int(ends[min(last + 1, ends.size - 1)]))
         bad[rows] = True
-        angle, lost = median(_angles(force[first : last + 1], usual)) / DEG, rows.stop - rows.start
+        lost = rows.stop - rows.start
         text = (
-            f"{file}: from {imu.t[rows][0]:.0f} to {imu.t[rows][-1]:.0f} s the box lies otherwise, turned by "
-            f"about {angle:.0f} deg; {counted(lost, 'sample')} left out. Smooth that part for itself, if it counts"
+            f"{file}: from {imu.t[rows][0]:.0f} to {imu.t[rows][-1]:.0f} s the box {how}; {counted(lost, 'sample')} "
+            "left out. Smooth that part for itself, if it counts"
         )
         problems.append(Problem("imu_turned", text, lost))
     return without_rows(imu, bad) if bad.any() else imu
@@ -132,22 +143,14 @@ def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list
     apart = np.abs(np.angle(points[:, None] / points[None, tells]))
     alike = apart < POINTS_ELSEWHERE
     usual = int(np.argmax((way * tells) @ alike))
-    end = np.append(starts[1:], imu.t.size)
-    bad = np.zeros(imu.t.size, dtype=np.bool_)
+    turned = []
     for first, last in _runs(tells & ~alike[:, usual]):
         between = slice(first, last + 1)
         if np.sum(way[between]) < LEAST_WAY or np.any(tells[between] & alike[between, usual]):
             continue
-        rows = slice(int(starts[max(0, first - 1)]), int(end[min(last + 1, end.size - 1)]))
-        bad[rows] = True
-        angle, lost = median(apart[between, usual][tells[between]]) / DEG, rows.stop - rows.start
-        text = (
-            f"{file}: from {imu.t[rows][0]:.0f} to {imu.t[rows][-1]:.0f} s the box points elsewhere, turned by "
-            f"about {angle:.0f} deg about the vertical; {counted(lost, 'sample')} left out. Smooth that part for "
-            "itself, if it counts"
-        )
-        problems.append(Problem("imu_turned", text, lost))
-    return without_rows(imu, bad) if bad.any() else imu
+        angle = median(apart[between, usual][tells[between]]) / DEG
+        turned.append((first, last, f"points elsewhere, turned by about {angle:.0f} deg about the vertical"))
+    return _without(imu, starts, turned, file, problems)
 
 
 def _told(points: ComplexArray, way: Array) -> float:
@@ -184,7 +187,7 @@ def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: f
 
 
 def _level_axes(up: Array) -> ComplexArray:
-    """(3,) complex: what makes of a force (3,) its level part, forwards and i times to the left, of some axes."""
+    """(3,) complex: what makes of a force (3,) its level part, along some level axis and i times to the left of it."""
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     first = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     first /= np.linalg.norm(first)

@@ -17,8 +17,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.arrays import BoolArray
-from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
@@ -27,37 +25,28 @@ from smoother.estimate.gnss_turned import disagreement, disagreement_problems, i
 from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.identified import UNSTEADY_DELAY, doubt_by_rates
+from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
 from smoother.estimate.graph.output import (
     Estimated,
     are_made_up,
     attitude_variance,
     build_trajectory,
-    estimated,
     row_times,
 )
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
-from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
+from smoother.estimate.graph.solve import Solution
 from smoother.estimate.graph.start import (
     GraphOptions,
     Start,
-    for_slow_receiver,
     have_samples,
-    held_by_size,
-    informed,
-    is_partly_sampled,
-    make_start,
-    on_path_without,
     on_the_wheel,
-    with_louder_force,
 )
-from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, SLIP
+from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
-from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
+from smoother.estimate.graph.windows import WindowsSolution
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
@@ -80,8 +69,6 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as w
 # rad/s/sqrt(Hz); harsh simulated karts have 3 deg/s and know their delays, a shaken box on a skid pad had 7 and did not
 UNSTEADY = 5.0 * DEG
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
-AT_ODDS = 4.0  # sigmas between the delay found and that by the size of the force; shaken boxes have up to two
-LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
@@ -166,13 +153,13 @@ class GraphSmoother:
         if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE:
             raise _FixesAlone((*start.alignment.problems, Problem("imu_unusable", UNLIKE)))
         with watch("solve"):
-            solved = _by_size(session, start, options, watch.say)
+            solved = look(session, start, options, watch.say)
         with watch("output"):
             trajectory = _output(session, solved, options)
         if _turns_with_a_wheel(trajectory, solved):
             with suppress(_FixesAlone, NotPositiveDefiniteError, np.linalg.LinAlgError):  # then the first one counts
                 with watch("solve"):
-                    steered = _by_size(session, start, options, watch.say, on_the_wheel)
+                    steered = look(session, start, options, watch.say, on_the_wheel)
                 with watch("output"):
                     trajectory, solved = _output(session, steered, options), steered
         start, solution = solved.start, solved.solution
@@ -203,12 +190,6 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
         "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
     )
     return (Problem("gps_early", text),)
-
-
-def _level_arm(found: Estimated) -> float:
-    """How far, m, the antenna is found from the box, seen from above."""
-    constants = found.state.constants
-    return float(np.linalg.norm(constants.level_axes_s[:2] @ constants.lever_arm_s))
 
 
 def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
@@ -247,14 +228,6 @@ def _unsteady(session: Session, noise: Noise) -> tuple[Problem, ...]:
         "Mount the box firmly and damp it; drive bends to both sides and straights"
     )
     return (Problem("imu_rate_unsteady", text),)
-
-
-def _jumped(
-    session: Session, start: Start, noise: Noise, options: GraphOptions, *, with_doppler: bool = True
-) -> BoolArray:
-    """Mask (N,) of the fixes that jumped beside an outage; with_doppler: also of those that say how fast they move."""
-    found = jumped_beside_outages(start, noise, options.approaches, with_doppler=with_doppler)
-    return np.isin(session.gnss.t, found)
 
 
 def _too_little(imu: ImuSamples, fixes: GnssFixes) -> Problem | None:
@@ -311,31 +284,10 @@ class Stopwatch:
             self._progress(self._stage, fraction)
 
 
-Look = Callable[[Start], Start]
-
-
-def as_it_is(start: Start) -> Start:
-    """Return `start`: a first look."""
-    return start
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A solved session, what it was solved with, and the start that it went out from.
-
-    doubt: see :func:`smoother.estimate.graph.identified.identified_values`.
-    """
-
-    start: Start
-    found: Estimated
-    solution: Solution | WindowsSolution
-    doubt: float = 0.0
-
-
-def _output(session: Session, solved: _Solved, options: GraphOptions) -> Trajectory:
+def _output(session: Session, solved: Looked, options: GraphOptions) -> Trajectory:
     """Trajectory of what was solved. Raises _FixesAlone where the antenna is too far from the box."""
     start, found, solution = solved.start, solved.found, solved.solution
-    if session.config.mounting.lever_arm_b is None and (arm := _level_arm(found)) > LONGEST_ARM:
+    if session.config.mounting.lever_arm_b is None and (arm := level_arm(found)) > LONGEST_ARM:
         raise _FixesAlone((*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm))))
     return build_trajectory(
         session,
@@ -351,7 +303,7 @@ def _output(session: Session, solved: _Solved, options: GraphOptions) -> Traject
     )
 
 
-def _turns_with_a_wheel(trajectory: Trajectory, solved: _Solved) -> bool:
+def _turns_with_a_wheel(trajectory: Trajectory, solved: Looked) -> bool:
     """Whether a box that was taken for one on the frame turns as a steering wheel does, by rates that tell it.
 
     Vibration that the sampling folds hides a wheel in the samples as they came; attitudes are made of fixes too.
@@ -359,102 +311,6 @@ def _turns_with_a_wheel(trajectory: Trajectory, solved: _Solved) -> bool:
     on_wheel = any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems)
     gyro = solved.solution.noise.inertial.gyro
     return on_wheel and not solved.found.state.constants.is_steered and unsteadiness(gyro) < 1.0
-
-
-def _by_size(session: Session, start: Start, options: GraphOptions, say: Say, seen: Look = as_it_is) -> _Solved:
-    """Identify and solve; once more, held to it, where the delay is not that which the size of the force tells.
-
-    Where rates do not tell attitudes these are turned to suit any delay, but the size of the force suits one alone. Of
-    the two the nearer one counts, as unsure as it is still off.
-    """
-    first = _within_reach(session, start, options, say, seen)
-    timing = session.config.gps
-    if not start.by_size.is_seen or (timing.position_latency, timing.velocity_latency) != (None, None):
-        return first
-    if not (off := _off_by_size(first)).is_at_odds:
-        return first
-    nearer = first
-    with suppress(NotPositiveDefiniteError, np.linalg.LinAlgError):
-        again = _within_reach(session, start, options, say, lambda start: held_by_size(seen(start)))
-        if abs((second := _off_by_size(again)).delay) < abs(off.delay):
-            nearer, off = again, second
-    return replace(nearer, doubt=max(nearer.doubt, 1.0, abs(off.delay) / UNSTEADY_DELAY))
-
-
-@dataclass(frozen=True)
-class _OffBySize:
-    """delay s by which positions are found later than the size of the force tells, and what that is unsure by."""
-
-    delay: float
-    sigma: float
-
-    @property
-    def is_at_odds(self) -> bool:
-        """Whether they can not both be right."""
-        return abs(self.delay) > AT_ODDS * self.sigma
-
-
-def _off_by_size(solved: _Solved) -> _OffBySize:
-    """By how much the delay of positions is off from that by size; an antenna ahead by l is earlier there by l/V."""
-    start, constants = solved.start, solved.found.state.constants
-    speed = start.driven.speed
-    slowness = float(np.mean(1.0 / speed[speed > MIN_SPEED]))
-    by_constants = np.zeros(CONSTANTS_SIZE)
-    by_constants[0], by_constants[LEVER_ARM] = 1.0, -slowness * constants.level_axes_s[0]
-    delay = constants.position_latency - slowness * float(constants.level_axes_s[0] @ constants.lever_arm_s)
-    own = float(by_constants @ solved.found.constants_covariance @ by_constants)
-    unsteady = UNSTEADY_DELAY * doubt_by_rates(solved.solution.noise.inertial.gyro)
-    late = start.by_size.delay + start.path.position_latency
-    return _OffBySize(delay - late, float(np.sqrt(own + start.by_size.sigma**2 + unsteady**2)))
-
-
-def _within_reach(session: Session, start: Start, options: GraphOptions, say: Say, seen: Look) -> _Solved:
-    """Identify and solve; where the arm comes out too long, once more from a louder force.
-
-    That one counts where its arm is none too long and its rates are the quieter ones: a wrong arm and delay turn
-    attitudes, which the rates do not follow. An arm that is as long, or averaged speeds, stay as they were found. What
-    two looks find differently is no surer than where rates tell nothing.
-    """
-    first = _Solved(*_identify_and_solve(session, start, options, say, seen))
-    if session.config.mounting.lever_arm_b is not None or _level_arm(first.found) <= LONGEST_ARM:
-        return first
-    louder: Look = lambda start: with_louder_force(seen(start))  # noqa: E731
-    again = _Solved(*_identify_and_solve(session, start, options, say, louder), doubt=1.0)
-    is_quieter = again.solution.noise.inertial.gyro < first.solution.noise.inertial.gyro
-    return again if is_quieter and _level_arm(again.found) <= LONGEST_ARM else first
-
-
-def _identify_and_solve(
-    session: Session, start: Start, options: GraphOptions, say: Say, seen: Look
-) -> tuple[Start, Estimated, Solution | WindowsSolution]:
-    """Identify constants and noise on a part, then solve all of the session; also the start that this went out from.
-
-    seen: what the start is made into, the one without fixes that jumped too.
-    """
-    start = seen(start)
-    doubted = _jumped(session, start, start.noise, options, with_doppler=False)
-    if doubted.any():
-        start = seen(make_start(session, options, options.identification_span, doubted, start.pauses))
-    constants, biases, noise = identify(start, options, say)
-    if (slow := for_slow_receiver(start, constants)) is not None:
-        start = slow
-        constants, biases, noise = identify(start, options, say)
-    start = informed(session, start, options, constants, biases, doubted)
-    again = _jumped(session, start, noise, options)  # in all of it, and with its noise
-    if np.any(again != doubted):
-        start = informed(session, on_path_without(session, start, again), options, constants, biases, again)
-    return start, *_solve(session, start, noise, options, say)
-
-
-def _solve(
-    session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
-) -> tuple[Estimated, Solution | WindowsSolution]:
-    """Solve a session in one piece, or with constants of a part of it; and what it was solved with."""
-    if is_partly_sampled(start) or (is_long(start) and options.solver == "batch"):
-        in_windows = solve_in_windows(session, start, noise, options, say)
-        return in_windows.found, in_windows
-    whole = solve_whole(session, start, noise, options, say)
-    return estimated(whole.solved, nose_variance(session, whole.noise)), whole
 
 
 def _completed_report(

@@ -6,17 +6,14 @@ Source: Wiener 1949, for several channels; the edge of eigenvalues that noise al
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, ComplexArray, IntArray
 
 SPECTRUM_WIDTH = 0.05  # Hz to either side over which a spectrum is averaged, and
 # of the frequency, where that is more: a kart's laps are lines, its noise is not, which a filter made from few
 # frequencies would follow
 SPECTRUM_SHARE = 0.4
 FACTOR = 32  # lengths of up to so many times a power of two are transformed quickly
-
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,8 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.evaluate import errors_between
 from smoother.estimate.graph import batch as batch_module
+from smoother.estimate.graph import looks, solve
 from smoother.estimate.graph import slip as slip_module
-from smoother.estimate.graph import smoother as smoother_module
-from smoother.estimate.graph import solve
 from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
@@ -263,14 +262,14 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
         mounting = replace(session.config.mounting, R_bs=simulation.scenario.R_bs)
         session = replace(session, config=replace(session.config, mounting=mounting))
     solutions = []
-    whole = smoother_module.estimated
+    whole = looks.estimated
 
     def watched(solved: Solved, nose: float | None) -> Estimated:
         assert (nose is None) == stated
         solutions.append((solved, nose or 0.0))
         return whole(solved, nose)
 
-    monkeypatch.setattr(smoother_module, "estimated", watched)
+    monkeypatch.setattr(looks, "estimated", watched)
     found = GraphSmoother().estimate(session)
     assert found.report.keyframes is not None
     (solved, nose), *_ = solutions

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph import components, solve
-from smoother.estimate.graph import smoother as graph_smoother
+from smoother.estimate.graph import components, looks, solve
 from smoother.estimate.graph import start as graph_start
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.fit.running import gaussian_mean
@@ -233,7 +232,7 @@ def test_an_arm_that_ran_away_is_looked_at_again_from_a_louder_force(
     monkeypatch: pytest.MonkeyPatch, is_quieter: bool, mode: str
 ) -> None:
     """Folded vibration does that: the second look counts where its rates are the quieter ones."""
-    solve_as_it_is, force = graph_smoother._identify_and_solve, []
+    solve_as_it_is, force = looks._identify_and_solve, []
 
     def running_away_at_first(session, start, options, say, seen):  # type: ignore[no-untyped-def]
         force.append(seen(start).noise.inertial.accel)
@@ -245,7 +244,7 @@ def test_an_arm_that_ran_away_is_looked_at_again_from_a_louder_force(
         noise = replace(solution.noise, inertial=inertial)
         return start, replace(found, state=replace(found.state, constants=constants)), replace(solution, noise=noise)
 
-    monkeypatch.setattr(graph_smoother, "_identify_and_solve", running_away_at_first)
+    monkeypatch.setattr(looks, "_identify_and_solve", running_away_at_first)
     found = GraphSmoother().estimate(prepare(simulate_preset("kart", 2, duration=60.0, gnss_outages=()).raw)).report
     assert len(force) == 2 and force[1] > 2.0 * force[0]
     assert found.mode == mode
@@ -265,7 +264,7 @@ def test_a_delay_that_the_size_of_the_force_denies_is_looked_at_again(
 ) -> None:
     """From the delay that the size tells, held near it; what is still off then is in the sigmas."""
     simulation = simulate_preset("kart", 4, duration=90.0, gnss_outages=(), **WHEEL, **SHAKEN)
-    solve_as_it_is, held = graph_smoother._identify_and_solve, []
+    solve_as_it_is, held = looks._identify_and_solve, []
 
     def running_away(session, start, options, say, seen):  # type: ignore[no-untyped-def]
         held.append(seen(start).priors.constants_sigma[0])
@@ -279,7 +278,7 @@ def test_a_delay_that_the_size_of_the_force_denies_is_looked_at_again(
         )
         return start, replace(found, state=replace(found.state, constants=constants)), solution
 
-    monkeypatch.setattr(graph_smoother, "_identify_and_solve", running_away)
+    monkeypatch.setattr(looks, "_identify_and_solve", running_away)
     identified = GraphSmoother().estimate(prepare(simulation.raw)).report.identified
     assert held == pytest.approx([0.25, 0.05])
     for name in ("gps_position_latency", "gps_velocity_latency"):
