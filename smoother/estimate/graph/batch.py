@@ -12,7 +12,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, are_near
 from smoother.estimate.graph import rows as rw
-from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
+from smoother.estimate.graph.chain import ChainSolution, ChainSystem, moved_on, solve_chain
 from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path
@@ -45,6 +45,7 @@ from smoother.estimate.graph.state import (
     POSITION_LATENCY,
     RECTIFICATION,
     ROTATION,
+    SLIP,
     TRANSLATION,
     VELOCITY,
     ChainState,
@@ -187,6 +188,25 @@ class Solved:
     slip: Slip | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class DrivenMotion:
+    """The dense path of a state, and the motion expected along it."""
+
+    path: DensePath
+    felt: ExpectedMotion
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A graph linearised at `state`, not solved: its normal equations, and what they came from."""
+
+    state: ChainState
+    system: ChainSystem
+    inertial: LinearInertial
+    rows: dict[str, rw.Rows]
+    slip: Slip | None
+
+
 class Batch:
     """One session's graph. Data and inertial bins are fixed; states and noise go in and come out."""
 
@@ -217,16 +237,16 @@ class Batch:
     def approach(
         self, graph: InertialGraph, state: ChainState, noise: Noise, near: float, iterations: int
     ) -> ChainState:
-        """Gauss-Newton of the keyframes alone, the constants held, until no attitude moves by `near` rad.
+        """Gauss-Newton of the keyframes alone, the constants held, until attitudes move by less than `near` rad, rms.
 
         At most `iterations`. While attitudes are off by degrees, steps of the constants lead astray, and coming back
         takes more steps. With wheels, `state` was found without.
         """
         for i in range(iterations):
-            system, *_ = self._linearize(graph, state, noise, was_without_wheels=i == 0)
-            step = solve_chain(_of_keyframes(system), with_covariance=False)
+            linear = self.linear(graph, state, noise, was_without_wheels=i == 0)
+            step = solve_chain(_of_keyframes(linear.system), with_covariance=False)
             state = state.retract(step.x, np.zeros(CONSTANTS_SIZE))
-            if float(np.max(np.abs(step.x[:, ROTATION]))) < near:
+            if math.sqrt(float(np.mean(np.sum(step.x[:, ROTATION] ** 2, axis=1)))) < near:
                 break
         return state
 
@@ -247,23 +267,15 @@ class Batch:
         held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
         was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
-        system, inertial, rows, slip = self._linearize(graph, state, noise, was_without_wheels=was_without_wheels)
-        solution = solve_chain(system, held=held, free=free)
-        share = 1.0 if relaxation is None else relaxation.share(solution)
-        return Solved(
-            state.retract(share * solution.x, share * solution.constants),
-            solution,
-            inertial,
-            {name: rw.after_step(r, solution.x, solution.constants) for name, r in rows.items()},
-            slip,
-        )
+        linear = self.linear(graph, state, noise, was_without_wheels=was_without_wheels)
+        solution = solve_chain(linear.system, held=held, free=free)
+        return _solved(linear, solution, 1.0 if relaxation is None else relaxation.share(solution))
 
     def move(
         self, graph: InertialGraph, state: ChainState, noise: Noise, relaxation: Relaxation
     ) -> tuple[ChainState, ChainSolution]:
         """Like :meth:`step`, without a covariance but that of the constants: the state, and the whole step."""
-        system, *_ = self._linearize(graph, state, noise)
-        solution = solve_chain(system, with_covariance=False)
+        solution = solve_chain(self.linear(graph, state, noise).system, with_covariance=False)
         share = relaxation.share(solution)
         return state.retract(share * solution.x, share * solution.constants), solution
 
@@ -273,44 +285,70 @@ class Batch:
             self.bins(state), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
         )
 
-    def with_slip(self, solved: Solved, noise: Noise) -> Noise:
-        """Return the noise with the slip that shows in what was solved without any."""
-        return replace(noise, slip=slip_noise(self._slip(solved.state, noise), solved.solution, solved.state.interval))
+    def motion(self, state: ChainState, noise: Noise) -> DrivenMotion:
+        """Return the dense path of `state`, and the motion expected along it."""
+        path = self.path(state)
+        return DrivenMotion(path, expected_of(self._data, path, state, noise))
+
+    def with_slip(self, solved: Solved, noise: Noise, motion: DrivenMotion) -> Noise:
+        """Return the noise with the slip that shows in what was solved without any; motion: that of its state."""
+        slip = self._slip(solved.state, motion)
+        return replace(noise, slip=slip_noise(slip, solved.solution, solved.state.interval))
 
     def is_of_wheels(self, state: ChainState, noise: Noise) -> bool:
         """Whether what was solved without wheels slips as the constants say."""
-        return noise.slip is not None and is_of_wheels(self._slip(state, noise), noise.slip.unsure, state.interval)
+        if noise.slip is None:
+            return False
+        return is_of_wheels(self._slip(state, self.motion(state, noise)), noise.slip.unsure, state.interval)
 
-    def _slip(self, state: ChainState, noise: Noise) -> Slip:
-        path = self.path(state)
-        return self._slip_along(state, path, expected_of(self._data, path, state, noise))
+    def roll(self, linear: Linear, motion: DrivenMotion, gone: Array, slip_noise: SlipNoise, held: Array) -> Solved:
+        """Solve what was linearised without wheels once more with them. motion: that of its state.
 
-    def _slip_along(self, state: ChainState, path: DensePath, felt: ExpectedMotion) -> Slip:
-        return slip_of(state, path, felt, self._told, are_near(state.t, self._data.t, NEAR_FIX))
+        All constants but those of slip go on by gone (29,), as they would without wheels; held (29, 29) is their
+        covariance.
+        """
+        slip = self._slip(linear.state, motion)
+        rows = slip_rows_of(slip, linear.state.interval, slip_noise, was_without_wheels=True)
+        rw.add_rows(linear.system, rows)
+        solution = solve_chain(moved_on(linear.system, gone), held=held, free=SLIP)
+        solution = replace(solution, constants=gone + solution.constants)
+        return _solved(replace(linear, rows=linear.rows | {r.name: r for r in rows}, slip=slip), solution, 1.0)
 
-    def _linearize(
-        self, graph: InertialGraph, state: ChainState, noise: Noise, *, was_without_wheels: bool = False
-    ) -> tuple[ChainSystem, LinearInertial, dict[str, rw.Rows], Slip | None]:
-        path = self.path(state)
-        felt = expected_of(self._data, path, state, noise)
+    def _slip(self, state: ChainState, motion: DrivenMotion) -> Slip:
+        return slip_of(state, motion.path, motion.felt, self._told, are_near(state.t, self._data.t, NEAR_FIX))
+
+    def linear(
+        self,
+        graph: InertialGraph,
+        state: ChainState,
+        noise: Noise,
+        motion: DrivenMotion | None = None,
+        *,
+        was_without_wheels: bool = False,
+    ) -> Linear:
+        """Linearise at `state`. motion: that of it with this noise, where it is known already.
+
+        was_without_wheels: `state` was found without wheels, which `noise` asks for.
+        """
+        motion = self.motion(state, noise) if motion is None else motion
+        path, felt = motion.path, motion.felt
         inertial = graph.linearize(state, noise.inertial, felt.means(self._binned.n_bins))
         if self._data.sampled is not None:
             apart = are_unsampled(self._data.sampled, state.t[:-1], state.t[1:])
             duration = state.interval + self._data.pauses.between(state.t)
             set_apart(inertial, apart, state, noise.inertial, APART, duration)
         rows = {r.name: r for r in session_rows(self._data, self._priors, path, felt, state, noise)}
-        slip, share = None, 0.0 if state.constants.is_steered else unsteadiness(noise.inertial.gyro)
+        slip, share = None, unsteady_share(state, noise)
         if noise.slip is not None or share > 0.0:
-            slip = self._slip_along(state, path, felt)
+            slip = self._slip(state, motion)
         if slip is not None and share > 0.0:
             asked = [upright_rows(state, slip, share)]
             if noise.slip is None:  # which asks for more of the slip
                 asked.append(along_path_rows(state, slip, share))
             rows.update({r.name: _robust(r) for r in asked if len(r.interval)})
         if slip is not None and noise.slip is not None:
-            for r in slip_rows(slip, state.interval, noise.slip.sigma):
-                judged = not_doubted_by(slip, noise.slip.unsure, r) if was_without_wheels else r
-                rows[r.name] = replace(r, weight=_robust(judged).weight)
+            of_slip = slip_rows_of(slip, state.interval, noise.slip, was_without_wheels=was_without_wheels)
+            rows.update({r.name: r for r in of_slip})
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
         rw.add_rows(system, list(rows.values()))
@@ -320,7 +358,32 @@ class Batch:
         if prior.holds_height:
             up_s = state.constants.level_axes_s[2]
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
-        return system, inertial, rows, slip
+        return Linear(state, system, inertial, rows, slip)
+
+
+def unsteady_share(state: ChainState, noise: Noise) -> float:
+    """Share 0 to 1 of what is asked of attitudes where rates hardly tell them."""
+    return 0.0 if state.constants.is_steered else unsteadiness(noise.inertial.gyro)
+
+
+def slip_rows_of(slip: Slip, interval: float, noise: SlipNoise, *, was_without_wheels: bool) -> list[rw.Rows]:
+    """Rows of the slip with robust weights; `interval` s."""
+    out = []
+    for r in slip_rows(slip, interval, noise.sigma):
+        judged = not_doubted_by(slip, noise.unsure, r) if was_without_wheels else r
+        out.append(replace(r, weight=_robust(judged).weight))
+    return out
+
+
+def _solved(linear: Linear, solution: ChainSolution, share: float) -> Solved:
+    """Return the state after a `share` of the step, with the residuals that :class:`Solved` says."""
+    return Solved(
+        linear.state.retract(share * solution.x, share * solution.constants),
+        solution,
+        linear.inertial,
+        {name: rw.after_step(r, solution.x, solution.constants) for name, r in linear.rows.items()},
+        linear.slip,
+    )
 
 
 def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:

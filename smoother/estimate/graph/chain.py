@@ -10,7 +10,7 @@ inverse from the factors). Owns no model: it sees matrices only.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -156,6 +156,15 @@ def solve_chain(
         constants_covariance,
         constants_cross,
         ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
+    )
+
+
+def moved_on(system: ChainSystem, step: Array) -> ChainSystem:
+    """Return the system about constants that have gone on by step (m,)."""
+    return replace(
+        system,
+        rhs=system.rhs - system.border @ step,
+        rhs_constants=system.rhs_constants - system.corner @ step,
     )
 
 

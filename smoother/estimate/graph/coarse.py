@@ -22,13 +22,13 @@ EVERY = 4  # keyframes; at 0.8 s a lap still has fifty of them
 # that their slopes are read off, and they overshoot by several sigmas (velocity_response most)
 FOR_CONSTANTS = 2
 FEWEST = 8  # coarse keyframes; a shorter session is not worth the detour
-NEAR = 0.05  # rad; its square is what a Gauss-Newton step leaves of it, a tenth of a degree
+NEAR = 0.065  # rad, rms; about its square is what a Gauss-Newton step leaves of it, a quarter of a degree
 
 
 def near_solution(start: Start, noise: Noise, iterations: int, every: int = EVERY) -> ChainState:
     """Return the keyframes of `start` near the solution for its constants, without a magnetometer.
 
-    By at most `iterations` Gauss-Newton steps on one keyframe in `every`, until no attitude moves by NEAR.
+    By at most `iterations` Gauss-Newton steps on one keyframe in `every`, until attitudes move by less than NEAR.
     """
     few = thinned(start, every)
     batch = Batch(few.data, few.binned, few.priors)

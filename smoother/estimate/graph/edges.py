@@ -18,12 +18,13 @@ from smoother.arrays import Array, IntArray
 from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.graph.batch import Batch, Noise, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.coarse import EVERY, NEAR, thinned
+from smoother.estimate.graph.coarse import EVERY, thinned
 from smoother.estimate.graph.start import Start, stretch
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE
 
 OUTAGE = 2.5  # s; across a shorter one the samples tell where the path goes on
 PREDICTED = 6.0  # s beside an outage that are predicted, at most a third of the time to the next one
+AT_OUTAGE = 0.02  # rad, rms, that the step before the one that predicts moves attitudes by: outages stretch the rest
 LONGEST_JUMP = 0.5  # of that time; of a longer run it cannot be told whether it or what lies beside it is displaced
 LEAST_JUMP = 5.0  # m; receivers wander by less within seconds, and karts slide by less
 SURE = 30.0  # squared size of a jump over its variance, of two components; 5 sigmas leave 3e-7
@@ -118,7 +119,7 @@ def _predicted(start: Start, beside: IntArray, noise: Noise, iterations: int) ->
     doubted[beside] = True
     batch = Batch(replace(start.data, doubted=doubted), start.binned, start.priors)
     graph = batch.graph(start.state, noise)
-    return batch.step(graph, batch.approach(graph, start.state, noise, NEAR, iterations), noise)
+    return batch.step(graph, batch.approach(graph, start.state, noise, AT_OUTAGE, iterations), noise)
 
 
 def _innovations(solved: Solved, fixes: IntArray) -> Innovations:

@@ -35,8 +35,10 @@ differ, and what one slope has and the other lacks, most of it noise, would pass
 Keyframes of quick receivers follow twice that and more, of which hardly anything is driven: kerbs, over which a chassis
 rolls and an antenna above the box goes another way, noise that the path took from either sensor. Little of what tells
 latencies is lost without, a fiftieth of what is known of the arm, and what goes with the place of the keyframes goes:
-so slopes by latencies and arm are of motion slower than DRIVEN_BELOW, whatever the receiver. How a receiver answers
-to quick motion is seen in quick motion only: the second derivative stays that of all that keyframes follow.
+so slopes are of motion slower than DRIVEN_BELOW, whatever the receiver. The second derivative too, which grows with
+the square of a frequency: on a real kart with a folded engine and 25 fixes a second, quicker motion was noise, by which
+response, delay and arm drove one another to and fro, turn after turn, by 0.05 s and half a metre; simulated receivers
+that filter answer slower motion as clearly.
 
 Nor does a spectrum tell motion from vibration that the sampling folds to some hertz: it is a line, far above the noise,
 and Doppler does not show it, so that a receiver would seem to smooth what it shows, and its delay to go with that.
@@ -90,23 +92,17 @@ class Motion:
 class ExpectedMotion(Motion):
     """Motion whose velocity is the path's, less what the noise in the acceleration has added to it.
 
-    turn_variance, (rad/s)^2: of the errors of turn_rate. followed: the motion without what is too quick for keyframes
-    to follow; None where that is all of it. driven: without what is quicker than driving too; None where `followed` is.
+    turn_variance, (rad/s)^2: of the errors of turn_rate. followed: the motion without what is too quick to drive, or
+    for keyframes to follow; None where that is all of it.
     """
 
     turn_variance: float = 0.0
     followed: Motion | None = None
-    driven: Motion | None = None
-
-    @property
-    def answered(self) -> Motion:
-        """What of the motion the slope by a receiver's response is made of."""
-        return self if self.followed is None else self.followed
 
     @property
     def slow(self) -> Motion:
-        """What of the motion slopes by latencies and arm are made of."""
-        return self.answered if self.driven is None else self.driven
+        """What of the motion slopes by latencies, arm and a receiver's response are made of."""
+        return self if self.followed is None else self.followed
 
     def means(self, n_bins: int) -> Array:
         """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
@@ -169,12 +165,7 @@ def expected_motion(
     motion = _motion_along(path, R_nb, found)
     quickest = quickest_slope(level.signal, interval)
     followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
-    driven = None
-    if quickest > 1.01 * DRIVEN_BELOW:
-        driven = _motion_along(path, R_nb, [signal.slower_than(DRIVEN_BELOW) for signal in found])
-    return ExpectedMotion(
-        motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed, driven
-    )
+    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
 
 
 def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
@@ -204,7 +195,8 @@ def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
 def quickest_slope(level: Transform, interval: float) -> float:
     """Frequency, Hz, up to which slopes are made of a motion with the level accelerations `level`.
 
-    That which keyframes `interval` s apart can follow; less, by and by, where there is as much in SHAKEN as in DRIVEN.
+    That which keyframes `interval` s apart can follow, at most DRIVEN_BELOW; less, by and by, where there is as much in
+    SHAKEN as in DRIVEN.
     """
     power = np.sum(np.abs(level.coefficients) ** 2, axis=1)
 
@@ -212,7 +204,8 @@ def quickest_slope(level: Transform, interval: float) -> float:
         inside = (level.frequency >= band[0]) & (level.frequency < band[1])
         return float(np.mean(power[inside])) if np.any(inside) else 0.0
 
-    followed, ratio = 0.5 / interval, mean_in(SHAKEN) / max(mean_in(DRIVEN), 1e-30)
+    followed = min(0.5 / interval, DRIVEN_BELOW)
+    ratio = mean_in(SHAKEN) / max(mean_in(DRIVEN), 1e-30)
     shaken = float(np.clip(1.0 + math.log2(max(ratio, 1e-30)), 0.0, 1.0))  # from a half to one
     return float(followed * min(STEADY_SLOPE / followed, 1.0) ** shaken)
 

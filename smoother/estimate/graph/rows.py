@@ -463,7 +463,7 @@ def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Arra
     motion, less in quick. Of the same motion: of vibration that samples fold, which no receiver shows, a low-pass would
     be denied as soon as the second derivative, of slow motion, has told it, and neither would stay.
     """
-    dt, response, motion = float(path.t[1] - path.t[0]), session.velocity_response, felt.answered
+    dt, response, motion = float(path.t[1] - path.t[0]), session.velocity_response, felt.slow
     jerk_n = np.gradient(motion.acceleration_n[:, :2], dt, axis=0)
     slope = at_times(path, _level(jerk_n), t)
     simple = _Response(response * slope, slope)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,14 +11,18 @@ from smoother.arrays import Array, median
 from smoother.estimate.graph.batch import (
     Batch,
     Data,
+    DrivenMotion,
+    Linear,
     Noise,
     Priors,
     Solved,
     constants_moved,
     doppler_noise,
     moved,
+    unsteady_share,
     variances,
 )
+from smoother.estimate.graph.chain import solve_chain
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
@@ -28,8 +33,8 @@ from smoother.estimate.graph.inertial_noise import ROUND
 from smoother.estimate.graph.lasting import Memory, counted, shared_out
 from smoother.estimate.graph.noise_steps import NoiseSteps
 from smoother.estimate.graph.relaxation import Relaxation
-from smoother.estimate.graph.slip import with_nose
-from smoother.estimate.graph.start import GraphOptions, Start, scatter_of, where_sampled
+from smoother.estimate.graph.slip import SlipNoise, with_nose
+from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of, where_sampled
 from smoother.estimate.graph.state import HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import MagSamples, Problem, Session
@@ -46,8 +51,11 @@ WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within an eighth of it
 ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
-ROLLING = 2e-3, 2  # rad that the last of at most so many steps moves attitudes by, before the one that counts
-STREAM_ROLLING = 1e-4, 4  # likewise of a stream, whose weights are to be those of the batch
+# Of a sigma: a first step with wheels by less leaves less than that to the next one, 0.1 after 0.7 to 1.4; where the
+# slip it was taken with is ALIKE, by its logarithm, to the one that it tells
+FAR, ALIKE = 2.0, 0.125
+ROLLING = 7e-4, 2  # rad, rms, that the last of at most so many steps moves attitudes by, before the one that counts
+STREAM_ROLLING = 3e-5, 4  # likewise of a stream, whose weights are to be those of the batch
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
 STEADY = 0.1  # relative change of the noise; when it changed by more before the last step, another one is worth it
 
@@ -159,23 +167,42 @@ def finish(
             break
         better = noise_steps.towards(_reestimated(solved, noise, start, scatter, by_place=True), noise)
         change, noise = noise.change(better), better
-        if start.wheels and change < STEADY and (rolling := batch.with_slip(solved, noise)).slip is not None:
+        if not start.wheels or change >= STEADY:
+            continue
+        motion = batch.motion(state, noise)
+        rolling = batch.with_slip(solved, noise, motion)
+        if rolling.slip is not None:
             solved = None
             graph = _serving(batch, graph, state, noise)
-            state, held = _settled(batch, graph, state, noise, relaxation, steps, known, options.final_rounds)
             rolling = with_lasting(rolling, start, scatter, state, known)
-            return on_wheels(batch, graph, state, held, rolling)
+            last = partial(_settled, batch, graph, state, noise, relaxation, steps, known, motion)
+            return on_wheels(batch, graph, start, last(options.final_rounds), noise, rolling, options)
+        del motion
     assert solved is not None
-    rolling = batch.with_slip(solved, noise) if start.wheels else noise
+    rolling = batch.with_slip(solved, noise, batch.motion(state, noise)) if start.wheels else noise
     rolling = with_lasting(rolling, start, scatter, state, known)
     if rolling.slip is None and rolling.counted == 1.0:
         return solved, rolling
     held = solved.solution.constants_covariance
     del solved
     if rolling.slip is not None:
-        return on_wheels(batch, graph, state, held, rolling)
+        return on_wheels(batch, graph, start, LastStep(state, held), noise, rolling, options)
     graph = _serving(batch, graph, state, rolling)
     return batch.step(graph, state, rolling, held=held), rolling
+
+
+@dataclass(frozen=True, eq=False)
+class LastStep:
+    """The last step without wheels: the state after it, and the covariance (29, 29) of the constants.
+
+    linear, motion and gone (29,) are what it was taken from and by how much the constants went, where that is at hand.
+    """
+
+    state: ChainState
+    held: Array
+    linear: Linear | None = None
+    motion: DrivenMotion | None = None
+    gone: Array | None = None
 
 
 def _settled(
@@ -186,19 +213,26 @@ def _settled(
     relaxation: Relaxation,
     steps: list[tuple[float, float]],
     known: Array,
+    motion: DrivenMotion,
     most: int,
-) -> tuple[ChainState, Array]:
-    """Go on from `steps` with the noise as it is, until settled or `most` were gone; the constants' covariance too.
+) -> LastStep:
+    """Go on from `steps` with the noise as it is, until settled or `most` were gone.
 
-    Without that of the keyframes: known (K, 18), their variances of the last step, is as good. With the noise, that is
-    a third of what a turn costs.
+    Without the covariance of the keyframes: known (K, 18), their variances of the last step, is as good. With the
+    noise, that is a third of what a turn costs. motion: that of `state`.
     """
     steps = list(steps)
     while True:
-        state, step = batch.move(graph, state, noise, relaxation)
+        linear = batch.linear(graph, state, noise, motion)
+        step = solve_chain(linear.system, with_covariance=False)
+        share = relaxation.share(step)
+        gone = share * step.constants
+        after = state.retract(share * step.x, gone)
         steps.append((moved(step, known), constants_moved(step)))
         if are_settled(steps) or len(steps) >= most:
-            return state, step.constants_covariance
+            return LastStep(after, step.constants_covariance, linear, motion, gone)
+        state = after
+        motion = batch.motion(state, noise)
 
 
 def _serving(batch: Batch, graph: InertialGraph, state: ChainState, noise: Noise) -> InertialGraph:
@@ -224,30 +258,64 @@ def with_lasting(noise: Noise, start: Start, scatter: Scatter, state: ChainState
 
 
 def on_wheels(
-    batch: Batch, graph: InertialGraph, without: ChainState, held: Array, noise: Noise
+    batch: Batch,
+    graph: InertialGraph,
+    start: Start,
+    last: LastStep,
+    noise: Noise,
+    rolling: Noise,
+    options: GraphOptions,
 ) -> tuple[Solved, Noise]:
-    """Solve again, from a solution without, with wheels that roll along; the scatter of slip is found on the way.
+    """Solve again, after a last step without that was taken with `noise`, with wheels that roll along.
 
-    All other noise stays, and all constants but those of slip, of which held (29, 29) is the covariance. Slip is
-    smoother than its process: what that expects of quick steps would be missed in the samples' noise, and be looked
-    for in latencies and lever arm. Where the rows do not fit, what comes back is without them again.
+    The scatter of slip is found on the way, on a part of a long session first. All other noise stays, and all constants
+    but those of slip. Slip is smoother than its process: what that expects of quick steps would be missed in the
+    samples' noise, and be looked for in latencies and lever arm. Where the rows do not fit, what comes back is without
+    them again.
     """
-    assert noise.slip is not None
-    graph = _serving(batch, graph, without, noise)
-    found = batch.step(graph, without, noise, held=held, free=SLIP, was_without_wheels=True)
+    without, held = last.state, last.held
+    slip = _slip_of_part(start, last, rolling, options.identification_span)
+    graph = _serving(batch, graph, without, rolling)
+    if _may_share(last, noise, rolling):
+        assert last.linear is not None
+        assert last.motion is not None
+        assert last.gone is not None
+        found = batch.roll(last.linear, last.motion, last.gone, slip, held)
+    else:
+        found = batch.step(graph, without, replace(rolling, slip=slip), held=held, free=SLIP, was_without_wheels=True)
+    del last
     for _ in range(SLIP_ROUNDS):
-        noise, state = replace(noise, slip=slip_update(found, noise.slip)), found.state
-        del found  # two do not fit
-        found = batch.step(graph, state, noise, held=held, free=SLIP)
-        if moved(found.solution, variances(found.solution)) < ROLLED:
+        better = slip_update(found, slip)
+        size = moved(found.solution, variances(found.solution))
+        if size < ROLLED or (size < FAR and abs(math.log(better.sigma / slip.sigma)) < ALIKE):
             break
+        slip, state = better, found.state
+        del found  # two do not fit
+        found = batch.step(graph, state, replace(rolling, slip=slip), held=held, free=SLIP)
     if fits_wheels(found):
         assert found.slip is not None
-        assert noise.slip is not None
-        return found, replace(noise, slip=with_nose(found.slip, noise.slip))
+        return found, replace(rolling, slip=with_nose(found.slip, slip))
     del found
-    noise = replace(noise, slip=None)
-    return batch.step(graph, without, noise, held=held if noise.counted > 1.0 else None), noise
+    rolling = replace(rolling, slip=None)
+    return batch.step(graph, without, rolling, held=held if rolling.counted > 1.0 else None), rolling
+
+
+def _may_share(last: LastStep, noise: Noise, rolling: Noise) -> bool:
+    """Whether wheels may be added to what was linearised without: where nothing else differs (:func:`with_lasting`)."""
+    same = rolling.inertial is noise.inertial and rolling.counted == noise.counted
+    return last.linear is not None and same and unsteady_share(last.state, rolling) == 0.0
+
+
+def _slip_of_part(start: Start, last: LastStep, rolling: Noise, span: float) -> SlipNoise:
+    """Return what to assume of the slip, from the busiest `span` s, where the session is much longer than that."""
+    slip = rolling.slip
+    assert slip is not None
+    part = busiest_part(replace(start, state=last.state), span)
+    if len(part.state.t) > 0.5 * len(last.state.t):
+        return slip
+    batch, state = Batch(part.data, part.binned, part.priors), part.state
+    graph = batch.graph(state, rolling)
+    return slip_update(batch.step(graph, state, rolling, held=last.held, free=SLIP, was_without_wheels=True), slip)
 
 
 def fits_wheels(solved: Solved) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.chain import ChainSystem, NotPositiveDefiniteError, solve_chain
+from smoother.estimate.graph.chain import ChainSystem, NotPositiveDefiniteError, moved_on, solve_chain
 
 SIZES = [(1, 1, 0), (1, 3, 2), (2, 2, 0), (2, 3, 1), (3, 1, 1), (3, 4, 2), (4, 2, 3), (5, 3, 0), (7, 2, 2), (8, 3, 6)]
 SIZES += [(K, 4, 3) for K in (9, 15, 16, 17, 31, 33)] + [(40, 18, 24)]
@@ -218,3 +218,10 @@ def test_some_constants_may_stay_free_where_others_are_held(K: int, n: int, m: i
         own = slice(k * n, (k + 1) * n)
         assert_close(found.covariance[k], expected[own, own], 1e-9)
         assert_close(found.constants_cross[k], expected[own, K * n :], 1e-9)
+
+
+def test_a_system_about_constants_that_went_on_has_the_rest_of_the_solution() -> None:
+    system, gone = random_system(9, 4, 3), np.array([0.3, -2.0, 1.1])
+    whole, rest = solve_chain(system), solve_chain(moved_on(system, gone))
+    assert_close(rest.constants + gone, whole.constants, 1e-9)
+    assert_close(rest.x, whole.x, 1e-9)

@@ -287,7 +287,7 @@ class TestQuickestSlope:
         assert np.std(have.acceleration_n[1:-1] - want.acceleration_n[1:-1]) > 0.7 * np.std(edges)
         assert np.std(left) < 0.2 * np.std(edges)
 
-    def test_quick_receivers_tell_latencies_and_arm_by_no_quicker_motion_than_others(self) -> None:
+    def test_quick_receivers_tell_constants_by_no_quicker_motion_than_others(self) -> None:
         """What a chassis does over kerbs, four times a second: keyframes 0.08 s apart follow it, nobody drove it."""
         path, _ = corners()
         kerbs = 0.5 * np.sin(2.0 * np.pi * 4.0 * MIDDLE) * np.clip(np.sin(0.3 * MIDDLE), 0.0, None)
@@ -295,14 +295,12 @@ class TestQuickestSlope:
         calm = replace(NOISE, accel=0.01)
         have, want = (expected_motion(p, np.eye(3), calm, None, 0.08) for p in (rolling, path))
         size = np.std(0.5 * (kerbs[1:] + kerbs[:-1]))
-        answered, driven = (
+        found, driven = (
             np.linalg.norm(one.acceleration_n - other.acceleration_n, axis=1)[50:-50]
-            for one, other in ((have.answered, want.answered), (have.slow, want.slow))
+            for one, other in ((have, want), (have.slow, want.slow))
         )
-        assert np.sqrt(np.mean(answered**2)) > 0.8 * size
+        assert np.sqrt(np.mean(found**2)) > 0.8 * size
         assert np.sqrt(np.mean(driven**2)) < 0.1 * size
-        slower = expected(path, np.eye(3), calm)
-        assert slower.slow is slower.answered
 
     def test_less_is_followed_by_and_by(self) -> None:
         rng = np.random.default_rng(0)

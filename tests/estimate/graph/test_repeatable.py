@@ -37,3 +37,18 @@ def test_a_millimetre_changes_little_on_a_steering_wheel(data_directory: Path) -
     sigma = one.report.identified["gps_velocity_response"].sigma
     assert sigma is not None
     assert abs(found[0] - found[1]) < float(np.asarray(sigma))
+
+
+def test_parts_of_a_drive_with_a_folded_engine_tell_the_same_delay(data_directory: Path) -> None:
+    """Lignano: its first 400 s had the antenna 0.7 m ahead and 0.05 s later than all other parts."""
+    session = prepare(load_raw(data_directory / "kart_lignano_racebox"))
+    begin = session.gnss.t[0]
+    delays = []
+    for first, last in ((0.0, 400.0), (300.0, 900.0)):
+        use = (session.gnss.t >= begin + first) & (session.gnss.t < begin + last)
+        assert session.imu is not None
+        imu = session.imu.between(max(begin + first, session.imu.t[0]), begin + last)
+        part = replace(session, gnss=session.gnss.select(use), imu=imu)
+        delays.append(GraphSmoother().estimate(part).report.identified["gps_position_latency"])
+    apart = abs(float(np.asarray(delays[0].value)) - float(np.asarray(delays[1].value)))
+    assert apart < 0.02

@@ -199,8 +199,8 @@ def test_what_the_mean_of_the_slip_says_of_the_nose_otherwise_is_found() -> None
     assert with_nose(slip, noise_on(np.linspace(-10.0, 10.0, 50))).apart == pytest.approx(0.03, abs=1e-3)
 
 
-def kart(preset: str, **changes: Any) -> tuple[Simulation, Session]:
-    simulation = simulate_preset(preset, 3, track="tinbarn", duration=200.0, **changes)
+def kart(preset: str, duration: float = 200.0, **changes: Any) -> tuple[Simulation, Session]:
+    simulation = simulate_preset(preset, 3, track="tinbarn", duration=duration, **changes)
     return simulation, prepare(simulation.raw)
 
 
@@ -342,3 +342,39 @@ def test_what_is_steered_is_told_from_wheels_by_much(monkeypatch: pytest.MonkeyP
         scatter[steering] = noise.sigma
     assert scatter[0.0] < 0.3 * slip_module.MOST
     assert scatter[10.0 * DEG] > 2.5 * slip_module.MOST
+
+
+def test_wheels_added_to_the_last_step_find_what_a_step_of_its_own_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the slip of a part, which that step is taken with, is near enough to be the last."""
+    session, found, added = kart("kart", duration=300.0)[1], {}, []
+    roll = batch_module.Batch.roll
+
+    def counted(*given: Any) -> Solved:
+        solved = roll(*given)
+        added.append((given[1].system, given[3], solved.solution))
+        return solved
+
+    monkeypatch.setattr(batch_module.Batch, "roll", counted)
+    for shares in (True, False):
+        with monkeypatch.context() as patch:
+            if not shares:
+                patch.setattr(solve, "_may_share", lambda *_: False)
+                patch.setattr(solve, "FAR", 0.0)  # another step follows
+            found[shares] = GraphSmoother().estimate(session)
+        assert len(added) == 1
+    system, gone, step = added[0]
+    assert np.any(gone != 0.0)
+    np.testing.assert_array_equal(np.delete(step.constants, np.r_[SLIP]), np.delete(gone, np.r_[SLIP]))
+    left = np.einsum("kij,kj->ki", system.diagonal, step.x) + system.border @ step.constants - system.rhs
+    left[:-1] += np.einsum("kij,kj->ki", system.upper, step.x[1:])
+    left[1:] += np.einsum("kji,kj->ki", system.upper, step.x[:-1])
+    np.testing.assert_allclose(left, 0.0, atol=1e-6 * np.max(np.abs(system.rhs)))
+    of_constants = system.corner @ step.constants + np.einsum("kim,ki->m", system.border, step.x) - system.rhs_constants
+    np.testing.assert_allclose(of_constants[SLIP], 0.0, atol=1e-6 * np.max(np.abs(system.rhs_constants[SLIP])))
+    one, other = found[True], found[False]
+    assert other.sigmas is not None
+    for name in ("position_n", "velocity_n"):
+        apart = (getattr(one, name) - getattr(other, name)) / getattr(other.sigmas, name)
+        assert 0.0 < np.sqrt(np.mean(apart**2)) < 0.15, name
+    slip = [float(np.asarray(t.report.identified["slip_sigma"].value)) for t in (one, other)]
+    assert abs(np.log(slip[0] / slip[1])) < solve.ALIKE
