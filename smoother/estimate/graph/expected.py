@@ -133,12 +133,13 @@ def expected_motion(
     upwards: DopplerNoise | None = None,
     *,
     is_steered: bool = False,
+    with_slopes: bool = True,
 ) -> ExpectedMotion:
     """Most probable motion behind the accelerations and rates of the bins of `path`, whose samples had `noise`.
 
     level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
     None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes. is_steered: the
-    box turns with the steering wheel as well, which is taken out of its turn.
+    box turns with the steering wheel as well, which is taken out of its turn. with_slopes: what slopes are made of too.
     """
     R_nb, dt = path.R_ns[:-1] @ level_axes_s.T, float(path.t[1] - path.t[0])
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
@@ -163,8 +164,10 @@ def expected_motion(
     up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
     found = [level.signal, up.signal, turn.signal]
     motion = _motion_along(path, R_nb, found)
-    quickest = quickest_slope(level.signal, interval)
-    followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
+    followed = None
+    if with_slopes:
+        quickest = quickest_slope(level.signal, interval)
+        followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
     return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
 
 

@@ -57,7 +57,9 @@ def felt_on(
     is_steered: bool = False,
 ) -> Felt:
     """Return what is most probable given `path`; arguments as for :func:`expected.expected_motion`."""
-    expected = expected_motion(path, level_axes_s, noise, doppler, interval, upwards, is_steered=is_steered)
+    expected = expected_motion(
+        path, level_axes_s, noise, doppler, interval, upwards, is_steered=is_steered, with_slopes=False
+    )
     tilt_rates, tilting = expected_tilting(path, level_axes_s, noise)
     rates_b = np.column_stack([tilt_rates, expected.turn_rate])
     rate_n = np.einsum("kij,kj->ki", path.R_ns @ level_axes_s.T, rates_b)

@@ -240,10 +240,17 @@ class _Source:
     doppler: DopplerNoise | None
     upwards: DopplerNoise | None
     pauses: Pauses
+    _last: dict[tuple[int, int], "_Stretch"] = field(default_factory=dict)
 
     def around(self, t: Array) -> "_Stretch":
         """Return the path around times t (n,) s that their rows need, and what was felt on it. No pause is in t."""
         keys = _around(self.state, t, self.pauses)
+        known = self._last.pop((keys.start, keys.stop), None)
+        self._last.clear()  # of a day, two do not fit
+        self._last[keys.start, keys.stop] = found = self._stretch(keys) if known is None else known
+        return found
+
+    def _stretch(self, keys: slice) -> "_Stretch":
         state, bins = self.state.between(keys.start, keys.stop), self.binned.between(keys.start, keys.stop)
         c = state.constants
         path = dense_path(
