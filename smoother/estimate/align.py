@@ -22,6 +22,7 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
+from smoother.estimate.lean_rates import AROUND, LeanRates, lean_rates, slight_mistakes, wrong_naming
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
@@ -48,6 +49,10 @@ MIRRORED = (
 DISAGREE = (
     "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "
     "the accelerometer's, one has the wrong sign, or two are exchanged{}. Change it in the recording; attitude is wrong"
+)
+LEANS_ELSEWHERE = (
+    "the axes of the gyroscope are not the accelerometer's: in bends, on the way into them and on the brakes the box "
+    "turns as no kart leans{}. Change it in the recording; roll and pitch are wrong"
 )
 FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
@@ -111,7 +116,9 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
 
     few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
     lag = best(best(LAGS, few) + FINER_LAGS, use)
-    return _fit(axes[use], *averages.around(path.t[use] - lag, WINDOW), lag)
+    at = path.t[use]
+    _, rate = averages.around(at - lag, AROUND)
+    return _fit(axes[use], *averages.around(at - lag, WINDOW), lag, lean_rates(path.t, axes, at, rate))
 
 
 def sampled_at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
@@ -184,8 +191,11 @@ class Averages:
         return np.asarray((1.0 - fraction) * before + fraction * after)
 
 
-def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
-    """Mounting and biases from motion along the path's axes (N, 3) and what the box measured, each (N, 3)."""
+def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates | None) -> Alignment:
+    """Mounting and biases from motion along the path's axes (N, 3) and what the box measured, each (N, 3).
+
+    leaning: what the rates say of how the vehicle leans.
+    """
     rate_fit, force_fit = _fit_lines(axes[:, 2:], rate), _fit_lines(axes[:, :2], force)
     # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
     upward, (along, aside, gravity) = rate_fit.lines[0], force_fit.lines
@@ -193,7 +203,8 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
     directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])
     forward, left, yaw_rate = np.std(axes, axis=0)
     weights = np.array([forward, left, STANDARD_GRAVITY, 10.0 * yaw_rate])
-    R_bs = so3.normalized(np.einsum("i,ij,ik->jk", weights, directions_b, directions_s))
+    turned = np.einsum("i,ij,ik->ijk", weights, directions_b, directions_s)
+    R_bs, by_forces = so3.normalized(turned.sum(axis=0)), so3.normalized(turned[:3].sum(axis=0))
     share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
     return Alignment(
         R_bs,
@@ -203,27 +214,37 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float) -> Alignment:
         False,
         float(force_fit.rest) * root,
         float(rate_fit.rest) * root,
-        tuple(_doubts(force_fit, rate_fit)),
+        tuple(_doubts(force_fit, rate_fit, leaning, by_forces)),
         float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
         float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
     )
 
 
-def _doubts(force_fit: "_Lines", rate_fit: "_Lines") -> Iterator[Problem]:
+def _doubts(force_fit: "_Lines", rate_fit: "_Lines", leaning: LeanRates | None, by_forces: Array) -> Iterator[Problem]:
     """What speaks against axes that are right-handed and shared by both sensors, where the slopes are known well.
 
     Along, aside and gravity are found each by itself, so that nothing forces them to be right-handed: of every box they
     came out within 15 deg of it or the mirror image. What is up by the forces and by turns likewise: within 8 deg.
+    by_forces (3, 3): the mounting that the forces alone tell.
     """
     along, aside, gravity = force_fit.lines
     upward = rate_fit.lines[0]
     feels = min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE
     turns = np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE
+    is_mirrored = bool(feels) and axis_mistakes.handedness(along, aside, gravity) < -axis_mistakes.HANDED
     hint = axis_mistakes.advice(along, aside, gravity, upward) if feels and turns else ""
-    if feels and axis_mistakes.handedness(along, aside, gravity) < -axis_mistakes.HANDED:
+    if is_mirrored:
         yield Problem(MIRRORED_AXES, MIRRORED.format(hint))
+    known = leaning if feels and turns and not is_mirrored else None
+    wrong = None if known is None else wrong_naming(known, by_forces)
+    if wrong is not None:
+        hint = axis_mistakes.remedy(wrong.words)
     if turns and (angle := axis_mistakes.apart(upward, gravity)) > APART:
         yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint))
+    elif wrong is not None:
+        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint))
+    elif known is not None and (mistakes := slight_mistakes(known, by_forces)):
+        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, axis_mistakes.remedy(*mistakes)))
 
 
 def path_axes(path: PathMotion) -> Array:
