@@ -41,6 +41,7 @@ FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
 ENOUGH_FOR_LAG, ENOUGH = 500, 4000
 LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 and 0.78 or more, noise alone 0.2 and 0.1
+OVER = 100.0 * DEG  # likewise of boxes on steering wheels
 APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
 MIRRORED = (
     "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
@@ -88,7 +89,7 @@ class Alignment:
     m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
     turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
-    NaN where the fixes do not explain it.
+    NaN where the fixes do not explain it. is_misnamed: problems are of axes that no box on a steering wheel has either.
     """
 
     R_bs: Array
@@ -101,6 +102,7 @@ class Alignment:
     problems: tuple[Problem, ...] = ()
     turn_scale: float = np.nan
     force_scale: float = np.nan
+    is_misnamed: bool = False
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -205,6 +207,8 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates 
     weights = np.array([forward, left, STANDARD_GRAVITY, 10.0 * yaw_rate])
     turned = np.einsum("i,ij,ik->ijk", weights, directions_b, directions_s)
     R_bs, by_forces = so3.normalized(turned.sum(axis=0)), so3.normalized(turned[:3].sum(axis=0))
+    doubts = tuple(_doubts(force_fit, rate_fit, leaning, by_forces))
+    is_misnamed = bool(doubts) and _no_wheel_does(upward, gravity, leaning, by_forces)
     share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
     return Alignment(
         R_bs,
@@ -214,9 +218,10 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates 
         False,
         float(force_fit.rest) * root,
         float(rate_fit.rest) * root,
-        tuple(_doubts(force_fit, rate_fit, leaning, by_forces)),
+        doubts,
         float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
         float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
+        is_misnamed,
     )
 
 
@@ -245,6 +250,16 @@ def _doubts(force_fit: "_Lines", rate_fit: "_Lines", leaning: LeanRates | None, 
         yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint))
     elif known is not None and (mistakes := slight_mistakes(known, by_forces)):
         yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, axis_mistakes.remedy(*mistakes)))
+
+
+def _no_wheel_does(upward: Array, gravity: Array, leaning: LeanRates | None, by_forces: Array) -> bool:
+    """Whether a box whose axes are doubted has them wrong on a steering wheel, too.
+
+    A wheel turns about its column, which is less than OVER from up; and leans otherwise than any vehicle.
+    """
+    if axis_mistakes.apart(upward, gravity) > OVER:
+        return True
+    return leaning is not None and wrong_naming(leaning, by_forces) is not None
 
 
 def path_axes(path: PathMotion) -> Array:

@@ -9,7 +9,10 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align
+from smoother.estimate.check import check
+from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.lean_rates import NAMINGS, lean_rates
+from smoother.estimate.on_wheel import is_on_wheel
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
@@ -91,3 +94,24 @@ def test_names_are_of_all_48_and_the_first_is_right() -> None:
     measured = np.array([1.0, 2.0, 3.0])
     turned = next(one for one in NAMINGS if one.words.endswith("columns gy, -gx, gz"))
     np.testing.assert_array_equal(turned.true @ measured, [2.0, -1.0, 3.0])
+
+
+def test_a_box_whose_axis_is_wrong_is_not_taken_for_one_on_the_wheel() -> None:
+    """About an axis that turns the wrong way a box on the frame turns and rolls as one on a wheel does."""
+    raw = simulate_preset("kart", 51, duration=120.0).raw
+    assert raw.imu is not None
+    wrong = replace(raw, imu=replace(raw.imu, gyro=raw.imu.gyro * [1.0, 1.0, -1.0]))
+    session = prepare(wrong)
+    assert session.imu is not None
+    assert is_on_wheel(session.imu, session.gnss)
+    problems = GraphSmoother().estimate(session).report.problems
+    (problem,) = (problem for problem in problems if problem.code == "imu_axes_disagree")
+    assert "it all fits once the sign of gz is changed. " in problem.text
+    (finding,) = (finding for finding in check(wrong).findings if "gyroscope" in finding.text)
+    assert finding.level == "stop"
+
+
+@pytest.mark.parametrize("seed", [61, 62])
+def test_a_box_on_the_wheel_keeps_its_axes(seed: int) -> None:
+    session = session_of(LEVEL, seed, motion_steering=0.1, motion_steering_per_curvature=2.0)
+    assert not aligned(session, np.eye(3)).is_misnamed

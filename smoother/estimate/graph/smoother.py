@@ -310,6 +310,8 @@ def _turns_with_a_wheel(trajectory: Trajectory, solved: Looked) -> bool:
     """
     on_wheel = any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems)
     gyro = solved.solution.noise.inertial.gyro
+    if solved.start.alignment.is_misnamed:
+        return False
     return on_wheel and not solved.found.state.constants.is_steered and unsteadiness(gyro) < 1.0
 
 
