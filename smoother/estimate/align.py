@@ -90,6 +90,8 @@ class Alignment:
     since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
     turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
     NaN where the fixes do not explain it. is_misnamed: problems are of axes that no box on a steering wheel has either.
+    felt (3, 3): columns of what is felt ahead, to the left and upwards in s, in parts of what there is; a rotation if
+    all axes are in one unit, and None where the fixes do not explain it.
     """
 
     R_bs: Array
@@ -103,6 +105,7 @@ class Alignment:
     turn_scale: float = np.nan
     force_scale: float = np.nan
     is_misnamed: bool = False
+    felt: Array | None = None
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
@@ -222,6 +225,7 @@ def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates 
         float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
         float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
         is_misnamed,
+        directions_s[:3].T if force_fit.share > LEAST_SHARE else None,
     )
 
 
