@@ -53,6 +53,11 @@ def advice(along: Array, aside: Array, gravity: Array, upward: Array) -> str:
     ]
     if not fitting or len(fitting) > MOST_NAMED:
         return ""
+    return remedy(*fitting)
+
+
+def remedy(*fitting: str) -> str:
+    """Return the end of a sentence that names mistakes, each of which would explain what is found."""
     return f"; it all fits once {' or '.join(fitting)}"
 
 

@@ -297,7 +297,8 @@ def _check_axes(raw: RawSession, imu: RawImu) -> _Part:
         return _Part([Finding("stop", "GPS", problem.text) for problem in mirrored], {})
     found = aligned(imu, raw.gnss)
     problems = () if found is None else found.problems
-    if is_steered := is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
+    is_misnamed = found is not None and found.is_misnamed
+    if is_steered := not is_misnamed and is_on_wheel(beginning(imu, WHEEL_SAMPLES), raw.gnss):
         problems = without_the_wheels(problems)
     findings = [Finding("stop", "IMU", problem.text) for problem in problems]
     if not findings and is_steered:

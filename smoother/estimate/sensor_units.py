@@ -10,19 +10,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from smoother.arrays import Array
 from smoother.estimate.align import Alignment, PathMotion, align
 from smoother.estimate.gnss_screen import says_velocity
 from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession
-from smoother.units import DEG
+from smoother.units import DEG, STANDARD_GRAVITY
 
 ENOUGH = 1 << 20  # samples from the beginning, an hour and a half at 200 Hz
 SOME = 100_000  # samples, evenly taken, that tell how much the box is shaken
+FEW = 10_000  # likewise, that tell by how much axes scatter
 LIKELY_TURN = (0.5, 2.0)  # of the course; boxes of karts and cars have 0.85 to 1.02
 LIKELY_FORCE = (0.75, 1.4)  # of gravity; likewise 0.95 to 1.07
 SHAKEN = 30.0  # m/s^2 rms of what changes from sample to sample; engines and tracks make 1 to 26 of it
 BENT_FORCE = (0.6, 1.7)  # of gravity, what clipped vibration leaves of it; twice or half of it is another range
 AT_THE_END = 0.01  # share of the samples at the largest value of an axis, beyond which it is the end of the range
 SAME_UNIT = 0.2  # share; the nearest two of them are many times apart
+# share by which a single axis may be off beside the others once it is in their unit
+SAME_AXIS_UNIT = 0.3
+ALIKE = 4.0  # times, by which axes of one gyroscope scatter differently at the most; degrees and radians do by 57
 TURN_UNITS = {  # how many times too fast
     "with deg/s where rad/s belong": 1.0 / DEG,
     "with rad/s where deg/s belong": DEG,
@@ -35,15 +40,82 @@ def in_known_units(raw: RawSession) -> RawSession:
     so in its problems; as it is where the motion does not tell."""
     if raw.imu is None:
         return raw
+    raw, found = _in_one_unit(raw, raw.imu, aligned(raw.imu, raw.gnss))
+    assert raw.imu is not None
     shaken = _shaken(raw.imu)
     if not shaken:
-        return _judged(raw, raw.imu, LIKELY_FORCE)
-    return _judged(replace(raw, problems=(*raw.problems, *shaken)), raw.imu, BENT_FORCE)
+        return _judged(raw, raw.imu, found, LIKELY_FORCE)
+    return _judged(replace(raw, problems=(*raw.problems, *shaken)), raw.imu, found, BENT_FORCE)
 
 
-def _judged(raw: RawSession, imu: RawImu, likely_force: tuple[float, float]) -> RawSession:
+def _in_one_unit(raw: RawSession, imu: RawImu, found: Alignment | None) -> tuple[RawSession, Alignment | None]:
+    """The session, and how its box lies, with all axes of a sensor in the unit of one, where only then the motion fits.
+
+    Of the accelerometer the motion tells the size of each axis by itself. Of the gyroscope it tells that of what is up;
+    axes in two units scatter by as many times more than one another.
+    """
+    for name, tried in (("a", _force_scales(found)), ("g", _rate_scales(imu))):
+        for scales in tried:
+            one = _rescaled(imu, name, scales)
+            again = aligned(one, raw.gnss)
+            if again is None or again.problems or not _is_rotation(again.felt):
+                continue
+            if not LIKELY_TURN[0] < again.turn_scale < LIKELY_TURN[1]:
+                continue
+            changed = " and ".join(name + axis for axis, scale in zip("xyz", scales, strict=True) if scale != 1.0)
+            times = next(scale for scale in scales if scale != 1.0)
+            unit = "g where m/s^2 belong" if name == "a" else "degrees and others in radians"
+            text = f"only with {changed} times {times:.3g} the sensor fits the motion, as where some axes are in {unit}"
+            problem = Problem("imu_axis_unit", f"{text}; taken so")
+            return replace(raw, imu=one, problems=(*raw.problems, problem)), again
+    return raw, found
+
+
+def _force_scales(found: Alignment | None) -> list[Array]:
+    """What (3,) would bring axes in g to m/s^2, where one or two feel as much less than the others."""
+    if found is None or found.felt is None:
+        return []
+    sizes = np.linalg.norm(found.felt, axis=1)
+    is_small = np.abs(sizes * STANDARD_GRAVITY - 1.0) < SAME_AXIS_UNIT
+    is_right = np.abs(sizes - 1.0) < SAME_AXIS_UNIT
+    if not (is_small.any() and is_right.any() and np.all(is_small | is_right)):
+        return []
+    return [np.where(is_small, STANDARD_GRAVITY, 1.0)]
+
+
+def _rate_scales(imu: RawImu) -> list[Array]:
+    """What (3,) would bring rates to one unit, where one axis scatters as degrees beside radians do."""
+    rows = np.arange(0, len(imu.t) - 1, max(1, len(imu.t) // FEW))
+    if not len(rows):
+        return []
+    change = (imu.gyro[rows + 1].astype(np.float64) - imu.gyro[rows]) ** 2
+    scatter = np.sqrt(np.mean(change, axis=0))
+    for odd in range(3):
+        others = np.delete(scatter, odd)
+        if others.min() <= 0.0 or others.max() > ALIKE * others.min() or scatter[odd] <= 0.0:
+            continue
+        times = float(scatter[odd] / np.sqrt(others[0] * others[1]))
+        for unit in (1.0 / DEG, DEG):
+            if 1.0 / ALIKE < times / unit < ALIKE:
+                alone = np.where(np.arange(3) == odd, 1.0 / unit, 1.0)
+                return [alone, np.where(np.arange(3) == odd, 1.0, unit)]
+    return []
+
+
+def _rescaled(imu: RawImu, name: str, scales: Array) -> RawImu:
+    """The samples with the axes of accelerometer or gyroscope multiplied by scales (3,)."""
+    if name == "a":
+        return replace(imu, accel=imu.accel * scales, accel_full_scale=None)
+    return replace(imu, gyro=imu.gyro * scales, gyro_full_scale=None)
+
+
+def _is_rotation(felt: Array | None) -> bool:
+    return felt is not None and bool(np.all(np.abs(np.linalg.norm(felt, axis=1) - 1.0) < SAME_AXIS_UNIT))
+
+
+def _judged(raw: RawSession, imu: RawImu, found: Alignment | None, likely_force: tuple[float, float]) -> RawSession:
     """The session with units that are known, or without the sensor; likely_force: what it feels of gravity."""
-    if (found := aligned(imu, raw.gnss)) is None:
+    if found is None:
         return raw
     force, turn = found.force_scale, found.turn_scale
     if force < likely_force[0] or force > likely_force[1]:

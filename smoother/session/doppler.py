@@ -39,6 +39,8 @@ STUCK_ROWS, STUCK_TIME = 20, 10.0  # s; a value that stands longer, against the 
 STUCK_SHARE = 0.25  # of the positions against it: a stuck course is right once a lap, a jump of positions is short
 SPEED_OFF = (2.0, 0.15)  # m/s and share of what the positions say, which over BASELINE are noisy by less
 COURSE_OFF = 45.0  # deg; a bend within the delay between velocity and position mostly makes less
+# deg off the way, s and rows for which a course points backwards; within a delay of a second a hairpin makes 90
+BACKWARDS, BACKWARDS_TIME, BACKWARDS_ROWS = 135.0, 3.0, 5
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, -0.25, -0.5)  # s by which velocities come behind their positions, or before them
 CALM = 25.0  # per cent of the rows in which noise shows alone
 # m/s over BASELINE for that percentile of roughness, m: a Rayleigh deviate of 0.759 sigmas, of which a weighted sum of
@@ -74,7 +76,8 @@ def without_wrong_velocity(rows: RowFilter, t: Array, c: FixColumns) -> FixColum
     units = UNIT_RATIOS if converted is not c else {name: ratio for name, ratio in UNIT_RATIOS.items() if ratio > 1.0}
     c = _without_wrong_unit_in_parts(rows, t, converted, units)
     c = _without_repeats(rows, _without_zeros_of_slow(rows, t, _without_stuck(rows, t, c)))
-    return _without_wrong_climb(rows, t, _without_wrong_course(rows, t, c))
+    c = _backwards_in_parts(rows, t, _without_wrong_course(rows, t, c))
+    return _without_wrong_climb(rows, t, c)
 
 
 def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
@@ -452,6 +455,29 @@ def _without_wrong_course(rows: RowFilter, t: Array, c: FixColumns) -> FixColumn
     rows.say("course_wrong", f"course is mostly {off:.0f} deg off the way of the positions{hint}; not used", 1)
     unknown = np.full(t.size, np.nan)
     return replace(c, course_deg=unknown, velocity_north=unknown, velocity_east=unknown, velocity_up=unknown)
+
+
+def _backwards_in_parts(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:
+    """The columns without direction where for some seconds it points against the way of the positions.
+
+    With the rows beside that are too slow to tell. However late it is, in no bend does a course do that for so long.
+    """
+    has_parts = np.isfinite(c.velocity_north) & np.isfinite(c.velocity_east)
+    course = np.where(has_parts, np.degrees(np.arctan2(c.velocity_east, c.velocity_north)), c.course_deg)
+    steps = _steps_of(t, c)
+    known = steps.whole & np.isfinite(course) & ~_says_slow(c)
+    told = np.flatnonzero(known & steps.told(steps.noise(known))) if np.any(known) else np.empty(0, dtype=np.intp)
+    wrong, ends = np.zeros(t.size, dtype=np.bool_), np.concatenate([[-1], told, [t.size]])
+    for first, end in _stretches(steps.angle_from(course)[told] > BACKWARDS, 0):
+        if end - first >= BACKWARDS_ROWS and t[told[end - 1]] - t[told[first]] > BACKWARDS_TIME:
+            wrong[ends[first] + 1 : ends[end + 1]] = True
+    wrong &= np.isfinite(course)
+    if not (count := int(np.count_nonzero(wrong))):
+        return c
+    where = f"course points against the way of the positions in {counted(count, 'row')}"
+    rows.say("course_backwards", f"{where}, from {t[np.argmax(wrong)]:.0f} s on; not used there", count)
+    names = ("course_deg", "velocity_north", "velocity_east", "velocity_up")
+    return replace(c, **{name: np.where(wrong, np.nan, getattr(c, name)) for name in names})
 
 
 def _are_exchanged(t: Array, steps: _Steps, c: FixColumns, told: BoolArray) -> bool:

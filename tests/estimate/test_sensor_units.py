@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from smoother import so3
 from smoother.estimate.sensor_units import in_known_units
 from smoother.samples import RawSession
 from smoother.sim.simulation import simulate_preset
-from smoother.units import DEG
+from smoother.units import DEG, STANDARD_GRAVITY
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +105,46 @@ def test_without_velocities_nothing_is_judged(kart: RawSession) -> None:
     still = dataclasses.replace(kart.gnss, velocity_n=np.full((len(kart.gnss), 3), np.nan))
     raw = scaled(dataclasses.replace(kart, gnss=still), gyro=0.1)
     assert in_known_units(raw) is raw
+
+
+def by_axis(raw: RawSession, sensor: str, scales: tuple[float, float, float]) -> RawSession:
+    assert raw.imu is not None
+    values = getattr(raw.imu, sensor) * np.array(scales)
+    return dataclasses.replace(raw, imu=dataclasses.replace(raw.imu, **{sensor: values}))
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+@pytest.mark.parametrize(
+    ("sensor", "scales"),
+    [
+        ("gyro", (DEG, DEG, 1.0)),  # as where one axis is in deg/s, and all were divided
+        ("gyro", (1.0 / DEG, 1.0, 1.0)),
+        ("gyro", (1.0, DEG, 1.0)),
+        ("gyro", (1.0, 1.0, 1.0 / DEG)),
+        ("accel", (1.0 / STANDARD_GRAVITY, 1.0, 1.0)),
+        ("accel", (1.0 / STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY, 1.0)),
+    ],
+)
+def test_axes_of_one_sensor_in_two_units_are_brought_to_one(
+    sensor: str, scales: tuple[float, float, float], seed: int
+) -> None:
+    right = simulate_preset("kart", seed, duration=90.0, R_bs=so3.exp(np.array([0.04, -0.05, 1.0]))).raw
+    raw = in_known_units(by_axis(right, sensor, scales))
+    assert raw.imu is not None and right.imu is not None
+    scale = getattr(raw.imu, f"{sensor}_scale") / getattr(right.imu, f"{sensor}_scale")
+    np.testing.assert_allclose(getattr(raw.imu, sensor) * scale, getattr(right.imu, sensor), rtol=1e-9)
+    (problem,) = (problem for problem in raw.problems if problem.code == "imu_axis_unit")
+    assert problem.text.startswith(f"only with {sensor[0]}") and problem.text.endswith("taken so")
+
+
+@pytest.mark.parametrize("scales", [(0.5, 1.0, 1.0), (1.0, 0.2, 1.0), (1.0, 1.0, 0.4)])
+def test_an_axis_by_any_other_factor_is_not_converted(kart: RawSession, scales: tuple[float, float, float]) -> None:
+    raw = in_known_units(by_axis(kart, "accel", scales))
+    assert all(problem.code != "imu_axis_unit" for problem in raw.problems)
+
+
+@pytest.mark.parametrize("preset", ["kart", "kart_harsh", "white"])
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_axes_in_one_unit_stay(preset: str, seed: int) -> None:
+    raw = simulate_preset(preset, seed, duration=90.0).raw
+    assert in_known_units(raw).imu is raw.imu

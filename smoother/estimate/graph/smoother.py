@@ -44,6 +44,7 @@ from smoother.estimate.graph.start import (
     on_the_wheel,
 )
 from smoother.estimate.graph.state import SLIP
+from smoother.estimate.graph.stated import contradicted_constants, contradicted_mounting, contradicted_noise
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.graph.windows import WindowsSolution
@@ -53,7 +54,15 @@ from smoother.estimate.mirrored import explained
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
-from smoother.trajectory import BOX_ON_WHEEL, IMU_SHAKEN, EstimateReport, Identified, Trajectory
+from smoother.trajectory import (
+    BOX_ON_WHEEL,
+    IMU_SHAKEN,
+    MIRRORED_AXES,
+    UNLIKE_AXES,
+    EstimateReport,
+    Identified,
+    Trajectory,
+)
 from smoother.units import DEG
 from smoother.words import counted
 
@@ -81,6 +90,12 @@ FAR_APART = (
     "the inertial samples fit the fixes only with the antenna {:.1f} m from the box, which this motion can not tell "
     "from late or averaged speeds; smoothed from the fixes alone. Does the logger average its speeds? Leave speed and "
     "course out of the file. Are box and antenna that far apart? State it: [mounting] lever_arm_b in session.toml"
+)
+
+
+FAR_AS_STATED = (
+    "with what is stated the inertial samples fit the fixes only with the antenna {:.1f} m from the box; smoothed from "
+    "the fixes alone"
 )
 
 
@@ -164,6 +179,7 @@ class GraphSmoother:
                     trajectory, solved = _output(session, steered, options), steered
         start, solution = solved.start, solved.solution
         report = _completed_report(given, begun, start, solution, trajectory)
+        report = replace(report, problems=(*report.problems, *_contradicted(session, solved)))
         trajectory = replace(trajectory, report=replace(report, timings=watch.seconds))
         if not len(pauses):
             return trajectory
@@ -288,7 +304,9 @@ def _output(session: Session, solved: Looked, options: GraphOptions) -> Trajecto
     """Trajectory of what was solved. Raises _FixesAlone where the antenna is too far from the box."""
     start, found, solution = solved.start, solved.found, solved.solution
     if session.config.mounting.lever_arm_b is None and (arm := level_arm(found)) > LONGEST_ARM:
-        raise _FixesAlone((*start.alignment.problems, Problem("arm_too_long", FAR_APART.format(arm))))
+        wrong = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
+        text = (FAR_AS_STATED if wrong else FAR_APART).format(arm)
+        raise _FixesAlone((*start.alignment.problems, *wrong, Problem("arm_too_long", text)))
     return build_trajectory(
         session,
         found,
@@ -310,6 +328,8 @@ def _turns_with_a_wheel(trajectory: Trajectory, solved: Looked) -> bool:
     """
     on_wheel = any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems)
     gyro = solved.solution.noise.inertial.gyro
+    if solved.start.alignment.is_misnamed:
+        return False
     return on_wheel and not solved.found.state.constants.is_steered and unsteadiness(gyro) < 1.0
 
 
@@ -342,17 +362,35 @@ def _completed_report(
     )
 
 
+def _contradicted(session: Session, solved: Looked) -> tuple[Problem, ...]:
+    """Say what was stated of the session that it contradicts; of axes that are wrong nothing else is told."""
+    start, found, solution = solved.start, solved.found, solved.solution
+    if any(problem.code in (MIRRORED_AXES, UNLIKE_AXES) for problem in start.alignment.problems):
+        return ()
+    stated, constants = session.config.mounting.R_bs, found.state.constants
+    out = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
+    if stated is not None and not constants.is_steered and not start.alignment.is_level_only:
+        out += contradicted_mounting(stated, _fitted_mounting(session, found, solution.noise, start))
+    return out + contradicted_noise(start)
+
+
 def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
-    stated, state = session.config.mounting.R_bs, found.state
+    stated = session.config.mounting.R_bs
     if stated is not None:
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
-        height_sigma = float(np.sqrt(2.0) * noise.offset_sigma[2]) if start.priors.has_height else None
-        mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
-        if mounting.is_fitted:
-            mean, common = attitude_variance(found, mounting.R_bs, are_made_up(start.fine))
-            mounting = on_its_ground(mounting, state, float(max(mean[0] - common[0], 0.0)), start.fine.missing)
-        of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
-        if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
-            mounting = along_wheels(mounting, state.constants, of_slip + beyond)
+        mounting = _fitted_mounting(session, found, noise, start)
     return without_heading(mounting) if start.alignment.is_level_only else mounting
+
+
+def _fitted_mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
+    state = found.state
+    height_sigma = float(np.sqrt(2.0) * noise.offset_sigma[2]) if start.priors.has_height else None
+    mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
+    if mounting.is_fitted:
+        mean, common = attitude_variance(found, mounting.R_bs, are_made_up(start.fine))
+        mounting = on_its_ground(mounting, state, float(max(mean[0] - common[0], 0.0)), start.fine.missing)
+    of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
+    if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
+        mounting = along_wheels(mounting, state.constants, of_slip + beyond)
+    return mounting

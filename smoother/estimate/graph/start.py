@@ -176,6 +176,8 @@ def make_start(
 def _on_wheel_and_delay(session: Session, driven: PathMotion, alignment: Alignment) -> tuple[bool, SizeDelay]:
     """Whether the box is on the steering wheel; the delay of `driven` by the size of the force where that matters."""
     assert session.imu is not None
+    if alignment.is_misnamed:
+        return False, UNSEEN
     is_steered = is_on_wheel(session.imu, session.gnss)
     if alignment.is_level_only or not (is_steered or alignment.gyro_noise > DOUBTED_RATES):
         return is_steered, UNSEEN

@@ -1,0 +1,152 @@
+"""Values that the settings state and the session contradicts: which, by how much, and what it would find itself.
+
+A stated value is held by a prior far narrower than any session could tell it, so it comes out as it was stated, and
+what is wrong with it goes into antenna, attitudes and noise. How strongly the session pulls at it is all the same in
+what is left: by a millionth of a second, of known stiffness. With that prior loosened to what is known of a value
+nobody stated, the pull is a step of so many sigmas (a score test; Rao 1948). The step is that of a linear model: of
+what is far off it says the direction, and the size to a third.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array, median
+from smoother.config import SessionConfig
+from smoother.estimate.graph.batch import Noise, Priors, constants_sigma
+from smoother.estimate.graph.components import OWN_SCATTER
+from smoother.estimate.graph.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
+from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.output import Estimated
+from smoother.estimate.graph.start import GraphOptions, Start, scatter_of
+from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
+from smoother.samples import Problem, Session
+from smoother.units import DEG
+
+STATED = "stated_wrong"  # code of the problem
+# sigmas, and what a delay or the place of an antenna is known to at best where a session is no simulation
+CERTAIN, LEAST_DELAY, LEAST_ARM = 6.0, 0.04, 0.4  # s, m
+LEAST_ANGLE = 4.0 * DEG  # likewise of how the box stands: twice what a track falls to one side for the water
+# times what neighbouring samples scatter by: half of the least that is ever found, and more than is
+TOO_QUIET, TOO_LOUD = 0.5 * OWN_SCATTER, 10.0
+REMEDY = "Correct it in session.toml, or leave it out to have it found"
+
+
+@dataclass(frozen=True, eq=False)
+class Loosened:
+    """Constants (29,) that a session would find, were none of them stated, by one step; their covariance (29, 29)."""
+
+    value: Array
+    covariance: Array
+
+
+def loosened(found: Estimated, priors: Priors, noise: Noise, loose: Array) -> Loosened:
+    """Take the step from what was `found`, with the prior sigmas `loose` (29,) where those were narrower."""
+    sigma, value = constants_sigma(priors, noise), found.state.constants.as_vector()
+    wider = np.maximum(sigma, loose)
+    own = np.sqrt(np.diag(found.constants_covariance))
+    information = np.linalg.inv(found.constants_covariance / np.outer(own, own)) / np.outer(own, own)
+    less = sigma**-2.0 - wider**-2.0
+    covariance = np.linalg.inv(information - np.diag(less))
+    return Loosened(value + covariance @ (less * (value - priors.constants)), covariance)
+
+
+def contradicted_constants(
+    session: Session, found: Estimated, priors: Priors, noise: Noise, doubt: float
+) -> tuple[Problem, ...]:
+    """Say which stated delays and arm the session contradicts.
+
+    doubt: see :func:`smoother.estimate.graph.identified.identified_values`.
+    """
+    config, constants = session.config, found.state.constants
+    timing, arm = config.gps, config.mounting.lever_arm_b
+    is_any = any(value is not None for value in (timing.position_latency, timing.velocity_latency, arm))
+    if session.imu is None or not priors.drives or not is_any:
+        return ()
+    usual, loose = GraphOptions(), np.zeros(CONSTANTS_SIZE)
+    if timing.position_latency is not None:
+        loose[POSITION_LATENCY] = usual.latency_sigma
+    if timing.velocity_latency is not None and np.any(np.isfinite(session.gnss.velocity_n[:, 0])):
+        loose[VELOCITY_LATENCY] = usual.latency_sigma
+    if arm is not None:
+        loose[LEVER_ARM] = usual.lever_arm_sigma
+    try:
+        free = loosened(found, priors, noise, loose)
+    except np.linalg.LinAlgError:
+        return ()
+    unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt)
+    moment = unsure_moment(float(median(np.diff(session.imu.t))), config.imu_delay, unsteady)
+    problems = list(_delays(config, free, moment))
+    if arm is not None and not constants.is_steered:
+        R_bs = constants.level_axes_s if config.mounting.R_bs is None else config.mounting.R_bs
+        problems += _arm(arm, free, R_bs, UNSTEADY_ARM * unsteady)
+    return tuple(problems)
+
+
+def _delays(config: SessionConfig, free: Loosened, moment: float) -> Iterator[Problem]:
+    names = ("position_latency", config.gps.position_latency), ("velocity_latency", config.gps.velocity_latency)
+    for i, (name, stated) in enumerate(names):
+        if stated is None:
+            continue
+        sigma = math.hypot(math.sqrt(free.covariance[i, i]), moment)
+        off = float(free.value[i]) - stated
+        if abs(off) > max(CERTAIN * sigma, LEAST_DELAY):
+            text = (
+                f"[gps] {name} is stated as {stated:.3g} s, which the motion contradicts by {abs(off) / sigma:.0f} "
+                f"sigmas: it tells about {free.value[i]:.2f} s. {REMEDY}"
+            )
+            yield Problem(STATED, text)
+
+
+def _arm(stated: Array, free: Loosened, R_bs: Array, unsteady: float) -> Iterator[Problem]:
+    """Ahead and to the left; up hardly shows."""
+    value, covariance = R_bs @ free.value[LEVER_ARM], R_bs @ free.covariance[LEVER_ARM, LEVER_ARM] @ R_bs.T
+    off, sigma = (value - stated)[:2], np.hypot(np.sqrt(np.diag(covariance))[:2], unsteady)
+    if np.any(np.abs(off) > np.maximum(CERTAIN * sigma, LEAST_ARM)):
+        text = (
+            f"[mounting] lever_arm_b is stated as {_metres(stated[:2])} m ahead and to the left of the box, which the "
+            f"motion contradicts by {np.max(np.abs(off) / sigma):.0f} sigmas: it tells about {_metres(value[:2])} m. "
+            f"{REMEDY}"
+        )
+        yield Problem(STATED, text)
+
+
+def contradicted_mounting(stated: Array, fitted: FittedMounting) -> tuple[Problem, ...]:
+    """Say so where a box does not stand as its stated mounting (3, 3) says."""
+    if not fitted.is_fitted:
+        return ()
+    off = so3.log(fitted.R_bs @ stated.T)
+    if not np.any(np.abs(off) > np.maximum(CERTAIN * fitted.sigma, LEAST_ANGLE)):
+        return ()
+    rows = ", ".join("[" + ", ".join(f"{value:.3f}" for value in row) + "]" for row in fitted.R_bs)
+    text = (
+        f"the mounting that is stated (R_bs or axes) is {np.linalg.norm(off) / DEG:.0f} deg off that which the drive "
+        f"shows, R_bs = [{rows}]: roll, pitch and yaw are off by as much. {REMEDY}"
+    )
+    return (Problem(STATED, text),)
+
+
+def contradicted_noise(start: Start) -> tuple[Problem, ...]:
+    """Say so where a stated density is far from what neighbouring samples scatter by."""
+    stated, scatter = start.stated, scatter_of(start) if start.stated.accel_noise or start.stated.gyro_noise else None
+    if scatter is None:
+        return ()
+    shown = ("accel_noise", stated.accel_noise, scatter.accel), ("gyro_noise", stated.gyro_noise, scatter.gyro)
+    out = []
+    for (name, density, seen), unit in zip(shown, ("m/s^2/sqrt(Hz)", "rad/s/sqrt(Hz)"), strict=True):
+        if not density or TOO_QUIET * seen < density < TOO_LOUD * seen:
+            continue
+        why = "samples count for more than they are worth" if density < seen else "samples hardly count"
+        text = (
+            f"[imu] {name} is stated as {density:.2g} {unit}, while the samples scatter by {seen:.2g} as the kart "
+            f"drives: {why}, and the ± is not right. {REMEDY}"
+        )
+        out.append(Problem(STATED, text))
+    return tuple(out)
+
+
+def _metres(values: Array) -> str:
+    return " and ".join(f"{value:.2f}" for value in values)

@@ -1,0 +1,106 @@
+"""Settings that a session contradicts: each is said with what the session tells, and those that are right are not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smoother import so3
+from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.prepare import prepare
+from smoother.samples import Problem
+from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.trajectory import Trajectory
+from smoother.units import DEG
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Simulation:
+    return simulate_preset("kart", 51, duration=120.0)
+
+
+def with_settings(simulation: Simulation, config: SessionConfig) -> Trajectory:
+    return GraphSmoother().estimate(prepare(replace(simulation.raw, config=config)))
+
+
+def contradictions(simulation: Simulation, config: SessionConfig) -> list[Problem]:
+    problems = with_settings(simulation, config).report.problems
+    return [problem for problem in problems if problem.code == "stated_wrong"]
+
+
+def test_what_is_right_is_not_contradicted(simulation: Simulation) -> None:
+    truth, receiver, imu = simulation.scenario, simulation.scenario.gnss, simulation.scenario.imu
+    assert imu is not None
+    settings = SessionConfig(
+        mounting=Mounting(truth.lever_arm_b, truth.R_bs),
+        gps=GnssTiming(receiver.position_latency, receiver.velocity_latency),
+        imu=ImuNoise(imu.accel_noise, imu.gyro_noise),
+    )
+    assert contradictions(simulation, settings) == []
+    assert contradictions(simulation, SessionConfig()) == []
+
+
+@pytest.mark.parametrize("off", [0.1, -0.15])
+@pytest.mark.parametrize("name", ["position_latency", "velocity_latency"])
+def test_a_wrong_delay_is_named_with_the_one_that_the_motion_tells(
+    simulation: Simulation, name: str, off: float
+) -> None:
+    true = getattr(simulation.scenario.gnss, name)
+    (problem,) = contradictions(simulation, SessionConfig(gps=GnssTiming(**{name: true + off})))
+    assert problem.text.startswith(f"[gps] {name} is stated as")
+    (told,) = re.findall(r"it tells about (-?[\d.]+) s", problem.text)
+    assert float(told) == pytest.approx(true, abs=0.4 * abs(off))
+
+
+def test_of_two_delays_and_an_arm_that_are_stated_the_wrong_one_is_named(simulation: Simulation) -> None:
+    truth, receiver = simulation.scenario, simulation.scenario.gnss
+    timing = GnssTiming(receiver.position_latency + 0.15, receiver.velocity_latency)
+    (problem,) = contradictions(simulation, SessionConfig(gps=timing, mounting=Mounting(truth.lever_arm_b)))
+    assert "position_latency" in problem.text
+
+
+def test_a_delay_that_leaves_the_fixes_alone_is_what_is_blamed(simulation: Simulation) -> None:
+    true = simulation.scenario.gnss.position_latency
+    report = with_settings(simulation, SessionConfig(gps=GnssTiming(true + 0.35))).report
+    assert report.mode == "gps-only"
+    texts = {problem.code: problem.text for problem in report.problems}
+    assert "position_latency is stated as" in texts["stated_wrong"]
+    assert "average its speeds" not in texts["arm_too_long"]
+
+
+@pytest.mark.parametrize("times", [-1.0, 10.0])
+def test_a_wrong_arm_is_named(simulation: Simulation, times: float) -> None:
+    arm = np.array([0.6, -0.5, 0.3])
+    of_arm = simulate_preset("kart", 52, duration=120.0, lever_arm_b=arm)
+    assert contradictions(of_arm, SessionConfig(mounting=Mounting(arm))) == []
+    (problem,) = contradictions(of_arm, SessionConfig(mounting=Mounting(times * arm)))
+    assert problem.text.startswith("[mounting] lever_arm_b is stated as")
+
+
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 10.0], [6.0, 0.0, 0.0], [0.0, -6.0, 0.0], [0.0, 0.0, 90.0]])
+def test_a_wrong_mounting_is_named_with_the_one_that_the_drive_shows(simulation: Simulation, turn: list[float]) -> None:
+    true = simulation.scenario.R_bs
+    wrong = so3.exp(np.array(turn) * DEG) @ true
+    (problem,) = contradictions(simulation, SessionConfig(mounting=Mounting(R_bs=wrong)))
+    told = np.array(re.findall(r"-?\d\.\d{3}", problem.text), dtype=np.float64).reshape(3, 3)
+    assert np.linalg.norm(so3.log(told @ true.T)) < 2.5 * DEG
+
+
+@pytest.mark.parametrize("times", [0.05, 20.0])
+@pytest.mark.parametrize("name", ["accel_noise", "gyro_noise"])
+def test_a_density_that_the_samples_contradict_is_named(simulation: Simulation, name: str, times: float) -> None:
+    true = getattr(simulation.scenario.imu, name)
+    (problem,) = contradictions(simulation, SessionConfig(imu=ImuNoise(**{name: times * true})))
+    assert problem.text.startswith(f"[imu] {name} is stated as")
+
+
+def test_axes_that_are_wrong_are_blamed_alone(simulation: Simulation) -> None:
+    raw = simulation.raw
+    assert raw.imu is not None
+    wrong = replace(raw, imu=replace(raw.imu, gyro=raw.imu.gyro * [1.0, 1.0, -1.0]))
+    config = SessionConfig(mounting=Mounting(R_bs=simulation.scenario.R_bs))
+    problems = with_settings(replace(simulation, raw=wrong), config).report.problems
+    codes = [problem.code for problem in problems]
+    assert "imu_axes_disagree" in codes and "stated_wrong" not in codes
