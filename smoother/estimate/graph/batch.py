@@ -156,7 +156,7 @@ class Data:
     in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
     that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
     pauses: time that is cut out between some of them, for which the biases walk on. lasting m/s: sigma of what lasts of
-    the errors of velocities. slopes_below Hz: slopes are of motion that is slower, at least.
+    the errors of velocities.
     """
 
     t: Array
@@ -171,7 +171,6 @@ class Data:
     sampled: Array | None = None
     pauses: Pauses = NO_PAUSES
     lasting: float = 0.0
-    slopes_below: float = DRIVEN_BELOW
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +353,7 @@ def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> Ex
         state.interval,
         up,
         is_steered=c.is_steered,
-        slopes_below=DRIVEN_BELOW if c.is_steered else min(d.slopes_below, _shown_below(c.velocity_response)),
+        slopes_below=DRIVEN_BELOW if c.is_steered else _shown_below(c.velocity_response),
     )
 
 

@@ -40,9 +40,6 @@ CONSTANTS_WELL_KNOWN = 0.25  # likewise of the constants: 3 %
 # second off, and steps from there are short by the noise that they take from what is still wrong, which hardly changes
 # from turn to turn. So many times the usual turns they have, at most; where the start is near none is added
 ON_THE_WAY, FARTHER = 0.5, 4
-# Hz: slopes of the first steps are of what any receiver shows late and little else. With quick ones, which a filter
-# does not show, its response may come out as nothing, and its delay far off; from there no step leads back
-BEGUN_BELOW = 0.6
 TINY = 0.25  # of either: steps that no longer shrink, but only go to and fro
 LARGE = 2.0  # of either: steps that are another one's beginning, whatever the proportion
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
@@ -119,11 +116,9 @@ def _settle(
     start: Start, state: ChainState, noise: Noise, scatter: Scatter, options: GraphOptions, say: Say
 ) -> tuple[ChainState, Noise]:
     """Converge, then re-estimate the noise after each further step until it stays."""
-    batch, slowly = (
-        Batch(data, start.binned, start.priors) for data in (start.data, replace(start.data, slopes_below=BEGUN_BELOW))
-    )
+    batch = Batch(start.data, start.binned, start.priors)
     graph = batch.graph(state, noise)
-    state = slowly.converge(graph, state, noise, options.iterations)
+    state = batch.converge(graph, state, noise, options.iterations)
     relaxation, steps = Relaxation(), NoiseSteps()
     for turn in range(FARTHER * options.rounds):
         graph = _serving(batch, graph, state, noise)
