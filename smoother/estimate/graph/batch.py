@@ -13,7 +13,7 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray, are_near
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, moved_on, solve_chain
-from smoother.estimate.graph.expected import DopplerNoise, ExpectedMotion, expected_motion
+from smoother.estimate.graph.expected import DRIVEN_BELOW, DopplerNoise, ExpectedMotion, expected_motion, shown_below
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path
 from smoother.estimate.graph.inertial import (
@@ -131,7 +131,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (29,).
+    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (30,).
 
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
     known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
@@ -264,7 +264,7 @@ class Batch:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
         relaxation: what the steps before tell of how far to go; None goes all the way.
-        held (29, 29) is the covariance of constants that are to stay where they are, all but those that are free.
+        held (30, 30) is the covariance of constants that are to stay where they are, all but those that are free.
         was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
         linear = self.linear(graph, state, noise, was_without_wheels=was_without_wheels)
@@ -304,7 +304,7 @@ class Batch:
     def roll(self, linear: Linear, motion: DrivenMotion, gone: Array, slip_noise: SlipNoise, held: Array) -> Solved:
         """Solve what was linearised without wheels once more with them. motion: that of its state.
 
-        All constants but those of slip go on by gone (29,), as they would without wheels; held (29, 29) is their
+        All constants but those of slip go on by gone (30,), as they would without wheels; held (30, 30) is their
         covariance.
         """
         slip = self._slip(linear.state, motion)
@@ -408,7 +408,22 @@ def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> Ex
             velocity_n=np.where(inside[:, None], 0.0, path.velocity_n),
         )
     c = state.constants
-    return expected_motion(path, c.level_axes_s, noise.inertial, level, state.interval, up, is_steered=c.is_steered)
+    return expected_motion(
+        path,
+        c.level_axes_s,
+        noise.inertial,
+        level,
+        state.interval,
+        up,
+        is_steered=c.is_steered,
+        slopes_below=DRIVEN_BELOW if c.is_steered else _shown_below(c.velocity_response),
+    )
+
+
+def _shown_below(response: float) -> float:
+    """Frequency, Hz, of what a receiver shows late and little else, by what of its response, s^2, is a filter's."""
+    share, _ = rw.low_pass_share(response)
+    return shown_below(share * response)
 
 
 def session_rows(
@@ -489,7 +504,7 @@ def _of_keyframes(system: ChainSystem) -> ChainSystem:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (29,) of all constants."""
+    """Prior sigma (30,) of all constants."""
     sigma = priors.constants_sigma.copy()
     for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         sigma[part] = spread

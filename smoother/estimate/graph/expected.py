@@ -40,6 +40,11 @@ the square of a frequency: on a real kart with a folded engine and 25 fixes a se
 response, delay and arm drove one another to and fro, turn after turn, by 0.05 s and half a metre; simulated receivers
 that filter answer slower motion as clearly.
 
+A receiver that filters its velocities shows little of quick motion, and late or early by what depends on its filter.
+Slow motion is late by the delay of any filter, and rounded by its response; so all slopes are of motion that is slow
+for the response found (:func:`shown_below`). Slopes of quick motion go with what the filter that is looked for has of
+it and the receiver's has not: tens of ms of delay, decimetres of arm, beside which the response may seem to be nothing.
+
 Nor does a spectrum tell motion from vibration that the sampling folds to some hertz: it is a line, far above the noise,
 and Doppler does not show it, so that a receiver would seem to smooth what it shows, and its delay to go with that.
 Vehicles accelerate the less the quicker: where there is more again from SHAKEN on, slopes are made of slower motion.
@@ -71,6 +76,8 @@ MOST_LEAD = 0.3
 # Hz, and what of them slopes are made of where a motion is no less in the latter: no vehicle's is, 0.3 times at most
 DRIVEN, SHAKEN, STEADY_SLOPE = (0.5, 1.0), (2.5, 5.0), 1.5
 DRIVEN_BELOW = 2.5  # Hz, that the keyframes of receivers up to 10 Hz follow
+# Share of a motion that a response takes off where slopes by it end, and Hz, from which on they hold what a kart drives
+ROUNDED, DRIVEN_FROM = 0.3, 0.45
 LEAST_SPEED = 3.0  # m/s, by which a turn counts at rest, lest a turn on the spot count for nothing
 STEEPEST = 2.5  # turn about up in parts of that about the way ahead: of a column 22 deg off upright
 SLOW = 0.5  # of the usual speed; what turns a kart more slowly is not made of so much more of the noise of its force
@@ -93,16 +100,23 @@ class ExpectedMotion(Motion):
     """Motion whose velocity is the path's, less what the noise in the acceleration has added to it.
 
     turn_variance, (rad/s)^2: of the errors of turn_rate. followed: the motion without what is too quick to drive, or
-    for keyframes to follow; None where that is all of it.
+    for keyframes to follow; None where that is all of it. shown: without what is quicker than the receiver shows too;
+    None where `followed` is.
     """
 
     turn_variance: float = 0.0
     followed: Motion | None = None
+    shown: Motion | None = None
+
+    @property
+    def answered(self) -> Motion:
+        """What of the motion a receiver's response is taken to be to."""
+        return self if self.followed is None else self.followed
 
     @property
     def slow(self) -> Motion:
         """What of the motion slopes by latencies, arm and a receiver's response are made of."""
-        return self if self.followed is None else self.followed
+        return self.answered if self.shown is None else self.shown
 
     def means(self, n_bins: int) -> Array:
         """Mean accelerations (K-1, 3) m/s^2 over intervals of n_bins bins each."""
@@ -133,13 +147,15 @@ def expected_motion(
     upwards: DopplerNoise | None = None,
     *,
     is_steered: bool = False,
+    slopes_below: float = DRIVEN_BELOW,
     with_slopes: bool = True,
 ) -> ExpectedMotion:
     """Most probable motion behind the accelerations and rates of the bins of `path`, whose samples had `noise`.
 
     level_axes_s (3, 3): rows are forward, left and up in s. doppler: of the velocities that the path was fitted to,
     None where there were none, upwards likewise of vertical ones; interval, s, between its keyframes. is_steered: the
-    box turns with the steering wheel as well, which is taken out of its turn. with_slopes: what slopes are made of too.
+    box turns with the steering wheel as well, which is taken out of its turn. slopes_below, Hz: slopes are of that.
+    with_slopes: what slopes are made of too.
     """
     R_nb, dt = path.R_ns[:-1] @ level_axes_s.T, float(path.t[1] - path.t[0])
     acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
@@ -164,11 +180,15 @@ def expected_motion(
     up = most_probable(felt.channels(UPWARDS), sigma[:, UPWARDS], slice(0, 1))
     found = [level.signal, up.signal, turn.signal]
     motion = _motion_along(path, R_nb, found)
-    followed = None
+    followed, shown = None, None
     if with_slopes:
         quickest = quickest_slope(level.signal, interval)
         followed = _motion_along(path, R_nb, [signal.slower_than(quickest) for signal in found])
-    return ExpectedMotion(motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed)
+        if quickest > 1.01 * slopes_below:
+            shown = _motion_along(path, R_nb, [signal.slower_than(slopes_below) for signal in found])
+    return ExpectedMotion(
+        motion.velocity_n, motion.acceleration_n, motion.turn_rate, float(turn.variance[0]), followed, shown
+    )
 
 
 def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
@@ -193,6 +213,16 @@ def _of_column(path: DensePath, rate: Array, rolling_noise: float) -> Array:
     of_noise = len(roll) * rolling_noise * (1.0 / QUICK_TURN - 1.0 / SLOW_TURN)
     ratio = -float(roll @ turn) / max(power - of_noise, 0.5 * power, 1e-30)
     return np.asarray(rolling * min(max(ratio, 0.0), STEEPEST))
+
+
+def shown_below(response: float) -> float:
+    """Frequency, Hz, of motion that a receiver with a response, s^2, shows late, and little else; DRIVEN_BELOW at most.
+
+    The least that a response takes off a motion with angular frequency w is response w^2.
+    """
+    if response <= 0.0:
+        return DRIVEN_BELOW
+    return min(DRIVEN_BELOW, max(DRIVEN_FROM, math.sqrt(ROUNDED / response) / (2.0 * math.pi)))
 
 
 def quickest_slope(level: Transform, interval: float) -> float:

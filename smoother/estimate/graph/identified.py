@@ -67,7 +67,7 @@ def identified_values(
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
-    covariance (29, 29) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
+    covariance (30, 30) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
     sampled_every s: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
     of UNSTEADY_DELAY and UNSTEADY_ARM.
@@ -87,7 +87,7 @@ def identified_values(
 def _of_the_receiver(
     constants: Constants, sigma: Array, priors: Priors, config: SessionConfig, moment: float
 ) -> dict[str, Identified]:
-    """Its delays, and what it answers to a change of acceleration; sigma (29,) of all constants.
+    """Its delays, and what it answers to a change of acceleration; sigma (30,) of all constants.
 
     moment: see :func:`unsure_moment`.
     """
@@ -119,7 +119,7 @@ def _lever_arm(
     config: SessionConfig,
     unsteady: float,
 ) -> Identified:
-    """The arm from the box to the antenna, in b; covariance (29, 29) of all constants.
+    """The arm from the box to the antenna, in b; covariance (30, 30) of all constants.
 
     unsteady: see :func:`unsure_moment`.
     """
@@ -154,7 +154,7 @@ def _mounting(noise: Noise, mounting: FittedMounting, config: SessionConfig, com
 
 
 def _rectification(constants: Constants, sigma: Array, noise: Noise) -> dict[str, Identified]:
-    """What vibration pushes; sigma (29,) of all constants."""
+    """What vibration pushes; sigma (30,) of all constants."""
     out: dict[str, Identified] = {}
     pushed, sigmas = constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
     beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]

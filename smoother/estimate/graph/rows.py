@@ -21,6 +21,7 @@ from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.state import (
     DOPPLER_BIAS,
+    EVENNESS,
     GYRO_BIAS,
     HEADING_OFFSET,
     KEYFRAME_SIZE,
@@ -53,7 +54,7 @@ _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 14). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 15). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -151,7 +152,7 @@ def position_rows(
 def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
     """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
 
-    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 14) by the row constants.
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 15) by the row constants.
     """
     b = bracket(state, t)
     R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
@@ -200,6 +201,7 @@ def velocity_rows(
     constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + swinging_n)[:, :2, None]
     constants[:, :, LEVER_ARM] = so3.skew(slow_n) @ R_arm
     constants[:, :, VELOCITY_RESPONSE] = answer.slope_n[:, :, None]
+    constants[:, :, EVENNESS] = answer.by_evenness_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)
 
 
@@ -271,7 +273,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (29,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (30,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 
@@ -348,7 +350,7 @@ def _stack(stack: Array, layers: Sequence[_Layer], first: int, last: int) -> Non
 
 
 def _whiten(rows: Rows, use: IntArray, out: Array) -> Array:
-    """Jacobians by left, right and constants, and residual, (N, r, 51), of the rows `use` (N,), each over its sigma."""
+    """Jacobians by left, right and constants, and residual, (N, r, 52), of the rows `use` (N,), each over its sigma."""
     ordered = len(use) > 0 and use[-1] - use[0] + 1 == len(use) and bool(np.all(np.diff(use) == 1))
     chosen = slice(int(use[0]), int(use[-1]) + 1) if ordered else use  # a slice needs no copy
     share = np.sqrt(rows.weight[chosen, None] / rows.sigma[chosen] ** 2)
@@ -370,7 +372,7 @@ def _add(
     right: IntArray | slice,
     products: tuple[Array, Array],
 ) -> None:
-    """Add whitened rows (N, r, 51), each between one of the keyframes `left` and the next one, `right`."""
+    """Add whitened rows (N, r, 52), each between one of the keyframes `left` and the next one, `right`."""
     n, others = KEYFRAME_SIZE, whitened[:, :, _RIGHT.start :]
     product = np.matmul(whitened[:, :, _LEFT].transpose(0, 2, 1), whitened, out=products[0][: len(whitened)])
     system.diagonal[left] += product[:, :, _LEFT]
@@ -397,7 +399,7 @@ def _without_repeats(interval: np.ndarray) -> list[np.ndarray]:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (29,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (30,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])
@@ -449,39 +451,79 @@ def _along(state: ChainState, path: DensePath, felt: ExpectedMotion, b: Bracket,
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """What a receiver shows of a velocity beyond a delay, m/s in n (N, 3), and its slope by velocity_response."""
+    """What a receiver shows of a velocity beyond a delay, m/s in n (N, 3), and its slopes by its constants.
+
+    slope_n (N, 3) by velocity_response, by_evenness_n (N, 3).
+    """
 
     beyond_n: Array
     slope_n: Array
+    by_evenness_n: Array
 
 
 def _response(path: DensePath, felt: ExpectedMotion, session: Constants, t: Array) -> _Response:
     """Response at t (N,) s to the motion that the antenna is expected to have had, without up.
 
     The second derivative, of what is slow enough for keyframes and for that; of a response beyond its own noise it is
-    that of a low-pass of first order, late by its time constant tau: tau^2 / 2 is left beyond that delay in slow
-    motion, less in quick. Of the same motion: of vibration that samples fold, which no receiver shows, a low-pass would
-    be denied as soon as the second derivative, of slow motion, has told it, and neither would stay.
+    that of a low-pass of first order, late by its time constant tau, or of a mean to both sides of its delay, or
+    between both: tau^2 / 2 is left beyond that delay in slow motion, less in quick. Of the same motion: of vibration
+    that samples fold, which no receiver shows, a low-pass would be denied as soon as the second derivative, of slow
+    motion, has told it, and neither would stay.
+
+    Slopes by a filter are of slow motion, as those by latencies are: two filters with the same response differ in quick
+    motion, and the response is to be that of the slow motion that tells the delay.
+    Of a box on the wheel the antenna goes beside where the arm has it, by the slip: with the acceleration, as behind a
+    filter. There the shape is that of the low-pass.
     """
-    dt, response, motion = float(path.t[1] - path.t[0]), session.velocity_response, felt.slow
-    jerk_n = np.gradient(motion.acceleration_n[:, :2], dt, axis=0)
-    slope = at_times(path, _level(jerk_n), t)
-    simple = _Response(response * slope, slope)
-    u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
-    share, rise = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
+    dt, response, motion = float(path.t[1] - path.t[0]), session.velocity_response, felt.answered
+    slope = at_times(path, _level(_jerk(motion, dt)), t)
+    simple = _Response(response * slope, slope, np.zeros_like(slope))
+    share, rise = low_pass_share(response)
     if share == 0.0:
         return simple
-    tau = math.sqrt(2.0 * response)
-    arm_n = arm_axes_along(path, session)[:, :2] @ session.lever_arm_s
-    swing_n = motion.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
-    antenna_n = motion.velocity_n[:, :2] + swing_n
-    shown = at_times(path, _level(low_passed(antenna_n, dt, tau)), t + tau)
-    shown = shown - at_times(path, _level(antenna_n), t)
-    quick = at_times(path, _level(low_passed(low_passed(jerk_n, dt, tau), dt, tau)), t + tau)
+    tau, evenness = math.sqrt(2.0 * response), session.evenness
+
+    def late(values: Array, times: int = 1) -> Array:
+        for _ in range(times):
+            values = low_passed(values, dt, tau)
+        return at_times(path, _level(values), t + tau)
+
+    def even(values: Array, times: int = 1) -> Array:
+        for _ in range(times):
+            values = evened(values, dt, tau)
+        return at_times(path, _level(values), t)
+
+    antenna_n, jerk_n = _antenna_velocity(path, motion, session), _jerk(felt.slow, dt)
+    filtered, by_filter, by_evenness = late(antenna_n), late(jerk_n, 2), simple.by_evenness_n
+    if not session.is_steered:
+        filtered = filtered + evenness * (even(antenna_n) - filtered)
+        by_filter = by_filter + evenness * (even(jerk_n, 2) - by_filter)
+        slow_n = _antenna_velocity(path, felt.slow, session)
+        by_evenness = share * (even(slow_n) - late(slow_n))
+    shown = filtered - at_times(path, _level(antenna_n), t)
     return _Response(
         simple.beyond_n + share * (shown - simple.beyond_n),
-        slope + share * (quick - slope) + rise * (shown - simple.beyond_n),
+        slope + share * (by_filter - slope) + rise * (shown - simple.beyond_n),
+        by_evenness,
     )
+
+
+def low_pass_share(response: float) -> tuple[float, float]:
+    """Share, 0 to 1, in which a response, s^2, is a filter's and no noise, and the slope of that by the response."""
+    u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
+    return u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
+
+
+def _jerk(motion: Motion, dt: float) -> Array:
+    """Second derivative of the level velocity (M, 2), m/s^3 in n."""
+    return np.asarray(np.gradient(motion.acceleration_n[:, :2], dt, axis=0))
+
+
+def _antenna_velocity(path: DensePath, motion: Motion, session: Constants) -> Array:
+    """Level velocity (M, 2) of the antenna, m/s in n."""
+    arm_n = arm_axes_along(path, session)[:, :2] @ session.lever_arm_s
+    swing_n = motion.turn_rate[:, None] * np.column_stack([-arm_n[:, 1], arm_n[:, 0]])
+    return np.asarray(motion.velocity_n[:, :2] + swing_n)
 
 
 def _level(values: Array) -> Array:
@@ -503,6 +545,15 @@ def low_passed(values: Array, dt: float, tau: float) -> Array:
         passed[steps:] = passed[steps:] + share * passed[:-steps]
         steps *= 2
     return passed
+
+
+def evened(values: Array, dt: float, tau: float) -> Array:
+    """Values (M, c) after a mean over as much before as after, with the response of a low-pass of time constant tau.
+
+    A low-pass and the same one backwards, each with half of the square of tau: no delay is left.
+    """
+    each = tau / math.sqrt(2.0)
+    return low_passed(low_passed(values, dt, each)[::-1], dt, each)[::-1]
 
 
 def _on_curve(state: ChainState, b: Bracket, weights: tuple[Array, ...]) -> Array:

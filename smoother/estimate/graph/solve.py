@@ -193,9 +193,9 @@ def finish(
 
 @dataclass(frozen=True, eq=False)
 class LastStep:
-    """The last step without wheels: the state after it, and the covariance (29, 29) of the constants.
+    """The last step without wheels: the state after it, and the covariance (30, 30) of the constants.
 
-    linear, motion and gone (29,) are what it was taken from and by how much the constants went, where that is at hand.
+    linear, motion and gone (30,) are what it was taken from and by how much the constants went, where that is at hand.
     """
 
     state: ChainState

@@ -22,7 +22,15 @@ from smoother.estimate.graph.lasting import lasting_at_rest
 from smoother.estimate.graph.made_up import MadeUpSamples
 from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
-from smoother.estimate.graph.state import CONSTANTS_SIZE, DOPPLER_BIAS, SLIP, VELOCITY_RESPONSE, ChainState, Constants
+from smoother.estimate.graph.state import (
+    CONSTANTS_SIZE,
+    DOPPLER_BIAS,
+    EVENNESS,
+    SLIP,
+    VELOCITY_RESPONSE,
+    ChainState,
+    Constants,
+)
 from smoother.estimate.left_out import without_positions
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.pauses import NO_PAUSES, Pauses
@@ -61,6 +69,7 @@ class GraphOptions:
     bin_interval: of the averaged inertial samples. Bias priors: MPU9250 zero-g tolerance 0.6-0.8 m/s^2; what alignment
     leaves of the gyro's bias. doppler_bias: 0.01-0.05 m/s on real kart logs. velocity_response, s^2: a low-pass
     of 0.1 s has 5e-3, an antenna half a metre up that leans by 1.5 mrad to a m/s^2 -0.8e-3, recordings -6e-3 to 13e-3.
+    evenness: receivers filter as a low-pass of first order, or their velocity is the mean of some, or between.
     sensor_error: scale and misalignment; the data sheet's 3 % is the limit, not the spread. rectification: of
     vibration, m/s^2, to begin with. Walks: temperature drift of the same part while it warms up. Lever arm and latency
     priors: what fits on a kart, and what receivers do. in_step: a force that is late behind the rate is taken to its
@@ -80,6 +89,7 @@ class GraphOptions:
     lever_arm_sigma: float = 0.5
     doppler_bias_sigma: float = 0.03
     velocity_response_sigma: float = 5e-3
+    evenness_sigma: float = 0.5
     sensor_error_sigma: float = 0.01
     rectification_sigma: float = 0.1
     latency_sigma: float = 0.25
@@ -364,7 +374,8 @@ def _priors(
         mean[:2] = np.clip(both, -MAX_LATENCY, MAX_LATENCY)
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
     sigma[SLIP] = SLIP_PRIOR
-    sigma[DOPPLER_BIAS], sigma[VELOCITY_RESPONSE] = options.doppler_bias_sigma, options.velocity_response_sigma
+    sigma[DOPPLER_BIAS], sigma[EVENNESS] = options.doppler_bias_sigma, options.evenness_sigma
+    sigma[VELOCITY_RESPONSE] = options.velocity_response_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6

@@ -15,12 +15,12 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
-# Constants of the session. The first fourteen enter the rows of rows.py, the sensor errors only the inertial factors.
+# Constants of the session. The first fifteen enter the rows of rows.py, the sensor errors only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
-DOPPLER_BIAS, VELOCITY_RESPONSE, SLIP = slice(6, 9), slice(9, 10), slice(10, 14)
-ROW_CONSTANTS_SIZE = 14
-ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(14, 20), slice(20, 23), slice(23, 29)
-CONSTANTS_SIZE = 29
+DOPPLER_BIAS, VELOCITY_RESPONSE, EVENNESS, SLIP = slice(6, 9), slice(9, 10), slice(10, 11), slice(11, 15)
+ROW_CONSTANTS_SIZE = 15
+ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(15, 21), slice(21, 24), slice(24, 30)
+CONSTANTS_SIZE = 30
 
 
 def _no_bias() -> Array:
@@ -49,7 +49,8 @@ class Constants:
     IMU to the antenna; heading_offset rad, by which the magnetometer's yaw is too large; doppler_bias_n (3,) m/s of the
     receiver's velocity; velocity_response s^2, by which that velocity contains the second derivative of the true one,
     beyond what its latency does: a low-pass of first order has half the square of its time constant, an antenna that
-    leans outwards in bends less than nothing; slip (4,), where the path points beside level_axes_s: rad, always; rad
+    leans outwards in bends less than nothing; evenness, 0 of such a low-pass, 1 of a mean over as much before its delay
+    as after it, whose response is as large; slip (4,), where the path points beside level_axes_s: rad, always; rad
     per m/s^2 of lateral acceleration, and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box
     is ahead of the rear axle; accel_error (3, 2), scale and misalignment: by which the measured force grows per force
     along each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by
@@ -68,6 +69,7 @@ class Constants:
     heading_offset: float = 0.0
     doppler_bias_n: Array = field(default_factory=_no_bias)
     velocity_response: float = 0.0
+    evenness: float = 0.0
     slip: Array = field(default_factory=_no_slip)
     accel_error: Array = field(default_factory=_no_accel_error)
     gyro_error: Array = field(default_factory=_no_bias)
@@ -88,7 +90,8 @@ class Constants:
     def as_vector(self) -> Array:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
         latencies, heading = [self.position_latency, self.velocity_latency], [self.heading_offset]
-        of_rows = [latencies, self.lever_arm_s, heading, self.doppler_bias_n, [self.velocity_response], self.slip]
+        receiver = [self.doppler_bias_n, [self.velocity_response], [self.evenness]]
+        of_rows = [latencies, self.lever_arm_s, heading, *receiver, self.slip]
         errors = [self.accel_error.ravel(), self.gyro_error, self.rectification.ravel()]
         return np.concatenate([*of_rows, *errors])
 
@@ -102,6 +105,7 @@ class Constants:
             float(x[5]),
             np.array(x[DOPPLER_BIAS]),
             float(x[VELOCITY_RESPONSE.start]),
+            float(x[EVENNESS.start]),
             np.array(x[SLIP]),
             x[ACCEL_ERROR].reshape(3, 2),
             np.array(x[GYRO_ERROR]),

@@ -60,6 +60,6 @@ def test_the_course_of_a_kart_that_stands_is_between_those_before_and_after() ->
 @pytest.mark.parametrize("is_steered", [True, False])
 def test_constants_stay_on_the_wheel_when_they_move(is_steered: bool) -> None:
     state = steered(is_steered=is_steered)
-    moved = state.retract(np.zeros((len(T), 18)), np.full(29, 0.1))
+    moved = state.retract(np.zeros((len(T), 18)), np.full(30, 0.1))
     assert moved.constants.is_steered is is_steered
     np.testing.assert_allclose(moved.constants.lever_arm_s, state.constants.lever_arm_s + 0.1)

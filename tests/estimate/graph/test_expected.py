@@ -1,5 +1,6 @@
 """The expected motion against motion that is known, and what a fit of arm and latency makes of it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from smoother.estimate.graph.expected import (
     noise_left,
     quick_scatter,
     quickest_slope,
+    shown_below,
     turning_lead,
 )
 from smoother.estimate.graph.imu import DensePath
@@ -286,6 +288,23 @@ class TestQuickestSlope:
         left = have.slow.acceleration_n[1:-1] - want.slow.acceleration_n[1:-1]
         assert np.std(have.acceleration_n[1:-1] - want.acceleration_n[1:-1]) > 0.7 * np.std(edges)
         assert np.std(left) < 0.2 * np.std(edges)
+
+    def test_slopes_are_of_what_the_receiver_shows_late_and_little_else(self) -> None:
+        assert [shown_below(r) for r in (-0.01, 0.0, 1e-3)] == [2.5, 2.5, 2.5]
+        assert shown_below(0.5 * 0.15**2) == pytest.approx(math.sqrt(0.3 / 0.01125) / (2.0 * np.pi))
+        assert shown_below(0.3) == 0.45  # what drives a kart round its bends is not slower
+        path, _ = corners()
+        weave = 3.0 * np.sin(2.0 * np.pi * 1.2 * MIDDLE)
+        weaving = replace(path, acceleration_n=path.acceleration_n + weave[:, None] * path.R_ns[:-1, :, 0])
+        calm = replace(NOISE, accel=0.01)
+        for below, seen in ((2.5, True), (0.8, False)):
+            have, want = (
+                expected_motion(p, np.eye(3), calm, None, INTERVAL, slopes_below=below) for p in (weaving, path)
+            )
+            left = np.linalg.norm(have.slow.acceleration_n - want.slow.acceleration_n, axis=1)[50:-50]
+            assert (np.std(left) > 0.2 * np.std(weave)) == seen
+            answered = np.linalg.norm(have.answered.acceleration_n - want.answered.acceleration_n, axis=1)[50:-50]
+            assert np.std(answered) > 0.2 * np.std(weave)
 
     def test_quick_receivers_tell_constants_by_no_quicker_motion_than_others(self) -> None:
         """What a chassis does over kerbs, four times a second: keyframes 0.08 s apart follow it, nobody drove it."""

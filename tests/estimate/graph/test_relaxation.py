@@ -16,12 +16,12 @@ START = 5.0 * SIGMA * np.cos(np.arange(CONSTANTS_SIZE))
 
 
 def solution(step: Array) -> ChainSolution:
-    """What :class:`Relaxation` reads of a solution whose constants are to go by `step` (29,)."""
+    """What :class:`Relaxation` reads of a solution whose constants are to go by `step` (30,)."""
     return cast(ChainSolution, SimpleNamespace(constants=step, constants_covariance=np.diag(SIGMA**2)))
 
 
 def left(gains: Array, turns: int, relaxation: Relaxation | None) -> Array:
-    """How far off, in sigmas, (turns, 29) constants are whose full steps go `gains` (29,) times what they should."""
+    """How far off, in sigmas, (turns, 30) constants are whose full steps go `gains` (30,) times what they should."""
     off, out = START.copy(), []
     for _ in range(turns):
         step = -gains * off

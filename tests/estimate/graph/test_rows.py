@@ -31,6 +31,7 @@ from smoother.estimate.graph.rows import (
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     CONSTANTS_SIZE,
+    EVENNESS,
     GYRO_BIAS,
     KEYFRAME_SIZE,
     LEVER_ARM,
@@ -140,7 +141,9 @@ def felt_on(path: DensePath, state: ChainState, turn_rate: np.ndarray) -> Expect
     return ExpectedMotion(velocity_n, acceleration_n, turn_rate)
 
 
-def swinging(constants: Constants) -> tuple[ChainState, DensePath, ExpectedMotion, Callable[..., np.ndarray]]:
+def swinging(
+    constants: Constants, K: int = K
+) -> tuple[ChainState, DensePath, ExpectedMotion, Callable[..., np.ndarray]]:
     """Keyframes on a level chicane at 1 Hz, their path and the motion; and that motion's derivative m at t, (N, 3)."""
     t, pace = START + T * np.arange(K), 2.0 * np.pi
 
@@ -383,6 +386,57 @@ class TestResiduals:
         for response in (-0.002, 0.002, 0.005):
             slope = (residual(response + step)[0] - residual(response - step)[0]) / (2.0 * step)
             np.testing.assert_allclose(residual(response)[1], slope, atol=0.03 * np.max(np.abs(slope)))
+
+    def test_a_mean_over_a_time_is_an_even_filter(self) -> None:
+        """Of a low-pass as round as that, quick motion is late by other times."""
+        seconds, pace = 0.4, 2.0 * np.pi
+        missed = []
+        for evenness in (0.0, 1.0):
+            constants = Constants(
+                0.0, 0.5 * seconds, np.zeros(3), velocity_response=seconds**2 / 24.0, evenness=evenness
+            )
+            state, path, felt, swing = swinging(constants, 41)
+            t = state.t[12:-12] + 0.5 * seconds
+            mean = np.sinc(seconds * pace / (2.0 * np.pi)) * swing(t - 0.5 * seconds, 1)
+            rows = velocity_rows(state, path, felt, t, mean, np.ones((len(t), 3)))
+            missed.append(np.max(np.abs(rows.residual)))
+        assert missed[1] < 0.1
+        assert missed[0] > 2.0 * missed[1]
+
+    @pytest.mark.parametrize("response", [-0.002, 0.0, 0.002, 0.005])
+    def test_the_slope_by_evenness_is_what_it_does_to_velocities(self, response: float) -> None:
+        def rows(evenness: float) -> Rows:
+            constants = Constants(0.0, 0.0, np.zeros(3), velocity_response=response, evenness=evenness)
+            state, path, felt, _ = swinging(constants)
+            t = state.t[4:-1]
+            return velocity_rows(state, path, felt, t, np.zeros((len(t), 3)), np.ones((len(t), 3)))
+
+        slope = 0.5 * (rows(1.3).residual - rows(-0.7).residual)
+        np.testing.assert_allclose(rows(0.3).constants[:, :, EVENNESS.start], slope, atol=1e-12)
+        assert np.any(slope != 0.0) == (response > 1e-3)  # one that is within its noise has no shape
+
+    @pytest.mark.parametrize("evenness", [0.0, 0.5, 1.0])
+    def test_slopes_by_a_filter_are_of_slow_motion(self, evenness: float) -> None:
+        """As those by latencies are; of quick motion, filters that are alike in slow motion show different things."""
+        constants = Constants(0.0, 0.1, np.zeros(3), velocity_response=0.01, evenness=evenness)
+        state, path, motion, _ = swinging(constants)
+        pace = 2.0 * np.pi * 2.0
+        jerked = replace(
+            motion,
+            velocity_n=motion.velocity_n + np.sin(pace * path.t)[:, None] / pace * [3.0, 1.5, 0.0],
+            acceleration_n=motion.acceleration_n + 3.0 * np.cos(pace * path.t)[:, None] * [1.0, 0.5, 0.0],
+        )
+        shape = (len(TIMES), 3)
+        beside, without = (
+            velocity_rows(state, path, felt, TIMES, np.zeros(shape), np.ones(shape))
+            for felt in (
+                replace(jerked, followed=jerked, shown=motion),
+                replace(motion, followed=motion, shown=motion),
+            )
+        )
+        for column in (VELOCITY_RESPONSE, EVENNESS):
+            np.testing.assert_allclose(beside.constants[:, :, column], without.constants[:, :, column])
+        assert np.max(np.abs(beside.residual - without.residual)) > 0.05  # what is shown holds the quick motion
 
     def test_a_component_that_is_not_known_has_no_weight_and_spoils_nothing(self) -> None:
         state, binned = random_state(0, turning=1.0)

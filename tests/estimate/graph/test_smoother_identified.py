@@ -140,6 +140,41 @@ def test_a_receiver_that_responds_slowly_is_found_and_its_delay_is_not_drawn_awa
     assert delay.value == pytest.approx(simulation.scenario.gnss.velocity_latency + tau, abs=3.0 * delay.sigma)
 
 
+def behind_filter(session: Session, weights: list[float]) -> Session:
+    """The session with each of its level velocities the sum of the last ones, the newest first, times `weights`."""
+    velocity_n = session.gnss.velocity_n.copy()
+    known = np.isfinite(velocity_n[:, 0])
+    earlier = np.concatenate([np.tile(velocity_n[known][0], (len(weights) - 1, 1)), velocity_n[known]])[:, :2]
+    n = int(np.count_nonzero(known))
+    begins = len(weights) - 1 - np.arange(len(weights))
+    velocity_n[known, :2] = sum(w * earlier[b : b + n] for w, b in zip(weights, begins, strict=True))
+    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
+
+
+@pytest.mark.parametrize(
+    "weights",
+    [
+        [0.6 * 0.4**i for i in range(20)],  # 60 % of the newest, 40 % of what it showed before
+        [1.0 / 3.0] * 3,
+        [0.25] * 4,
+    ],
+)
+def test_a_receiver_that_filters_what_it_shows_draws_neither_delay_nor_arm(weights: list[float]) -> None:
+    """By slopes of quick motion and a low-pass that fits none of these: 10 to 60 ms off, which was 4 to 19 sigmas."""
+    simulation = simulate_preset("kart", 20, duration=200.0)
+    scenario = simulation.scenario
+    s = smoothed(simulation, behind_filter(prepare(simulation.raw), weights))
+    found, late = s.trajectory.report.identified, float(np.arange(len(weights)) @ weights) / scenario.gnss.rate
+    for name, true in (
+        ("gps_position_latency", scenario.gnss.position_latency),
+        ("gps_velocity_latency", scenario.gnss.velocity_latency + late),
+    ):
+        assert found[name].value == pytest.approx(true, abs=3.0 * found[name].sigma)
+    arm = (np.array(found["lever_arm_b"].value) - scenario.lever_arm_b) / np.array(found["lever_arm_b"].sigma)
+    assert np.all(np.abs(arm[:2]) < 3.0)
+    assert s.trajectory.report.identified["gps_velocity_response"].value > 0.01
+
+
 def test_a_receiver_far_slower_than_others_is_no_worse() -> None:
     """Its response is 35 sigmas of what receivers have; held near that, speed would be 1 m/s off."""
     tau = 0.6
