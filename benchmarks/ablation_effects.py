@@ -178,6 +178,11 @@ def _wherever(begin: float, end: float, interval: float, _: Array | None = None)
     return keyframe_times(begin, end, interval)
 
 
+def _all_shown(_: float) -> float:
+    """Slopes of all that keyframes follow."""
+    return expected.DRIVEN_BELOW
+
+
 def _all_left(frequency: Array, *_: Any) -> Array:
     return np.ones(len(frequency))
 
@@ -298,6 +303,8 @@ EFFECTS = (
     Effect("walk of the biases", options={"accel_bias_walk": OFF, "gyro_bias_walk": OFF}),
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("response of the Doppler", options={"velocity_response_sigma": 1e-3 * OFF}),
+    Effect("shape of what the Doppler filters", options={"evenness_sigma": 1e-3 * OFF}),
+    Effect("slopes of what the receiver shows", patches=((batch, "shown_below", _all_shown),)),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((batch, "_robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, median
 from smoother.fit.running import gaussian_mean
 from smoother.frames import nwu_to_geodetic
 from smoother.samples import GnssFixes, Session
@@ -145,6 +145,16 @@ def _holds(session: Session, _: int) -> Session:
     return replace(session, gnss=_moved(session, offset_n, np.where(still[:, None], 0.0, gnss.velocity_n)))
 
 
+def _filtered(session: Session, _: int) -> Session:
+    """A receiver that shows the mean of five velocities, two before and two after the moment it stands for."""
+    gnss = session.gnss
+    level, velocity_n = gnss.velocity_n[:, :2], gnss.velocity_n.copy()
+    steady = np.diff(gnss.t) < 1.5 * float(median(np.diff(gnss.t)))
+    use = 2 + np.flatnonzero(steady[:-3] & steady[1:-2] & steady[2:-1] & steady[3:])  # none at an outage
+    velocity_n[use, :2] = sum(level[use + beside] for beside in range(-2, 3)) / 5.0
+    return replace(session, gnss=replace(gnss, velocity_n=velocity_n))
+
+
 NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
 QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
 FILTERED = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "gnss_velocity_lasting": 0.025, "imu_accel_noise": 0.05}
@@ -166,6 +176,7 @@ WORLDS = {
     "kart, receiver that goes straight on": World("kart", {}, _coasts),
     "kart, receiver from cold": World("kart", {}, _cold_start),
     "kart, magnetic course": World("kart", {}, _magnetic),
+    "kart, Doppler that is a mean of five": World("kart", {}, _filtered),
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
     "kart, bumps in places": World("kart", {}, _bumps),

@@ -28,6 +28,8 @@ WORLD_OF = {
     "receivers that have not settled": "kart, receiver from cold",
     "velocities turned against positions": "kart, magnetic course",
     "arm that stays with the kart, box on the wheel": "kart, late force on the wheel",
+    "shape of what the Doppler filters": "kart, Doppler that is a mean of five",
+    "slopes of what the receiver shows": "kart, Doppler that is a mean of five",
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
 }
