@@ -177,6 +177,8 @@ WORLDS = {
     "kart, receiver from cold": World("kart", {}, _cold_start),
     "kart, magnetic course": World("kart", {}, _magnetic),
     "kart, Doppler that is a mean of five": World("kart", {}, _filtered),
+    "kart at an even speed, such a Doppler": World("kart", {"motion_top_speed": 12.0}, _filtered),
+    "kart at an even speed": World("kart", {"motion_top_speed": 12.0}),
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
     "kart, bumps in places": World("kart", {}, _bumps),

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -22,7 +23,7 @@ from smoother.estimate.graph.batch import (
     unsteady_share,
     variances,
 )
-from smoother.estimate.graph.chain import solve_chain
+from smoother.estimate.graph.chain import NotPositiveDefiniteError, solve_chain
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
 from smoother.estimate.graph.heading import heading_from_field
@@ -314,8 +315,10 @@ def _slip_of_part(start: Start, last: LastStep, rolling: Noise, span: float) -> 
     if len(part.state.t) > 0.5 * len(last.state.t):
         return slip
     batch, state = Batch(part.data, part.binned, part.priors), part.state
-    graph = batch.graph(state, rolling)
-    return slip_update(batch.step(graph, state, rolling, held=last.held, free=SLIP, was_without_wheels=True), slip)
+    with suppress(NotPositiveDefiniteError, np.linalg.LinAlgError):  # the whole session may hold what a part lets go
+        graph = batch.graph(state, rolling)
+        return slip_update(batch.step(graph, state, rolling, held=last.held, free=SLIP, was_without_wheels=True), slip)
+    return slip
 
 
 def fits_wheels(solved: Solved) -> bool:
