@@ -31,19 +31,23 @@ MOST_FOLDED = 0.3
 LEAST_TURN, CERTAIN, TURNS_TOO = 0.5, 4.0, (0.3, 3.0)
 WINDOW, BLOCK, ENOUGH = 0.3, 5.0, 4000  # s over which turns are averaged; s that what is left lasts for; windows
 SLOWEST = 3.0  # m/s, lest a course at a walk counts for a bend
+# samples that tell a wheel, from where the kart drives off on: ten copies of them are in memory at once
+MOST = 1 << 20
 
 
 def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
     """Whether the quick turns of a box are those of a steering wheel. No mounting is asked for, nor is it told."""
-    driving = _at_speed(imu.t, fixes)
+    part = _where_driven(imu.t, fixes)
+    t, force, rate = imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part]
+    driving = _at_speed(t, fixes)
     if np.count_nonzero(driving) < FEWEST:
         return False
-    step = float(np.median(np.diff(imu.t)))
-    rate = imu.angular_rate_s - np.median(imu.angular_rate_s, axis=0)
+    step = float(np.median(np.diff(t)))
+    rate = rate - np.median(rate, axis=0)
     widths = [2 * max(1, round(0.5 * seconds / step)) for seconds in (SLOW_TURN, QUICK_TURN)]
     slow, quicker = (running_mean(rate, width) for width in widths)
     quick = (quicker - slow)[driving]
-    ahead, up = _ahead_and_up(imu.specific_force_s[driving], slow[driving])
+    ahead, up = _ahead_and_up(force[driving], slow[driving])
     yaw, roll = quick @ up, quick @ ahead
     power = float(yaw @ yaw)
     if power == 0.0 or not np.any(roll):
@@ -96,6 +100,15 @@ def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:
     if any(problem.code == MIRRORED_AXES for problem in problems):
         return problems
     return tuple(problem for problem in problems if problem.code != UNLIKE_AXES)
+
+
+def _where_driven(t: Array, fixes: GnssFixes) -> slice:
+    """Samples at t (N,) s, MOST at most, from the first fix at speed on."""
+    quick = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1]) > MIN_SPEED
+    if len(t) <= MOST or not quick.any():
+        return slice(0, MOST)
+    begin = min(int(np.searchsorted(t, fixes.t[np.argmax(quick)])), len(t) - MOST)
+    return slice(begin, begin + MOST)
 
 
 def _at_speed(t: Array, fixes: GnssFixes) -> BoolArray:

@@ -8,6 +8,8 @@ To the smoother the box is one with the kart. It would look for a motion in whic
 next lap, another clock, a kart upside down.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, median
@@ -140,7 +142,9 @@ def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list
     tells = np.abs(points) > COHERENT
     if np.count_nonzero(tells) < FEWEST_WINDOWS:
         return imu
-    apart = np.abs(np.angle(points[:, None] / points[None, tells]))
+    others = points[tells]
+    some = np.unique(np.linspace(0, others.size - 1, MOST_CANDIDATES).round().astype(np.int64))  # a day has 8000
+    apart = np.abs(np.angle(points[:, None] / others[None, some]))
     alike = apart < POINTS_ELSEWHERE
     usual = int(np.argmax((way * tells) @ alike))
     turned = []
@@ -178,11 +182,12 @@ def _pointings(imu: RawImu, gnss: GnssFixes, starts: IntArray, up: Array, lag: f
     along = 0.5 * (velocity[rows] + velocity[rows + 1])
     pushed = (velocity[rows + 1] - velocity[rows]) / np.diff(t)[rows] * np.conj(along) / np.abs(along)
     window = np.searchsorted(imu.t[starts], t[rows], side="right") - 1
-    for k in np.unique(window).tolist():
-        here = window == k
-        felt, did = force[here] - np.mean(force[here]), pushed[here] - np.mean(pushed[here])
-        if np.count_nonzero(here) >= FEWEST_OF_WINDOW:
-            points[k] = np.vdot(did, felt) / max(float(np.linalg.norm(did) * np.linalg.norm(felt)), 1e-9)
+    edges = np.flatnonzero(np.diff(window, prepend=-1, append=starts.size))
+    for first, last in pairwise(edges.tolist()):
+        felt, did = (values[first:last] - np.mean(values[first:last]) for values in (force, pushed))
+        if last - first >= FEWEST_OF_WINDOW:
+            size = float(np.linalg.norm(did) * np.linalg.norm(felt))
+            points[window[first]] = np.vdot(did, felt) / max(size, 1e-9)
     return points
 
 

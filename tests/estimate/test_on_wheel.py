@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.estimate import on_wheel
 from smoother.estimate.align import PathMotion, align
 from smoother.estimate.force_size import size_delay
 from smoother.estimate.gnss_pieces import fit_path
@@ -105,3 +106,22 @@ def test_a_wheel_explains_axes_that_disagree_but_not_mirrored_ones() -> None:
     apart, mirrored, other = (Problem(code, "") for code in (UNLIKE_AXES, MIRRORED_AXES, "heading_unknown"))
     assert without_the_wheels((apart, other)) == (other,)
     assert without_the_wheels((mirrored, apart)) == (mirrored, apart)
+
+
+def test_of_a_long_session_a_part_tells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a day ten copies were in memory at once; the part begins where the kart drives off."""
+    looked_at = []
+    mean = on_wheel.running_mean
+
+    def watched(values: np.ndarray, window: int) -> np.ndarray:
+        looked_at.append(values)
+        return mean(values, window)
+
+    monkeypatch.setattr(on_wheel, "running_mean", watched)
+    monkeypatch.setattr(on_wheel, "MOST", 10_000)
+    for wheel in (0.0, 10.0 * DEG):
+        imu, fixes = driven("kart", 3, wheel=wheel)
+        quick = np.hypot(fixes.velocity_n[:, 0], fixes.velocity_n[:, 1]) > on_wheel.MIN_SPEED
+        stands = replace(fixes, velocity_n=np.where(fixes.t[:, None] < fixes.t[quick][0] + 20.0, 0.0, fixes.velocity_n))
+        assert is_on_wheel(imu, stands) == (wheel > 0.0)
+        assert {len(values) for values in looked_at} == {10_000} and len(imu.t) > 15_000
