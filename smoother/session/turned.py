@@ -100,10 +100,15 @@ def _ways(gnss: GnssFixes, t: Array, starts: IntArray) -> Array:
 
 def _usual(force: Array, way: Array) -> Array:
     """The mean force (3,) as the box lies on most of the way (K,) m, of those (K, 3) of the windows."""
-    some = np.unique(np.linspace(0, len(force) - 1, MOST_CANDIDATES).round().astype(np.int64))
+    some = _candidates(len(force))
     alike = [_lie_alike(force, force[k]) for k in some]
     best = alike[int(np.argmax([np.sum(way[one]) for one in alike]))]
     return np.asarray(np.mean(force[best], axis=0))
+
+
+def _candidates(n: int) -> IntArray:
+    """Of n windows, MOST_CANDIDATES at most, evenly: a day has 8000, and each is compared with all."""
+    return np.unique(np.linspace(0, n - 1, MOST_CANDIDATES).round().astype(np.int64))
 
 
 def _lie_alike(force: Array, other: Array) -> BoolArray:
@@ -143,8 +148,7 @@ def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list
     if np.count_nonzero(tells) < FEWEST_WINDOWS:
         return imu
     others = points[tells]
-    some = np.unique(np.linspace(0, others.size - 1, MOST_CANDIDATES).round().astype(np.int64))  # a day has 8000
-    apart = np.abs(np.angle(points[:, None] / others[None, some]))
+    apart = np.abs(np.angle(points[:, None] / others[None, _candidates(others.size)]))
     alike = apart < POINTS_ELSEWHERE
     usual = int(np.argmax((way * tells) @ alike))
     turned = []

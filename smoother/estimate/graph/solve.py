@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -176,8 +175,17 @@ def finish(
             solved = None
             graph = _serving(batch, graph, state, noise)
             rolling = with_lasting(rolling, start, scatter, state, known)
-            last = partial(_settled, batch, graph, state, noise, relaxation, steps, known, motion)
-            return on_wheels(batch, graph, start, last(options.final_rounds), noise, rolling, options)
+            most = options.final_rounds
+            # not named here: what it was linearised from is to go as soon as wheels are added to it
+            return on_wheels(
+                batch,
+                graph,
+                start,
+                _settled(batch, graph, state, noise, relaxation, steps, known, motion, most),
+                noise,
+                rolling,
+                options,
+            )
         del motion
     assert solved is not None
     rolling = batch.with_slip(solved, noise, batch.motion(state, noise)) if start.wheels else noise
@@ -193,17 +201,24 @@ def finish(
 
 
 @dataclass(frozen=True, eq=False)
+class Taken:
+    """What a step was taken from: the linearised graph and its motion; gone (30,), by how much the constants went."""
+
+    linear: Linear
+    motion: DrivenMotion
+    gone: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LastStep:
     """The last step without wheels: the state after it, and the covariance (30, 30) of the constants.
 
-    linear, motion and gone (30,) are what it was taken from and by how much the constants went, where that is at hand.
+    taken: what it was taken from, where that is at hand.
     """
 
     state: ChainState
     held: Array
-    linear: Linear | None = None
-    motion: DrivenMotion | None = None
-    gone: Array | None = None
+    taken: Taken | None = None
 
 
 def _settled(
@@ -231,7 +246,7 @@ def _settled(
         after = state.retract(share * step.x, gone)
         steps.append((moved(step, known), constants_moved(step)))
         if are_settled(steps) or len(steps) >= most:
-            return LastStep(after, step.constants_covariance, linear, motion, gone)
+            return LastStep(after, step.constants_covariance, Taken(linear, motion, gone))
         state = after
         motion = batch.motion(state, noise)
 
@@ -277,14 +292,13 @@ def on_wheels(
     without, held = last.state, last.held
     slip = _slip_of_part(start, last, rolling, options.identification_span)
     graph = _serving(batch, graph, without, rolling)
-    if _may_share(last, noise, rolling):
-        assert last.linear is not None
-        assert last.motion is not None
-        assert last.gone is not None
-        found = batch.roll(last.linear, last.motion, last.gone, slip, held)
+    taken = last.taken
+    del last
+    if taken is not None and _differ_in_slip_alone(without, noise, rolling):
+        found = batch.roll(taken.linear, taken.motion, taken.gone, slip, held)
     else:
         found = batch.step(graph, without, replace(rolling, slip=slip), held=held, free=SLIP, was_without_wheels=True)
-    del last
+    del taken
     for _ in range(SLIP_ROUNDS):
         better = slip_update(found, slip)
         size = moved(found.solution, variances(found.solution))
@@ -301,10 +315,10 @@ def on_wheels(
     return batch.step(graph, without, rolling, held=held if rolling.counted > 1.0 else None), rolling
 
 
-def _may_share(last: LastStep, noise: Noise, rolling: Noise) -> bool:
-    """Whether wheels may be added to what was linearised without: where nothing else differs (:func:`with_lasting`)."""
-    same = rolling.inertial is noise.inertial and rolling.counted == noise.counted
-    return last.linear is not None and same and unsteady_share(last.state, rolling) == 0.0
+def _differ_in_slip_alone(state: ChainState, noise: Noise, rolling: Noise) -> bool:
+    """Whether wheels may be added to what was linearised with `noise`: where rows are else the same in `rolling`."""
+    same = rolling.inertial is noise.inertial and rolling.counted == noise.counted  # but for with_lasting
+    return same and unsteady_share(state, rolling) == 0.0
 
 
 def _slip_of_part(start: Start, last: LastStep, rolling: Noise, span: float) -> SlipNoise:

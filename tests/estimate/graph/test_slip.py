@@ -358,7 +358,7 @@ def test_wheels_added_to_the_last_step_find_what_a_step_of_its_own_finds(monkeyp
     for shares in (True, False):
         with monkeypatch.context() as patch:
             if not shares:
-                patch.setattr(solve, "_may_share", lambda *_: False)
+                patch.setattr(solve, "_differ_in_slip_alone", lambda *_: False)
                 patch.setattr(solve, "FAR", 0.0)  # another step follows
             found[shares] = GraphSmoother().estimate(session)
         assert len(added) == 1
