@@ -31,7 +31,7 @@ from smoother.arrays import Array
 from smoother.errors import SmootherError
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.gps_alone import GpsAlone
-from smoother.estimate.graph.rows import low_passed
+from smoother.estimate.graph.response import low_passed
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.quality import assess
 from smoother.prepare import prepare

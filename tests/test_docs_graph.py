@@ -20,7 +20,8 @@ from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.increments import left_jacobian_inverse, linearize_increments
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inertial_noise import interval_noise
-from smoother.estimate.graph.rows import Rows, ground_rows, low_passed
+from smoother.estimate.graph.response import low_passed
+from smoother.estimate.graph.rows import Rows, ground_rows
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.frames import GRAVITY_N, wrap_angle

@@ -25,6 +25,7 @@ from smoother.estimate.graph.inertial import (
 )
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.relaxation import Relaxation
+from smoother.estimate.graph.response import low_pass_share
 from smoother.estimate.graph.sampled import are_unsampled
 from smoother.estimate.graph.slip import (
     Slip,
@@ -422,7 +423,7 @@ def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> Ex
 
 def _shown_below(response: float) -> float:
     """Frequency, Hz, of what a receiver shows late and little else, by what of its response, s^2, is a filter's."""
-    share, _ = rw.low_pass_share(response)
+    share, _ = low_pass_share(response)
     return shown_below(share * response)
 
 
