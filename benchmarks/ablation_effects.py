@@ -22,7 +22,6 @@ from smoother.estimate.graph import (
     imu,
     inertial,
     output,
-    rows,
     smoother,
     solve,
     start,
@@ -34,6 +33,7 @@ from smoother.estimate.graph.imu import BinnedImu, DensePath
 from smoother.estimate.graph.inertial_noise import ROUND, InertialNoise, Shape
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.normal_equations import add_constants_prior
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
 from smoother.fit.running import gaussian_mean
@@ -98,7 +98,7 @@ def _no_reports(session: Session) -> Session:
 
 def _one_latency() -> tuple[Patch, ...]:
     """Start the latencies alike, and hold their difference by a factor of its own."""
-    priors, add = start._priors, rows.add_constants_prior
+    priors, add = start._priors, add_constants_prior
 
     def same_start(*given: Any) -> batch.Priors:
         found = priors(*given)
@@ -112,7 +112,7 @@ def _one_latency() -> tuple[Patch, ...]:
         system.corner[:2, :2] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
         system.rhs_constants[:2] -= weight * apart * np.array([-1.0, 1.0])
 
-    return ((start, "_priors", same_start), (rows, "add_constants_prior", held_together))
+    return ((start, "_priors", same_start), (batch, "add_constants_prior", held_together))
 
 
 def _rough_mounting(_: Any, rough_R_bs: Array, *__: Any) -> FittedMounting:

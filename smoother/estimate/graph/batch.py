@@ -24,6 +24,7 @@ from smoother.estimate.graph.inertial import (
     set_apart,
 )
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.normal_equations import add_constants_prior, add_rows
 from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.response import low_pass_share
 from smoother.estimate.graph.sampled import are_unsampled
@@ -310,7 +311,7 @@ class Batch:
         """
         slip = self._slip(linear.state, motion)
         rows = slip_rows_of(slip, linear.state.interval, slip_noise, was_without_wheels=True)
-        rw.add_rows(linear.system, rows)
+        add_rows(linear.system, rows)
         solution = solve_chain(moved_on(linear.system, gone), held=held, free=SLIP)
         solution = replace(solution, constants=gone + solution.constants)
         return _solved(replace(linear, rows=linear.rows | {r.name: r for r in rows}, slip=slip), solution, 1.0)
@@ -352,10 +353,10 @@ class Batch:
             rows.update({r.name: r for r in of_slip})
         system = empty_system(len(state.t))
         add_inertial(system, inertial)
-        rw.add_rows(system, list(rows.values()))
+        add_rows(system, list(rows.values()))
         prior = self._priors
         difference = state.constants.as_vector() - prior.constants
-        rw.add_constants_prior(system, difference, constants_sigma(prior, noise))
+        add_constants_prior(system, difference, constants_sigma(prior, noise))
         if prior.holds_height:
             up_s = state.constants.level_axes_s[2]
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2

@@ -12,13 +12,14 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces
 from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
-from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
+from smoother.estimate.graph.normal_equations import used_columns
+from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
 from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROW_CONSTANTS_SIZE
 
@@ -65,10 +66,10 @@ class Scatter:
     gyro: float
 
 
-def posterior_variance(rows: rw.Rows, solution: ChainSolution) -> Array:
+def posterior_variance(rows: Rows, solution: ChainSolution) -> Array:
     """Variance (N, r) that the solution leaves in the prediction of `rows`."""
     out = np.empty(rows.residual.shape)
-    of_left, of_right = rw.used_columns(rows.left), rw.used_columns(rows.right)
+    of_left, of_right = used_columns(rows.left), used_columns(rows.right)
     own = slice(0, ROW_CONSTANTS_SIZE)
     P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
     for part in pieces(len(out), TOGETHER):
@@ -308,7 +309,7 @@ class RowComponent:
     expected: Array
 
     @classmethod
-    def of(cls, rows: rw.Rows, solution: ChainSolution) -> "RowComponent":
+    def of(cls, rows: Rows, solution: ChainSolution) -> "RowComponent":
         """Of `rows` after the step of `solution`."""
         information = rows.information
         left = rows.weight[:, None] - posterior_variance(rows, solution) * information
