@@ -22,6 +22,7 @@ from smoother.estimate.graph import (
     imu,
     inertial,
     output,
+    session_rows,
     smoother,
     solve,
     start,
@@ -31,6 +32,7 @@ from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
 from smoother.estimate.graph.imu import BinnedImu, DensePath
 from smoother.estimate.graph.inertial_noise import ROUND, InertialNoise, Shape
+from smoother.estimate.graph.inputs import SENSOR_ERRORS, Priors
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.normal_equations import add_constants_prior
@@ -100,7 +102,7 @@ def _one_latency() -> tuple[Patch, ...]:
     """Start the latencies alike, and hold their difference by a factor of its own."""
     priors, add = start._priors, add_constants_prior
 
-    def same_start(*given: Any) -> batch.Priors:
+    def same_start(*given: Any) -> Priors:
         found = priors(*given)
         mean = found.constants.copy()
         mean[0] = mean[1]
@@ -165,7 +167,7 @@ def _no_share(*_: Any) -> float:
 
 def _bounds_without(*parts: slice) -> tuple[Array, Array]:
     """Bounds of the spreads of sensor errors that leave nothing to find of those at `parts` of the constants."""
-    off = np.array([part in parts for part in batch.SENSOR_ERRORS])
+    off = np.array([part in parts for part in SENSOR_ERRORS])
     low, high = (np.where(off, OFF, bound) for bound in components.SENSOR_ERROR)
     return low, high
 
@@ -304,12 +306,14 @@ EFFECTS = (
     Effect("bias of the Doppler", options={"doppler_bias_sigma": OFF}),
     Effect("response of the Doppler", options={"velocity_response_sigma": 1e-3 * OFF}),
     Effect("shape of what the Doppler filters", options={"evenness_sigma": 1e-3 * OFF}),
-    Effect("slopes of what the receiver shows", patches=((batch, "shown_below", _all_shown),)),
+    Effect("slopes of what the receiver shows", patches=((session_rows, "shown_below", _all_shown),)),
     Effect("magnetometer", session=_no_magnetometer),
-    Effect("robust weights", patches=((batch, "_robust", _same),)),
+    Effect("robust weights", patches=((session_rows, "robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),
-    Effect("expected rate and acceleration at the antenna", patches=((batch, "expected_motion", _unaveraged),)),
-    Effect("motion up and down freed of the samples' noise", patches=((batch, "expected_motion", _raw_upwards),)),
+    Effect("expected rate and acceleration at the antenna", patches=((session_rows, "expected_motion", _unaveraged),)),
+    Effect(
+        "motion up and down freed of the samples' noise", patches=((session_rows, "expected_motion", _raw_upwards),)
+    ),
     Effect("most probable rates in the rows", patches=((output, "felt_on", _averaged_rates),)),
     Effect("two fixes to a keyframe beyond 10 Hz", patches=((start, "FIXES_BETWEEN", 1000),)),
     Effect("what Doppler takes of the samples' noise", patches=((expected, "noise_left", _all_left),)),

@@ -1,20 +1,18 @@
 """Batch solution of the graph: Gauss-Newton with robust weights, for noise that is given.
 
-GTSAM preintegrates the inertial samples; increments.py and rows.py linearise; chain.py solves the whole chain and
-returns the covariance of every keyframe in the same sweep. How noisy the session is, components.py tells by what is
-left of such a solution; solve.py takes turns between the two.
+GTSAM preintegrates the inertial samples; increments.py and session_rows.py linearise; chain.py solves the whole chain
+and returns the covariance of every keyframe in the same sweep. How noisy the session is, components.py tells by what
+is left of such a solution; solve.py takes turns between the two.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, are_near
-from smoother.estimate.graph import rows as rw
+from smoother.arrays import Array, are_near
 from smoother.estimate.graph.chain import ChainSolution, ChainSystem, moved_on, solve_chain
-from smoother.estimate.graph.expected import DRIVEN_BELOW, DopplerNoise, ExpectedMotion, expected_motion, shown_below
-from smoother.estimate.graph.heading import Heading
+from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path
 from smoother.estimate.graph.inertial import (
     InertialGraph,
@@ -23,157 +21,35 @@ from smoother.estimate.graph.inertial import (
     empty_system,
     set_apart,
 )
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.inputs import Data, Noise, Priors, constants_sigma
 from smoother.estimate.graph.normal_equations import add_constants_prior, add_rows
 from smoother.estimate.graph.relaxation import Relaxation
-from smoother.estimate.graph.response import low_pass_share
+from smoother.estimate.graph.rows import Rows, after_step
 from smoother.estimate.graph.sampled import are_unsampled
+from smoother.estimate.graph.session_rows import expected_of, session_rows, slip_rows_of, steadying_rows, unsteady_share
 from smoother.estimate.graph.slip import (
     Slip,
     SlipNoise,
     is_of_wheels,
-    not_doubted_by,
     slip_noise,
     slip_of,
-    slip_rows,
 )
 from smoother.estimate.graph.state import (
-    ACCEL_BIAS,
-    ACCEL_ERROR,
     CONSTANTS_SIZE,
-    GYRO_BIAS,
-    GYRO_ERROR,
     LEVER_ARM,
     POSITION_LATENCY,
-    RECTIFICATION,
     ROTATION,
     SLIP,
     TRANSLATION,
     VELOCITY,
     ChainState,
 )
-from smoother.estimate.graph.upright import along_path_rows, unsteadiness, upright_rows
-from smoother.estimate.pauses import NO_PAUSES, Pauses
 
-# A residual beyond this loses weight as (limit / distance)^2: redescending. Of two components the distance is that in
-# sigmas; of other numbers it is sqrt(2) times the rms of the components, so that one beyond 2.1 sigma loses weight, and
-# three beyond 3.7.
-ROBUST_LIMIT = 3.0
 CONVERGED = ((ROTATION, 5e-4), (TRANSLATION, 5e-3), (VELOCITY, 5e-3))  # rad, m, m/s: far below any sigma
-SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
-ANYWHERE = np.repeat([3.0, 1e4, 1e3], 3)  # rad, m, m/s: sigmas of motion of which nothing is known
-APART = np.repeat([3.0, 1e3, 1e2], 3)  # likewise, beside where the path of the fixes puts a keyframe
-LEVELS_SIZE = 11  # densities of force and rate; sigmas of position, velocity and offset per axis
-HELD = 1e-4  # m; what is held does not move by a digit
-STILL_SPEED = 0.02  # m/s; a chassis on its tyres with the engine idling
-STILL_TURN = 3e-4  # rad between keyframes, likewise
-# m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
-# are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
-LEVEL_GROUND = 2.0
+# rad, m, m/s, three of each: how far a keyframe without samples may be off the path of the fixes
+APART = np.repeat([3.0, 1e3, 1e2], 3)
+HELD = 1e-4  # m, sigma of an arm whose height is held: it does not move by a digit
 NEAR_FIX = 1.0  # s; beyond, a direction of the path is what the samples add up to
-FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone carry a height
-HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: one of them may be wild
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Everything the graph assumes about noise. Sigmas per axis of n (3,): m for positions, m/s for velocities.
-
-    offset_sigma (3,) m and offset_tau s describe the Gauss-Markov error of the fixes; sensor_error (3,) is the spread
-    of the entries of accel_error and gyro_error, scale and misalignment, and of rectification, m/s^2.
-    slip is that of the wheels, None where they are not asked.
-    offset_tau_spread is the sigma of offset_tau's logarithm where the session tells it, infinite where it is the
-    population's. offset_most (3,) m is what offset_sigma may be found to be: of a receiver that fixes carrier phases.
-    velocity is what is white of velocities; where errors last, level ones count with `counted` times that (lasting.py).
-    """
-
-    inertial: InertialNoise
-    position: Array
-    velocity: Array
-    offset_sigma: Array
-    offset_tau: float
-    sensor_error: Array
-    offset_tau_spread: float = math.inf
-    slip: SlipNoise | None = None
-    offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
-    counted: float = 1.0
-
-    @property
-    def of_velocities(self) -> Array:
-        """Sigma (3,) m/s with which a velocity counts."""
-        return np.asarray(self.velocity * [self.counted, self.counted, 1.0])
-
-    def change(self, other: "Noise") -> float:
-        """Largest relative difference of any sigma or mean density to those of `other`.
-
-        What of the densities goes with vibration takes turns more to come to rest than they do, and moves nothing.
-        """
-        return float(np.max(np.abs(self.step_from(other))))
-
-    def step_from(self, other: "Noise") -> Array:
-        """Steps (LEVELS_SIZE,) of the logarithms of densities and sigmas since `other`."""
-        return np.asarray(np.log(self._levels() / other._levels()))
-
-    def moved_by(self, step: Array) -> "Noise":
-        """The noise with densities and sigmas of which the logarithms are greater by step (LEVELS_SIZE,)."""
-        levels = self._levels() * np.exp(step)
-        return replace(
-            self,
-            inertial=replace(self.inertial, accel=float(levels[0]), gyro=float(levels[1])),
-            position=levels[2:5],
-            velocity=levels[5:8],
-            offset_sigma=levels[8:],
-        )
-
-    def _levels(self) -> Array:
-        return np.concatenate(
-            [[self.inertial.accel, self.inertial.gyro], self.position, self.velocity, self.offset_sigma]
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Priors:
-    """What is known beforehand: sigmas of the biases, m/s^2 and rad/s, mean (3,) of the gyro's; constants (30,).
-
-    holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
-    known than that: a height fitted to it is drawn to zero and seems to be known. has_height: some fix has a height.
-    drives: the kart went at a speed that tells the constants; what they fit at rest is noise, and its covariance too.
-    """
-
-    accel_bias: float
-    gyro_bias: float
-    gyro_bias_mean: Array
-    constants: Array
-    constants_sigma: Array
-    holds_height: bool = False
-    has_height: bool = True
-    drives: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Data:
-    """Measurements on the IMU clock. t (N,) stamps of the fixes; position_n, velocity_n (N, 3), NaN where unknown.
-
-    position_scale, velocity_scale (N,) multiply the session's sigmas; still (S,) intervals at rest. doubted (N,): fixes
-    whose positions have no weight, whatever their residuals; None where there are none. heights (H, 2): time s and up
-    in n, m, of all fixes of the session that have a height; None asks nothing of the ground. sampled (S, 2) s: spans
-    that all samples are in, and all fixes, between which nothing is said of the motion; None bridges what is missing.
-    pauses: time that is cut out between some of them, for which the biases walk on. lasting m/s: sigma of what lasts of
-    the errors of velocities.
-    """
-
-    t: Array
-    position_n: Array
-    velocity_n: Array
-    position_scale: Array
-    velocity_scale: Array
-    still: np.ndarray
-    heading: Heading | None = None
-    doubted: BoolArray | None = None
-    heights: Array | None = None
-    sampled: Array | None = None
-    pauses: Pauses = NO_PAUSES
-    lasting: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +62,7 @@ class Solved:
     state: ChainState
     solution: ChainSolution
     inertial: LinearInertial
-    rows: dict[str, rw.Rows]
+    rows: dict[str, Rows]
     slip: Slip | None = None
 
 
@@ -205,7 +81,7 @@ class Linear:
     state: ChainState
     system: ChainSystem
     inertial: LinearInertial
-    rows: dict[str, rw.Rows]
+    rows: dict[str, Rows]
     slip: Slip | None
 
 
@@ -344,10 +220,8 @@ class Batch:
         if noise.slip is not None or share > 0.0:
             slip = self._slip(state, motion)
         if slip is not None and share > 0.0:
-            asked = [upright_rows(state, slip, share)]
-            if noise.slip is None:  # which asks for more of the slip
-                asked.append(along_path_rows(state, slip, share))
-            rows.update({r.name: _robust(r) for r in asked if len(r.interval)})
+            steadying = steadying_rows(state, slip, share, with_path=noise.slip is None)  # slip asks for more of it
+            rows.update({r.name: r for r in steadying})
         if slip is not None and noise.slip is not None:
             of_slip = slip_rows_of(slip, state.interval, noise.slip, was_without_wheels=was_without_wheels)
             rows.update({r.name: r for r in of_slip})
@@ -363,116 +237,15 @@ class Batch:
         return Linear(state, system, inertial, rows, slip)
 
 
-def unsteady_share(state: ChainState, noise: Noise) -> float:
-    """Share 0 to 1 of what is asked of attitudes where rates hardly tell them."""
-    return 0.0 if state.constants.is_steered else unsteadiness(noise.inertial.gyro)
-
-
-def slip_rows_of(slip: Slip, interval: float, noise: SlipNoise, *, was_without_wheels: bool) -> list[rw.Rows]:
-    """Rows of the slip with robust weights; `interval` s."""
-    out = []
-    for r in slip_rows(slip, interval, noise.sigma):
-        judged = not_doubted_by(slip, noise.unsure, r) if was_without_wheels else r
-        out.append(replace(r, weight=_robust(judged).weight))
-    return out
-
-
 def _solved(linear: Linear, solution: ChainSolution, share: float) -> Solved:
     """Return the state after a `share` of the step, with the residuals that :class:`Solved` says."""
     return Solved(
         linear.state.retract(share * solution.x, share * solution.constants),
         solution,
         linear.inertial,
-        {name: rw.after_step(r, solution.x, solution.constants) for name, r in linear.rows.items()},
+        {name: after_step(r, solution.x, solution.constants) for name, r in linear.rows.items()},
         linear.slip,
     )
-
-
-def doppler_noise(d: Data, noise: Noise, axis: int = 0) -> DopplerNoise | None:
-    """What the session's velocities tell on an axis of n, None where there are none."""
-    return DopplerNoise.of(d.t, d.velocity_n[:, axis], float(noise.of_velocities[axis]))
-
-
-def expected_of(d: Data, path: DensePath, state: ChainState, noise: Noise) -> ExpectedMotion:
-    """Return the most probable motion along the dense path of `state`.
-
-    Where it is set apart nothing holds the path: it may leap, by 500 m/s^2 across a hole in an outage, and the spectrum
-    of the whole session would be that of the leap. It counts as rest there; no fix is read in it.
-    """
-    level, up = doppler_noise(d, noise), doppler_noise(d, noise, 2)
-    if d.sampled is not None:
-        apart = np.repeat(are_unsampled(d.sampled, state.t[:-1], state.t[1:]), (len(path.t) - 1) // (len(state.t) - 1))
-        # where samples end, the last keyframe that has some is the first one of the hole, and moves on
-        inside = np.append(apart, False) & np.append(False, apart)
-        path = replace(
-            path,
-            acceleration_n=np.where(apart[:, None], 0.0, path.acceleration_n),
-            velocity_n=np.where(inside[:, None], 0.0, path.velocity_n),
-        )
-    c = state.constants
-    return expected_motion(
-        path,
-        c.level_axes_s,
-        noise.inertial,
-        level,
-        state.interval,
-        up,
-        is_steered=c.is_steered,
-        slopes_below=DRIVEN_BELOW if c.is_steered else _shown_below(c.velocity_response),
-    )
-
-
-def _shown_below(response: float) -> float:
-    """Frequency, Hz, of what a receiver shows late and little else, by what of its response, s^2, is a filter's."""
-    share, _ = low_pass_share(response)
-    return shown_below(share * response)
-
-
-def session_rows(
-    d: Data, prior: Priors, path: DensePath, felt: ExpectedMotion, state: ChainState, noise: Noise
-) -> list[rw.Rows]:
-    """Everything that is not inertial, linearised at `state`, whose dense path is `path`; fixes with robust weights.
-
-    felt: the motion expected along the path.
-    """
-    position = rw.position_rows(
-        state, path, felt, d.t, d.position_n, d.position_scale[:, None] * noise.position, prior.constants[0]
-    )
-    velocity = rw.velocity_rows(state, path, felt, d.t, d.velocity_n, d.velocity_scale[:, None] * noise.of_velocities)
-    out = [
-        _robust(position, d.doubted),
-        _robust(velocity),
-        *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau),
-    ]
-    bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
-    sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)
-    out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
-    out.append(rw.prior_row("pose_prior", np.zeros(9), ANYWHERE, slice(0, 9)))
-    if d.heights is not None:
-        at, height = _far_from_heights(d.heights, state.t)
-        if len(at):
-            out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
-    if len(d.still):
-        out.append(rw.standstill_rows(state, d.still, STILL_SPEED, STILL_TURN))
-    if d.heading is not None:
-        out.append(rw.heading_rows(state, d.heading))
-    return out
-
-
-def _far_from_heights(heights: Array, t: Array) -> tuple[IntArray, Array]:
-    """Keyframes of t (K,) s, but the last, that are far from any of the heights (H, 2), and the nearest one (n,) m.
-
-    That of the origin where there is none at all.
-    """
-    if not len(heights):
-        return np.arange(len(t) - 1), np.zeros(len(t) - 1)
-    times = heights[:, 0]
-    after = np.clip(np.searchsorted(times, t[:-1]), 0, len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    near = np.where(np.abs(times[after] - t[:-1]) < np.abs(times[before] - t[:-1]), after, before)
-    far = np.flatnonzero(np.abs(times[near] - t[:-1]) > FAR_FROM_HEIGHT)
-    around = np.clip(near[far, None] + HEIGHTS_AROUND, 0, len(times) - 1)
-    return far, np.median(heights[around, 1], axis=1)
 
 
 def converged(step: Array) -> bool:
@@ -503,20 +276,3 @@ def _of_keyframes(system: ChainSystem) -> ChainSystem:
     n_keyframes, n = system.rhs.shape
     none = np.empty((n_keyframes, n, 0))
     return replace(system, border=none, corner=np.empty((0, 0)), rhs_constants=np.empty(0))
-
-
-def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (30,) of all constants."""
-    sigma = priors.constants_sigma.copy()
-    for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
-        sigma[part] = spread
-    return sigma
-
-
-def _robust(rows: rw.Rows, doubted: BoolArray | None = None) -> rw.Rows:
-    finite = np.isfinite(rows.sigma)
-    squared = np.where(finite, (rows.residual / np.where(finite, rows.sigma, 1.0)) ** 2, 0.0)
-    dimension = np.maximum(finite.sum(axis=1), 1)
-    distance = np.sqrt(squared.sum(axis=1) / dimension * 2.0)  # as if of two components
-    weight = np.minimum(1.0, (ROBUST_LIMIT / np.maximum(distance, 1e-9)) ** 2)
-    return replace(rows, weight=weight if doubted is None else np.where(doubted, 0.0, weight))

@@ -12,8 +12,9 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
-from smoother.estimate.graph.batch import Batch, Noise
+from smoother.estimate.graph.batch import Batch
 from smoother.estimate.graph.imu import BinnedImu, DensePath, halved, motion_at
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import ChainState
 

@@ -12,12 +12,13 @@ import numpy as np
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces
 from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
-from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Solved
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
+from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise
 from smoother.estimate.graph.normal_equations import used_columns
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered

@@ -16,9 +16,10 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.gnss_screen import most_say_velocity
-from smoother.estimate.graph.batch import Batch, Noise, Solved
+from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.coarse import EVERY, thinned
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.start import Start, stretch
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE
 

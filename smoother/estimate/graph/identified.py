@@ -7,7 +7,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.estimate.graph.batch import SENSOR_ERRORS, Noise, Priors, constants_sigma
+from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants

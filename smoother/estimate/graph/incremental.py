@@ -20,12 +20,14 @@ from gtsam.symbol_shorthand import B, O, V, X
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved, expected_of, session_rows
+from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.imu import BinnedImu, corrected, dense_path
 from smoother.estimate.graph.inertial import inertial_factors
+from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.rows import Rows, heading_rows
+from smoother.estimate.graph.session_rows import expected_of, session_rows
 from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, OFFSET, VELOCITY, ChainState, Constants
 
 # GTSAM's variables of a keyframe, and the columns of its tangent that each one holds

@@ -7,7 +7,7 @@ over the place where the two agree, for ever, and where they end is luck.
 
 import numpy as np
 
-from smoother.estimate.graph.batch import LEVELS_SIZE, Noise
+from smoother.estimate.graph.inputs import LEVELS_SIZE, Noise
 
 BACK, ONWARD = 0.5, 1.2  # of the step before, the most by which a level turns back, and goes on once it turned back
 LEAST = 0.02  # of a logarithm, that it may always go

@@ -9,13 +9,14 @@ from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import even_pieces, pieces, release, roomy
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.arm import arm_axes, arm_axes_at
-from smoother.estimate.graph.batch import Noise, Priors, Solved
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
 from smoother.estimate.graph.identified import doubt_by_rates, identified_values, unsure_moment
 from smoother.estimate.graph.imu import BinnedImu, DensePath, are_told, corrected, dense_path, motion_at
 from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
+from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.joint import ChainJoint, Wandering
 from smoother.estimate.graph.leftovers import left_of_inertial, left_of_rows
 from smoother.estimate.graph.mounting import (

@@ -22,9 +22,9 @@ from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
-from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
 from smoother.estimate.graph.output import (

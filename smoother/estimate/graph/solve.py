@@ -8,20 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, median
-from smoother.estimate.graph.batch import (
-    Batch,
-    Data,
-    DrivenMotion,
-    Linear,
-    Noise,
-    Priors,
-    Solved,
-    constants_moved,
-    doppler_noise,
-    moved,
-    unsteady_share,
-    variances,
-)
+from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear, Solved, constants_moved, moved, variances
 from smoother.estimate.graph.chain import NotPositiveDefiniteError, solve_chain
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
@@ -30,9 +17,11 @@ from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inertial_noise import ROUND
+from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.lasting import Memory, counted, shared_out
 from smoother.estimate.graph.noise_steps import NoiseSteps
 from smoother.estimate.graph.relaxation import Relaxation
+from smoother.estimate.graph.session_rows import doppler_noise, unsteady_share
 from smoother.estimate.graph.slip import SlipNoise, with_nose
 from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of, where_sampled
 from smoother.estimate.graph.state import HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants

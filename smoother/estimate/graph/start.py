@@ -13,10 +13,10 @@ from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_posit
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.at_rest import scale_at_rest
-from smoother.estimate.graph.batch import Data, Noise, Priors
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise, hole_lengths
+from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.lasting import lasting_at_rest
 from smoother.estimate.graph.made_up import MadeUpSamples

@@ -8,8 +8,9 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import pieces
 from smoother.estimate.graph.arm import arm_axes, turning_arm
-from smoother.estimate.graph.batch import Noise, Solved
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,

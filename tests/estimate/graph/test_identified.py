@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from smoother.config import SessionConfig
-from smoother.estimate.graph.batch import Noise, Priors
 from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants

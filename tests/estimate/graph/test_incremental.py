@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.batch import Batch, Data, Noise, Priors, Solved
+from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, bin_imu
 from smoother.estimate.graph.incremental import IncrementalOptions, Stream, solve_as_stream, solve_incrementally
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples

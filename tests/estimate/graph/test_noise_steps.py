@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.graph.batch import LEVELS_SIZE, Noise
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.inputs import LEVELS_SIZE, Noise
 from smoother.estimate.graph.noise_steps import BACK, LEAST, NoiseSteps
 
 START = Noise(InertialNoise(0.5, 0.03, 0.01, 1e-4), np.full(3, 0.05), np.full(3, 0.1), np.ones(3), 60.0, np.ones(3))

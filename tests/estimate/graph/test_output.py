@@ -6,10 +6,10 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.graph.batch import Noise
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.output import _between_samples, _bridge, _Rows
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
 from smoother.estimate.graph.uncertainty import bend_covariance, track_variance

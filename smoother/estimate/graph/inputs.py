@@ -1,0 +1,141 @@
+"""What a graph is given beside the state it is linearised at: its noise, what is known beforehand, measurements."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.estimate.graph.heading import Heading
+from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.graph.slip import (
+    SlipNoise,
+)
+from smoother.estimate.graph.state import (
+    ACCEL_ERROR,
+    GYRO_ERROR,
+    RECTIFICATION,
+)
+from smoother.estimate.pauses import NO_PAUSES, Pauses
+
+SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
+LEVELS_SIZE = 11  # densities of force and rate; sigmas of position, velocity and offset per axis
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Everything the graph assumes about noise. Arrays (3,) are sigmas per axis of n.
+
+    inertial: densities of the samples' noise, and walks of the biases.
+    position, velocity (3,) m, m/s: white noise of fixes; where velocities' errors last, level ones count with `counted`
+        times that (lasting.py).
+    offset_sigma (3,) m, offset_tau s: the Gauss-Markov error of the fixes. offset_tau_spread: sigma of the logarithm of
+        offset_tau where the session tells it, infinite where it is the population's.
+    offset_most (3,) m: what offset_sigma may be found to be at most, of a receiver that fixes carrier phases.
+    sensor_error (3,): spread of the entries of accel_error and gyro_error (scale and misalignment, no unit) and of
+        rectification, m/s^2.
+    slip: of the wheels, None where they are not asked.
+    """
+
+    inertial: InertialNoise
+    position: Array
+    velocity: Array
+    offset_sigma: Array
+    offset_tau: float
+    sensor_error: Array
+    offset_tau_spread: float = math.inf
+    slip: SlipNoise | None = None
+    offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
+    counted: float = 1.0
+
+    @property
+    def of_velocities(self) -> Array:
+        """Sigma (3,) m/s with which a velocity counts."""
+        return np.asarray(self.velocity * [self.counted, self.counted, 1.0])
+
+    def change(self, other: "Noise") -> float:
+        """Largest relative difference of any sigma or mean density to those of `other`.
+
+        What of the densities goes with vibration takes turns more to come to rest than they do, and moves nothing.
+        """
+        return float(np.max(np.abs(self.step_from(other))))
+
+    def step_from(self, other: "Noise") -> Array:
+        """Steps (LEVELS_SIZE,) of the logarithms of densities and sigmas since `other`."""
+        return np.asarray(np.log(self._levels() / other._levels()))
+
+    def moved_by(self, step: Array) -> "Noise":
+        """The noise with densities and sigmas of which the logarithms are greater by step (LEVELS_SIZE,)."""
+        levels = self._levels() * np.exp(step)
+        return replace(
+            self,
+            inertial=replace(self.inertial, accel=float(levels[0]), gyro=float(levels[1])),
+            position=levels[2:5],
+            velocity=levels[5:8],
+            offset_sigma=levels[8:],
+        )
+
+    def _levels(self) -> Array:
+        return np.concatenate(
+            [[self.inertial.accel, self.inertial.gyro], self.position, self.velocity, self.offset_sigma]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """What is known beforehand.
+
+    accel_bias m/s^2, gyro_bias rad/s: sigmas of the biases, whose means are zero and gyro_bias_mean (3,) rad/s.
+    constants, constants_sigma (30,): mean and sigma of the constants of the session, in the order of state.py.
+    holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
+        known than that: a height fitted to it is drawn to zero and seems to be known.
+    has_height: some fix has a height.
+    drives: the kart went at a speed that tells the constants; what they fit at rest is noise, and its covariance too.
+    """
+
+    accel_bias: float
+    gyro_bias: float
+    gyro_bias_mean: Array
+    constants: Array
+    constants_sigma: Array
+    holds_height: bool = False
+    has_height: bool = True
+    drives: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Measurements on the clock of the inertial samples.
+
+    t (N,) s: stamps of the fixes. position_n m, velocity_n m/s (N, 3): NaN where unknown.
+    position_scale, velocity_scale (N,): factors of the session's sigmas.
+    still (S,): intervals at rest. heading: of the magnetometer, None without.
+    doubted (N,): fixes whose positions have no weight, whatever their residuals; None where there are none.
+    heights (H, 2): time s and up in n, m, of all fixes of the session that have a height; None asks nothing of the
+        ground.
+    sampled (S, 2) s: spans that all samples are in, and all fixes, between which nothing is said of the motion; None
+        bridges what is missing.
+    pauses: time that is cut out between some of them, for which the biases walk on.
+    lasting m/s: sigma of the part of velocities' errors that lasts for a while.
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    position_scale: Array
+    velocity_scale: Array
+    still: np.ndarray
+    heading: Heading | None = None
+    doubted: BoolArray | None = None
+    heights: Array | None = None
+    sampled: Array | None = None
+    pauses: Pauses = NO_PAUSES
+    lasting: float = 0.0
+
+
+def constants_sigma(priors: Priors, noise: Noise) -> Array:
+    """Prior sigma (30,) of all constants."""
+    sigma = priors.constants_sigma.copy()
+    for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
+        sigma[part] = spread
+    return sigma
