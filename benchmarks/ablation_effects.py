@@ -18,10 +18,10 @@ from smoother.estimate.graph import (
     batch,
     begin,
     components,
+    dense_rows,
     expected,
     imu,
     inertial,
-    output,
     session_rows,
     smoother,
     solve,
@@ -314,7 +314,7 @@ EFFECTS = (
     Effect(
         "motion up and down freed of the samples' noise", patches=((session_rows, "expected_motion", _raw_upwards),)
     ),
-    Effect("most probable rates in the rows", patches=((output, "felt_on", _averaged_rates),)),
+    Effect("most probable rates in the rows", patches=((dense_rows, "felt_on", _averaged_rates),)),
     Effect("two fixes to a keyframe beyond 10 Hz", patches=((start, "FIXES_BETWEEN", 1000),)),
     Effect("what Doppler takes of the samples' noise", patches=((expected, "noise_left", _all_left),)),
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),

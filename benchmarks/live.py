@@ -37,9 +37,10 @@ from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.estimate.graph.batch import Batch, constants_moved, moved, variances
 from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.estimated import estimated
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.mounting import fit_mounting
-from smoother.estimate.graph.output import build_trajectory, estimated
+from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import make_start

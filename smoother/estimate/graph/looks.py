@@ -14,9 +14,9 @@ from smoother.arrays import BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
+from smoother.estimate.graph.estimated import Estimated, estimated
 from smoother.estimate.graph.identified import UNSTEADY_DELAY, doubt_by_rates
 from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.output import Estimated, estimated
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
     GraphOptions,

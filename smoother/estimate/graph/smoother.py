@@ -24,16 +24,11 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
+from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
-from smoother.estimate.graph.output import (
-    Estimated,
-    are_made_up,
-    attitude_variance,
-    build_trajectory,
-    row_times,
-)
+from smoother.estimate.graph.output import build_trajectory, row_times
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Solution

@@ -17,10 +17,10 @@ from smoother import so3
 from smoother.arrays import Array, median
 from smoother.config import SessionConfig
 from smoother.estimate.graph.components import OWN_SCATTER
+from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
 from smoother.estimate.graph.inputs import Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.output import Estimated
 from smoother.estimate.graph.start import GraphOptions, Start, scatter_of
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
 from smoother.samples import Problem, Session

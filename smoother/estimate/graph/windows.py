@@ -22,11 +22,11 @@ from smoother.arrays import Array, IntArray
 from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
+from smoother.estimate.graph.estimated import Estimated, common_attitude
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
-from smoother.estimate.graph.output import Estimated, common_attitude
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading

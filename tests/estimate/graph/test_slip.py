@@ -13,9 +13,9 @@ from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph import looks, solve
 from smoother.estimate.graph import slip as slip_module
 from smoother.estimate.graph.batch import Solved
+from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
-from smoother.estimate.graph.output import Estimated
 from smoother.estimate.graph.slip import (
     MEMORY,
     Slip,

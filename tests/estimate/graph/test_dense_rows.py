@@ -7,10 +7,10 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.graph.dense_rows import DenseRows, _between_samples, _bridge
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.output import _between_samples, _bridge, _Rows
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
 from smoother.estimate.graph.uncertainty import bend_covariance, track_variance
 
@@ -110,7 +110,7 @@ def test_the_line_is_unsure_by_the_walk_of_the_offset_but_for_what_a_fix_tells_o
 
 def test_who_does_not_know_when_does_not_know_how_fast_either() -> None:
     """A sample that is true 10 ms later has the velocity of then: of a kart that brakes at 5 m/s^2 and turns at 10."""
-    rows = _Rows.empty(1)
+    rows = DenseRows.empty(1)
     for values in rows.sigmas.values():
         values[...] = 0.05
     rows.velocity_n[...], rows.R_nb[...] = [0.0, 20.0, 0.0], so3.exp(np.array([0.0, 0.0, np.pi / 2.0]))

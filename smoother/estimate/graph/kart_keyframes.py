@@ -1,0 +1,119 @@
+"""Keyframes of the kart: from the pose of the sensor to the place of the antenna and the attitude of the kart.
+
+With the covariance of both, and what it leaves out that no residual shows: the mounting, climbing, a turning wheel.
+"""
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.disc import pieces, release, roomy
+from smoother.estimate.graph.arm import arm_axes
+from smoother.estimate.graph.dense_rows import TOGETHER, DenseSource, parts_of
+from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
+from smoother.estimate.graph.felt import swing_covariance
+from smoother.estimate.graph.inputs import Priors
+from smoother.estimate.graph.mounting import (
+    FittedMounting,
+)
+from smoother.estimate.graph.rows import UP_N
+from smoother.estimate.graph.state import (
+    LEVER_ARM,
+)
+from smoother.samples import Session
+from smoother.trajectory import (
+    Keyframes,
+)
+
+SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have less
+# m/s, forgotten in half a minute or later: two modules in one car have 0.020 each beside what their sigmas hold, one
+# beside the heights of RTK 0.018; of the level velocities of both it is 0.003 to 0.013
+SLOW_UPWARDS = 0.02
+
+
+def keyframes_of_kart(
+    session: Session, found: Estimated, source: "DenseSource", mounting: FittedMounting, priors: Priors, unsure: Array
+) -> Keyframes:
+    """Keyframes of antenna and kart, as unsure of climbing as the fixes leave it; unsure (3,) m^2 of the offset."""
+    height_sigma = float(priors.constants_sigma[LEVER_ARM][2]) if priors.holds_height and priors.drives else 0.0
+    keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
+    if not (priors.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
+        _may_climb(keyframes)
+    elif source.upwards is not None:
+        _drift_upwards(keyframes)
+    return keyframes
+
+
+def _left_of_attitude(found: Estimated, mounting: FittedMounting, made_up: BoolArray | None) -> Array:
+    """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
+
+    An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
+    mounting: the box seems askew by so much more, and the kart is none the worse for it.
+    made_up (K,): keyframes without samples.
+    """
+    if not mounting.is_fitted:
+        return np.ones(3)
+    mean, common = attitude_variance(found, mounting.R_bs, made_up)
+    left = np.sqrt(np.clip(1.0 - common / mean, 0.0, 1.0))
+    return np.array([*left[:2], 1.0]) if mounting.by_wheels else np.asarray(left)
+
+
+def _keyframes(
+    found: Estimated, source: DenseSource, mounting: FittedMounting, unseen: Array, height_sigma: float
+) -> Keyframes:
+    """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position.
+
+    height_sigma, m: of the antenna above the box where the graph held it, which tilting swings it by.
+    """
+    state, known = found.state, found.uncertainty
+    R, arms_n = state.R_ns, arm_axes(state) @ state.constants.lever_arm_s
+    R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
+    left = _left_of_attitude(found, mounting, are_made_up(source.binned))
+    of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
+    for part in parts_of(state.t, source.pauses):
+        covariance[part] = known.antenna[part]
+        covariance[part, 6:9, 6:9] += np.diag(unseen)
+        left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)
+        covariance[part, 0:3] = left_n @ covariance[part, 0:3]
+        covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
+        covariance[part, 0:3, 0:3] += (R_nb[part] * of_mounting**2) @ R_nb[part].transpose(0, 2, 1)
+        felt, arm_n = source.around(state.t[part]).felt, arms_n[part]
+        swing_n = felt.swing_at(state.t[part])
+        velocity_n[part] += np.cross(swing_n, arm_n)
+        by_height = height_sigma * np.cross(swing_n, UP_N)
+        covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n) + by_height[:, :, None] * by_height[:, None, :]
+        release(covariance, known, source.binned)
+    return Keyframes(
+        t=state.t,
+        position_n=state.position_n + arms_n,
+        velocity_n=velocity_n,
+        R_nb=R_nb,
+        covariance=covariance,
+        accel_bias_s=state.accel_bias_s,
+        gyro_bias_s=state.gyro_bias_s,
+        sigma_accel_bias=known.biases[:, :3],
+        sigma_gyro_bias=known.biases[:, 3:],
+        gps_offset_n=state.offset_n,
+        unseen_offset=unseen,
+    )
+
+
+def _may_climb(keyframes: Keyframes) -> None:
+    """Add what ground that was taken to be level, where nothing tells of a height, may rise by to the velocity up."""
+    for part in pieces(len(keyframes.t), TOGETHER):
+        keyframes.covariance[part, 5, 5] += SLOPE**2 * np.sum(keyframes.velocity_n[part, :2] ** 2, axis=1)
+        release(keyframes)
+
+
+def _drift_upwards(keyframes: Keyframes) -> None:
+    """Add the slow error that receivers' vertical velocities have, which nothing in a session tells, to that up."""
+    for part in pieces(len(keyframes.t), TOGETHER):
+        keyframes.covariance[part, 5, 5] += SLOW_UPWARDS**2
+        release(keyframes)
+
+
+def widen(keyframes: Keyframes, swing: Array) -> None:
+    """Add what the box stands off the kart, (3,) rad rms about the axes of b, to the errors of the kart's attitude."""
+    for part in pieces(len(keyframes.t), TOGETHER):
+        R_nb = keyframes.R_nb[part]
+        keyframes.covariance[part, 0:3, 0:3] += (R_nb * swing**2) @ R_nb.transpose(0, 2, 1)
+        release(keyframes)
