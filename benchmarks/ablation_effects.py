@@ -20,8 +20,10 @@ from smoother.estimate.graph import (
     components,
     dense_rows,
     expected,
+    first_noise,
     imu,
     inertial,
+    options,
     session_rows,
     smoother,
     solve,
@@ -30,6 +32,7 @@ from smoother.estimate.graph import (
 from smoother.estimate.graph.chain import ChainSystem
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
+from smoother.estimate.graph.first_noise import DATA_SHEET_ACCEL, DATA_SHEET_GYRO
 from smoother.estimate.graph.imu import BinnedImu, DensePath
 from smoother.estimate.graph.inertial_noise import ROUND, InertialNoise, Shape
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Priors
@@ -85,7 +88,7 @@ def _no_arm(session: Session) -> Session:
 
 
 def _data_sheet(session: Session) -> Session:
-    noise = ImuNoise(start.DATA_SHEET_ACCEL, start.DATA_SHEET_GYRO)
+    noise = ImuNoise(DATA_SHEET_ACCEL, DATA_SHEET_GYRO)
     return replace(session, config=replace(session.config, imu=noise))
 
 
@@ -315,7 +318,7 @@ EFFECTS = (
         "motion up and down freed of the samples' noise", patches=((session_rows, "expected_motion", _raw_upwards),)
     ),
     Effect("most probable rates in the rows", patches=((dense_rows, "felt_on", _averaged_rates),)),
-    Effect("two fixes to a keyframe beyond 10 Hz", patches=((start, "FIXES_BETWEEN", 1000),)),
+    Effect("two fixes to a keyframe beyond 10 Hz", patches=((options, "FIXES_BETWEEN", 1000),)),
     Effect("what Doppler takes of the samples' noise", patches=((expected, "noise_left", _all_left),)),
     Effect("noise of the turn rate from where no kart turns", patches=((expected, "quick_scatter", _nothing_quick),)),
     Effect("keyframes where velocities were felt", patches=((start, "keyframe_times", _wherever),)),
@@ -323,7 +326,7 @@ EFFECTS = (
     Effect("force noisier in places", patches=((components, "local_level", _same_everywhere),)),
     Effect("walks of the biases as the session shows", patches=((solve, "bias_walks", _usual_walks),)),
     Effect("noise of each direction its own", patches=((components, "_shape", _as_round),)),
-    Effect("GPS offset as the fixes show it beforehand", patches=((start, "offset_model", _usual_offset),)),
+    Effect("GPS offset as the fixes show it beforehand", patches=((first_noise, "offset_model", _usual_offset),)),
     Effect("more noise where samples miss", patches=((start, "bin_imu", _not_missed),)),
     Effect("what velocities at rest have in common", patches=((start, "scale_at_rest", _one_by_one),)),
     Effect("velocities that err for a while", patches=((start, "lasting_at_rest", lambda *_: 0.0),)),

@@ -14,7 +14,8 @@ from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_c
 from smoother.estimate.gnss_coasting import coasting, coasting_problems
 from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.gnss_settling import settling_problems, unsettled
-from smoother.estimate.graph.start import GraphOptions, Start, make_start
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.start import Start, make_start
 from smoother.estimate.in_step import in_step
 from smoother.estimate.left_out import without_fixes, without_positions
 from smoother.estimate.pauses import Pauses, closed_up

@@ -20,7 +20,8 @@ from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.coarse import EVERY, thinned
 from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.start import Start, stretch
+from smoother.estimate.graph.parts import stretch
+from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE
 
 OUTAGE = 2.5  # s; across a shorter one the samples tell where the path goes on

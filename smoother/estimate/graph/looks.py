@@ -17,14 +17,14 @@ from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.estimated import Estimated, estimated
 from smoother.estimate.graph.identified import UNSTEADY_DELAY, doubt_by_rates
 from smoother.estimate.graph.inputs import Noise
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.parts import is_partly_sampled
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
-    GraphOptions,
     Start,
     for_slow_receiver,
     held_by_size,
     informed,
-    is_partly_sampled,
     make_start,
     on_path_without,
     with_louder_force,

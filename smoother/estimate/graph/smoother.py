@@ -28,16 +28,12 @@ from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_v
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
+from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.output import build_trajectory, row_times
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Solution
-from smoother.estimate.graph.start import (
-    GraphOptions,
-    Start,
-    have_samples,
-    on_the_wheel,
-)
+from smoother.estimate.graph.start import Start, have_samples, on_the_wheel
 from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.stated import contradicted_constants, contradicted_mounting, contradicted_noise
 from smoother.estimate.graph.uncertainty import nose_variance

@@ -12,6 +12,7 @@ from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear, Solved, c
 from smoother.estimate.graph.chain import NotPositiveDefiniteError, solve_chain
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
+from smoother.estimate.graph.first_noise import scatter_of
 from smoother.estimate.graph.heading import heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
@@ -20,10 +21,12 @@ from smoother.estimate.graph.inertial_noise import ROUND
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.lasting import Memory, counted, shared_out
 from smoother.estimate.graph.noise_steps import NoiseSteps
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.parts import busiest_part, where_sampled
 from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.session_rows import doppler_noise, unsteady_share
 from smoother.estimate.graph.slip import SlipNoise, with_nose
-from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, scatter_of, where_sampled
+from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import HEADING_OFFSET, SLIP, VELOCITY, ChainState, Constants
 from smoother.fit.magnetic_model import session_field
 from smoother.samples import MagSamples, Problem, Session
@@ -105,7 +108,7 @@ def _is_worse(noise: Noise, other: Noise) -> bool:
 def identify(start: Start, options: GraphOptions, say: Say) -> tuple[Constants, tuple[Array, Array], Noise]:
     """Find constants, mean biases of force and rate and noise, turn by turn."""
     start = where_sampled(start)
-    state, noise = _settle(start, start.state, start.noise, scatter_of(start), options, say)
+    state, noise = _settle(start, start.state, start.noise, scatter_of(start.binned), options, say)
     return state.constants, (state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)), noise
 
 
@@ -140,7 +143,7 @@ def finish(
     say: Say,
 ) -> tuple[Solved, Noise]:
     """Steps over the whole session, each with a better noise, until they no longer matter; the last one counts."""
-    scatter, relaxation = scatter_of(start), Relaxation()
+    scatter, relaxation = scatter_of(start.binned), Relaxation()
     solved: Solved | None = None
     steps: list[tuple[float, float]] = []
     change, noise_steps, known = 0.0, NoiseSteps(), np.empty((0, 0))

@@ -18,10 +18,12 @@ from smoother.arrays import Array, median
 from smoother.config import SessionConfig
 from smoother.estimate.graph.components import OWN_SCATTER
 from smoother.estimate.graph.estimated import Estimated
+from smoother.estimate.graph.first_noise import scatter_of
 from smoother.estimate.graph.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
 from smoother.estimate.graph.inputs import Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.start import GraphOptions, Start, scatter_of
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
 from smoother.samples import Problem, Session
 from smoother.units import DEG
@@ -131,9 +133,10 @@ def contradicted_mounting(stated: Array, fitted: FittedMounting) -> tuple[Proble
 
 def contradicted_noise(start: Start) -> tuple[Problem, ...]:
     """Say so where a stated density is far from what neighbouring samples scatter by."""
-    stated, scatter = start.stated, scatter_of(start) if start.stated.accel_noise or start.stated.gyro_noise else None
-    if scatter is None:
+    stated = start.stated
+    if not (stated.accel_noise or stated.gyro_noise):
         return ()
+    scatter = scatter_of(start.binned)
     shown = ("accel_noise", stated.accel_noise, scatter.accel), ("gyro_noise", stated.gyro_noise, scatter.gyro)
     out = []
     for (name, density, seen), unit in zip(shown, ("m/s^2/sqrt(Hz)", "rad/s/sqrt(Hz)"), strict=True):

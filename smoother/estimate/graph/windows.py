@@ -27,10 +27,12 @@ from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.parts import busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE, are_unsampled
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
-from smoother.estimate.graph.start import GraphOptions, Start, busiest_part, fixes_between, stretch, where_sampled
+from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.uncertainty import Uncertainty, nose_variance, uncertainty_of
 from smoother.samples import Problem, Session

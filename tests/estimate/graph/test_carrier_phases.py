@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.graph.start import GraphOptions, make_start
+from smoother.estimate.graph.start import make_start
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

@@ -8,7 +8,9 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph.batch import Batch
 from smoother.estimate.graph.coarse import EVERY, carried, near_solution, thinned
-from smoother.estimate.graph.start import GraphOptions, Start, make_start, stretch
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.parts import stretch
+from smoother.estimate.graph.start import Start, make_start
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG

@@ -9,10 +9,11 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph import windows
 from smoother.estimate.graph.batch import Batch
+from smoother.estimate.graph.parts import is_partly_sampled, where_sampled
 from smoother.estimate.graph.sampled import HOLE, are_sampled, are_unsampled, has_hole, sampled_spans
 from smoother.estimate.graph.session_rows import expected_of
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
-from smoother.estimate.graph.start import MAX_LATENCY, Start, is_partly_sampled, make_start, where_sampled
+from smoother.estimate.graph.start import MAX_LATENCY, Start, make_start
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Stop

@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from smoother.estimate.graph.start import GraphOptions, make_start
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.start import make_start
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 

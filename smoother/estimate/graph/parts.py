@@ -1,0 +1,62 @@
+"""Parts of a start: its busiest stretch, what is sampled of it, and the keyframes from one to another."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from smoother.arrays import BoolArray
+from smoother.estimate.graph.inputs import Data
+from smoother.estimate.graph.sampled import has_hole
+from smoother.estimate.graph.start import MAX_LATENCY, Start, busiest_span, have_samples
+
+
+def busiest_part(start: Start, span: float) -> Start:
+    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
+    begin, end = busiest_span(start.driven, start.spans, span)
+    t = start.state.t
+    if end == start.driven.t[-1]:
+        return start
+    first, last = np.searchsorted(t, [begin - MAX_LATENCY, end])
+    return stretch(start, int(first), min(int(last), len(t) - 1))
+
+
+def is_partly_sampled(start: Start) -> bool:
+    """Whether some of the fixes have no samples, and must not tell the constants."""
+    return has_hole(start.spans, start.data.t[0], start.data.t[-1])
+
+
+def where_sampled(start: Start) -> Start:
+    """Return the start that the constants are found from: the fixes that have samples, holes between them not bridged.
+
+    The start itself where all of it is sampled.
+    """
+    if not is_partly_sampled(start):
+        return start
+    t = start.state.t
+    spans = start.spans[(start.spans[:, 1] > t[0]) & (start.spans[:, 0] < t[-1])]
+    first, last = np.searchsorted(t, [spans[0, 0], spans[-1, 1]])
+    part = stretch(start, max(int(first) - 1, 0), min(int(last), len(t) - 1))
+    data = _of_fixes(part.data, have_samples(spans, part.data.t))
+    return replace(part, data=replace(data, sampled=spans, pauses=start.pauses))
+
+
+def fixes_between(start: Start, first: int, last: int) -> BoolArray:
+    """Mask (N,) of the fixes that are read between the keyframes first and last, whatever their latency."""
+    t, keyframes = start.data.t, start.state.t
+    return np.asarray((t > keyframes[first] + MAX_LATENCY) & (t < keyframes[last]))
+
+
+def stretch(start: Start, first: int, last: int) -> Start:
+    """Return the start of the keyframes first .. last alone."""
+    data = start.data
+    still = data.still[(data.still >= first) & (data.still < last)] - first
+    part = replace(_of_fixes(data, fixes_between(start, first, last)), still=still, heading=None)
+    state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
+    return replace(start, state=state, data=part, binned=binned)
+
+
+def _of_fixes(data: Data, use: BoolArray) -> Data:
+    """Return the measurements with the fixes `use` (N,) alone."""
+    names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+    doubted = None if data.doubted is None else data.doubted[use]
+    return replace(data, doubted=doubted, **{name: getattr(data, name)[use] for name in names})
