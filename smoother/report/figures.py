@@ -221,7 +221,7 @@ def biases(shown: Shown) -> Figure | None:
     if keyframes is None or not np.isfinite(keyframes.gyro_bias_s).any():
         return None
     figure = _figure(f"Sensor biases found, in the sensor's own axes: {shown.heading}", 12.0, 7.6)
-    grid = style.panels(figure, 3, 2)
+    grid = style.panels(figure, 3, 2, left=1.0, beside=1.0)  # for ticks as long as -0.075
     t = keyframes.t - shown.start
     sensors = (
         ("Accelerometer (m/s²), band: two sigma", keyframes.accel_bias_s, keyframes.sigma_accel_bias, 1.0),
@@ -294,7 +294,7 @@ def sigma(shown: Shown) -> Figure | None:
     groups = {
         label: lines for label, lines in groups.items() if any(np.isfinite(line).any() for line in lines.values())
     }
-    rows = style.rows(figure, len(groups), between=0.42)
+    rows = style.rows(figure, len(groups), between=0.42, left=1.0)
     for axes, (label, lines) in zip(rows, groups.items(), strict=True):
         for colour, (name, values) in zip(style.AXES_COLOURS, lines.items(), strict=True):
             axes.plot(*style.thinned(t, values, points=2 * style.pixels(axes)), color=colour, label=name)

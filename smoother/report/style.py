@@ -120,10 +120,23 @@ def save(figure: Figure, path: Path) -> None:
     for axes in figure.axes:
         if not hasattr(axes, "_colorbar"):
             _settle(axes)
+    _align_labels(figure)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()  # type: ignore[no-untyped-call]
     drawn = Image.fromarray(np.asarray(canvas.buffer_rgba()))  # type: ignore[no-untyped-call]
     drawn.convert("RGB").save(path, format="png", compress_level=COMPRESSION, dpi=(figure.dpi, figure.dpi))
+
+
+def _align_labels(figure: Figure) -> None:
+    """Put the labels of y axes that stand above one another as far out as the one with the longest figures."""
+    columns: dict[float, list[Axes]] = {}
+    for axes in figure.axes:
+        if axes.get_ylabel():
+            columns.setdefault(round(axes.get_position().x0, 3), []).append(axes)
+    for column in columns.values():
+        farthest = max(axes.yaxis.labelpad for axes in column)
+        for axes in column:
+            axes.yaxis.labelpad = farthest
 
 
 def _settle(axes: Axes) -> None:

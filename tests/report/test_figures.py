@@ -158,6 +158,23 @@ def test_ticks_are_drawn_where_matplotlib_would_put_them(tmp_path: Path) -> None
     assert said[1] == ["0:00", "2:00", "4:00", "6:00", "8:00", "10:00", "10", "20", "30", "40"]
 
 
+def test_labels_of_panels_above_one_another_stand_in_one_line_and_on_the_paper(
+    tmp_path: Path, session: Session, trajectory: Trajectory
+) -> None:
+    for name, draw in FIGURES.items():
+        figure = draw(Shown(session, trajectory, trajectory, "a session"))
+        assert figure is not None, name
+        style.save(figure, tmp_path / "figure.png")
+        columns: dict[float, list[float]] = {}
+        for axes in figure.axes:
+            if axes.get_ylabel():
+                label = axes.yaxis.label.get_window_extent()
+                assert label.x0 > 5.0, (name, axes.get_ylabel())
+                columns.setdefault(round(axes.get_position().x0, 3), []).append(label.x1)
+        for right_edges in columns.values():
+            assert np.ptp(right_edges) < 1.0, name
+
+
 def test_thinning_lives_with_stretches_that_are_unknown() -> None:
     t = np.arange(10_000.0)
     value = np.where((t > 2000) & (t < 8000), np.nan, 1.0)
