@@ -132,7 +132,7 @@ def _compared_title(told: words.Told) -> str:
 
 def _compared_words(told: words.Told) -> str:
     which = "the best lap" if told.statistics is not None else "a minute around the top speed"
-    baseline = "dashed: the baseline, " if told.baseline is not None else ""
+    baseline = "dashed: the baseline, an older method that is run beside it; " if told.baseline is not None else ""
     return f"Of {which}. Dots on the map: GPS fixes as received; {baseline}solid: the smoother."
 
 

@@ -403,7 +403,7 @@ def baseline_section(told: Told) -> list[Element]:
     rows = [row(name, *values) for name, *values in _differences(told)]
     if not rows:
         return []
-    return [table(["", "rms difference", "largest"], rows), *_lost_north(told)]
+    return [table(["difference", "rms", "largest"], rows), *_lost_north(told)]
 
 
 def _lost_north(told: Told) -> list[Element]:

@@ -230,6 +230,7 @@ def test_what_is_compared_is_called_by_what_is_there(report: Report) -> None:
         assert f'<a href="#compared">{name}</a>' in text and f'<h2 id="compared">{name}</h2>' in text
         assert other not in text
         assert ("Fixes, baseline and smoother" in text) == (baseline is not None)
+        assert ("the baseline, an older method" in text) == (baseline is not None)
 
 
 def test_a_baseline_without_a_calibrated_compass_is_said_to_need_one(report: Report) -> None:

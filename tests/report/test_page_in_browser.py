@@ -405,6 +405,12 @@ def test_bands_end_inside_their_frame_or_the_title_says_that_they_do_not(
         assert all(told) and "beyond the frame" not in titles
 
 
+def test_cards_stand_two_beside_one_another_on_a_telephone(opened: Any) -> None:
+    with sized(opened, 390, 800):
+        left = "return [...document.querySelectorAll('.card')].map((c) => c.getBoundingClientRect().left)"
+        assert len(set(opened.execute_script(left))) == 2
+
+
 def test_cards_stand_in_rows_of_like_length(opened: Any) -> None:
     for width in (1100, 1280, 1920):
         with sized(opened, width, 900):
