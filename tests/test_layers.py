@@ -1,6 +1,7 @@
 """Dependencies point one way: a module imports only from layers below its own."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -58,6 +59,16 @@ def test_module_imports_only_layers_below(name: str) -> None:
     for path in existing(name):
         layers = [module.split(".")[1] for module in imported_modules(path) if module.startswith("smoother.")]
         assert not set(layers) & set(above), f"{path.relative_to(ROOT)} imports a layer above its own"
+
+
+def test_the_graph_lists_its_modules_and_each_imports_only_those_above_it() -> None:
+    package = ROOT / "smoother" / "estimate" / "graph"
+    listed = re.findall(r"^    (\w+)  +\S", package.joinpath("__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(path.stem for path in package.glob("*.py") if path.stem != "__init__")
+    for i, name in enumerate(listed):
+        modules = [module.split(".") for module in imported_modules(package / f"{name}.py")]
+        used = {module[3] for module in modules if module[:3] == ["smoother", "estimate", "graph"]}
+        assert used <= set(listed[:i]), f"{name} imports {used - set(listed[:i])}, which the list has below it"
 
 
 def test_every_module_of_the_package_has_a_layer() -> None:
