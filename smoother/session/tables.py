@@ -8,13 +8,10 @@ leniently, so a bad row costs itself and never the file. What can be wrong with 
 missing column) is a SessionError that names the file and what it has.
 """
 
-import contextlib
 import re
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import polars as pl
@@ -22,29 +19,27 @@ import polars as pl
 from smoother.arrays import Array, BoolArray
 from smoother.disc import Growing, pieces, release, roomy
 from smoother.errors import SessionError
-from smoother.session.encoding import in_utf8, wide_encoding
+from smoother.session.table_bytes import (
+    HEAD_BYTES,
+    LONGEST_LINE,
+    end_of_text,
+    plain_source,
+    separator_of,
+    text_head,
+    unquoted,
+)
 from smoother.words import UNREADABLE, listed
 
-HEAD_BYTES = 65536
-LONGEST_LINE = 1 << 20  # bytes; longer is no row, and would fill the memory
-ROW_BYTES = 4096  # a row is mostly shorter
 LONG_FILE = 64 << 20  # bytes; an hour of samples. Longer ones are read in parts, which takes less memory
 PART_BYTES = 32 << 20
-LARGEST_UNPACKED = 2 << 30  # bytes of a file that cannot be read as it lies on the disk
-PACKED_STEP = 4096  # bytes; unpacked at most four megabytes
-GZIP = zlib.MAX_WBITS | 16
-SEPARATORS = ",;\t"  # of as many the first
 _ISO_FORMATS = tuple(
     f"{form}{zone}" for form in ("%Y-%m-%dT%H:%M:%S%.f", "%Y%m%dT%H%M%S%.f") for zone in ("", "%:z", "%z")
 )
-_QUOTED = re.compile(rb'"([^"\n]*)"')  # ends with its line: a mark without a partner must not swallow the rows behind
 ENOUGH_LINES = 20  # to know how many cells a row has
 ODD_SHARE = 0.05  # of the characters of a damaged text; names in another encoding are far fewer
 _POINTED = re.compile(r"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 NOTHING = re.compile(r"(?i)^(?:[-*?.]+|#?n[./]?a\.?|nil|null|none|nan)$")  # as programs write cells without a number
 _AGAIN = "header again"  # flag of the rows that are the header once more
-_LONE_RETURN = re.compile(rb"(?<=[^\r\n])\r(?=[^\r\n])")  # ends a line like those of old Macs, among others
-_DECIMAL_COMMA = re.compile(rb"\s*([+-]?\d*),(\d+)\s*")
 
 
 class NoRowsError(SessionError):
@@ -110,24 +105,24 @@ class Table:
 def read_header(path: Path) -> tuple[str, ...]:
     """Column names of a CSV file, lower case and trimmed; () if it is empty. Raises SessionError if unreadable."""
     line = _header_line(path)
-    separator = _separator(line)
-    bare = _unquoted(line.encode(), separator).decode()
+    separator = separator_of(line)
+    bare = unquoted(line.encode(), separator).decode()
     return tuple(_unique_names(bare.split(separator))) if line.strip() else ()
 
 
 def head_lines(path: Path, most: int) -> list[str]:
     """The first lines that are not blank, at `most` so many. Raises SessionError if the file is unreadable."""
-    return [line for line in _text_head(path).splitlines() if line.strip()][:most]
+    return [line for line in text_head(path).splitlines() if line.strip()][:most]
 
 
 def names_of(line: str) -> tuple[str, ...]:
     """The cells of a line, as they stand there but for quotation marks."""
-    separator = _separator(line)
-    return tuple(cell.strip() for cell in _unquoted(line.encode(), separator).decode().split(separator))
+    separator = separator_of(line)
+    return tuple(cell.strip() for cell in unquoted(line.encode(), separator).decode().split(separator))
 
 
 def _header_line(path: Path) -> str:
-    return _first_line(_text_head(path))
+    return _first_line(text_head(path))
 
 
 def _first_line(text: str) -> str:
@@ -146,14 +141,14 @@ def read_table(
     header = read_header(path)
     if not header:
         raise NoRowsError(f"{path.name}: the file is empty; expected a header line with {', '.join(required)}")
-    head = _text_head(path)
+    head = text_head(path)
     if not head.strip("\0"):
         raise NoRowsError(f"{path.name}: begins with {len(head)} zero bytes; was it ever written? Copy it again")
     _require_columns(path.name, header, required, head)
     _require_points(path.name, header, head)
     numbers = tuple(name for name in (*required, *optional) if name in header)
     times = tuple(name for name in iso_times if name in header)
-    separator = _separator(_header_line(path))
+    separator = separator_of(_header_line(path))
     columns, flags, cut, headers = _gathered(path, _Wanted(numbers, tuple(required), times, separator))
     length = len(columns[required[0]])
     if length == 0:
@@ -204,7 +199,7 @@ def _require_points(file: str, header: Sequence[str], head: str) -> None:
     Read as they stand, a longitude would be the decimals of the latitude. Then rows have more cells than there are
     names, and no number has a point.
     """
-    if '"' in head or _separator(_first_line(head)) != ",":
+    if '"' in head or separator_of(_first_line(head)) != ",":
         return
     lines = [line for line in head.splitlines() if line.strip()][1 : ENOUGH_LINES + 1]
     cells = [line.rstrip(", \t").split(",") for line in lines]
@@ -221,7 +216,7 @@ def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, 
     rows; of a long file from all parts."""
     names = (*wanted.numbers, *wanted.times)
     try:
-        source, is_quoted = _source(path), '"' in _text_head(path)
+        source, is_quoted = plain_source(path), '"' in text_head(path)
         end, cut = _end_of_rows(source, wanted.separator.encode())
         if isinstance(source, bytes):
             source = source[:end]
@@ -229,14 +224,14 @@ def _gathered(path: Path, wanted: _Wanted) -> tuple[dict[str, Array], dict[str, 
             source = source.read_bytes()[:end]
         if isinstance(source, bytes) or path.stat().st_size <= LONG_FILE:
             if is_quoted:
-                source = _unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
+                source = unquoted(source.read_bytes() if isinstance(source, Path) else source, wanted.separator)
             frame, headers = _read_cells(source, wanted)
             flagged = {name: frame[name].to_numpy() for name in wanted.flags}
             return {name: _column(frame, name) for name in names}, flagged, cut, headers
         growing = {name: Growing() for name in names}
         flags, headers = {name: Growing(dtype=np.bool_) for name in wanted.flags}, 0
         for part in _parts(path, end):
-            frame, again = _read_cells(_unquoted(part, wanted.separator) if is_quoted else part, wanted)
+            frame, again = _read_cells(unquoted(part, wanted.separator) if is_quoted else part, wanted)
             headers += again
             for name, column in growing.items():
                 column.add(_column(frame, name))
@@ -271,23 +266,12 @@ def _end_of_rows(source: Path | bytes, separator: bytes) -> tuple[int, bool]:
         tail = source[begin:end]
     else:
         with source.open("rb") as file:
-            end = _end_of_text(file, source.stat().st_size)
+            end = end_of_text(file, source.stat().st_size)
             begin = max(0, end - HEAD_BYTES)
             file.seek(begin)
             tail = file.read(end - begin)
     cut = _length_cut(tail, separator)
     return end - cut, cut > 0
-
-
-def _end_of_text(file: BinaryIO, end: int) -> int:
-    """Where the zeros begin that a file ends with."""
-    while end > 0:
-        begin = max(0, end - LONGEST_LINE)
-        file.seek(begin)
-        if text := file.read(end - begin).rstrip(b"\0"):
-            return begin + len(text)
-        end = begin
-    return 0
 
 
 def _length_cut(tail: bytes, separator: bytes) -> int:
@@ -411,128 +395,3 @@ def _unique_names(names: Sequence[str]) -> list[str]:
 def _repeated(name: str, number: int = 2) -> str:
     """What the column of a name is called that is the second of it, or of any other number."""
     return f"{name} #{number}"
-
-
-def _source(path: Path) -> Path | bytes:
-    """The file itself where polars can read it lazily, else its bytes made plain."""
-    with path.open("rb") as file:
-        head = file.read(HEAD_BYTES)
-    plain = not head.startswith(b"\x1f\x8b") and (b"\n" in head or b"\r" not in head)
-    plain = plain and _LONE_RETURN.search(head) is None
-    plain = plain and wide_encoding(head) is None and not _starts_with_comment(head) and _is_utf8(path)
-    if plain:
-        _require_lines(path)
-    return path if plain else _plain_bytes(_whole(path), path.name)
-
-
-def _is_utf8(path: Path) -> bool:
-    """Whether a path is text, as polars wants it; names out of an archive of another system are mostly not."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _require_lines(path: Path) -> None:
-    """Raise SessionError where a megabyte holds no end of a line; looks at a few bytes of each."""
-    with path.open("rb") as file:
-        for start in range(0, _end_of_text(file, path.stat().st_size), LONGEST_LINE):
-            file.seek(start)
-            if b"\n" not in file.read(ROW_BYTES):
-                rest = file.read(LONGEST_LINE - ROW_BYTES)
-                if len(rest) == LONGEST_LINE - ROW_BYTES and b"\n" not in rest:
-                    raise SessionError(
-                        f"{path.name}: a line of more than {LONGEST_LINE} characters; this is no CSV table"
-                    )
-
-
-def _text_head(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-    except OSError as error:
-        raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-    return _plain_bytes(head, path.name).decode("utf-8", errors="replace")
-
-
-def _separator(header: str) -> str:
-    """What stands between the cells: whichever of SEPARATORS the header line has most of."""
-    return max(SEPARATORS, key=header.count)
-
-
-def _unquoted(data: bytes, separator: str) -> bytes:
-    """The same without quotation marks. What is quoted ends with its line at the latest, so that a mark in a damaged
-    row costs that row; a separator in quotes is a decimal comma or only text."""
-
-    def bare(cell: re.Match[bytes]) -> bytes:
-        inside = cell[1]
-        if separator.encode() not in inside:
-            return inside
-        number = _DECIMAL_COMMA.fullmatch(inside)
-        return b".".join(number.groups()) if number else inside.replace(separator.encode(), b" ")
-
-    return _QUOTED.sub(bare, data)
-
-
-def _whole(path: Path) -> bytes:
-    """The bytes of a file that has to be changed in memory, where there is room for them."""
-    if path.stat().st_size > LARGEST_UNPACKED:
-        raise SessionError(f"{path.name}: more than {LARGEST_UNPACKED >> 20} MB; save it as UTF-8 with ends of lines")
-    return path.read_bytes()
-
-
-def _plain_bytes(data: bytes, file: str) -> bytes:
-    """Gunzip (a damaged archive yields what is whole), UTF-16 to UTF-8, lone carriage returns to newlines; no comments
-    above the header."""
-    if data.startswith(b"\x1f\x8b"):
-        data = _gunzip(data, file)
-    data = in_utf8(data)
-    data = _LONE_RETURN.sub(b"\n", data) if b"\n" in data else data.replace(b"\r", b"\n")
-    return _without_comments(data) if _starts_with_comment(data) else data
-
-
-def _starts_with_comment(data: bytes) -> bool:
-    return data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"#"
-
-
-def _without_comments(data: bytes) -> bytes:
-    """The table below the lines that begin with `#`; the last of them is its header where a row follows it."""
-    end = 0
-    last = b""
-    while end < len(data):
-        line_end = data.find(b"\n", end) + 1 or len(data)
-        line = data[end:line_end].strip(b"\xef\xbb\xbf \t\r\n")
-        if line and not line.startswith(b"#"):
-            return (b"" if line[:1].isalpha() or line[:1] == b'"' else last) + data[end:]
-        if line and any(mark.encode() in line for mark in SEPARATORS):
-            last = line[1:] + b"\n"
-        end = line_end
-    return last
-
-
-def _gunzip(data: bytes, file: str) -> bytes:
-    """What can be unpacked, up to the first byte that is damaged. Raises SessionError where it has no end."""
-    whole, place = bytearray(), 0
-    decoder = zlib.decompressobj(wbits=GZIP)
-    while place < len(data):
-        before = decoder.copy()
-        try:
-            whole += decoder.decompress(data[place : place + PACKED_STEP])
-        except zlib.error:
-            return bytes(whole + _until_damage(before, data[place : place + PACKED_STEP]))
-        if len(whole) > LARGEST_UNPACKED:
-            raise SessionError(f"{file}: more than {LARGEST_UNPACKED >> 20} MB when unpacked; unpack it first")
-        place += PACKED_STEP
-        if decoder.eof:  # archives may stand one behind the other
-            place = min(place, len(data)) - len(decoder.unused_data)
-            decoder = zlib.decompressobj(wbits=GZIP)
-    return bytes(whole)
-
-
-def _until_damage(decoder: "zlib._Decompress", data: bytes) -> bytearray:
-    whole = bytearray()
-    with contextlib.suppress(zlib.error):
-        for byte in data:
-            whole += decoder.decompress(bytes([byte]))
-    return whole
