@@ -29,6 +29,8 @@ from smoother.units import DEG, STANDARD_GRAVITY
 
 GRAVITY_N = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 GRAVITY_N.flags.writeable = False
+UP_N = np.array([0.0, 0.0, 1.0])
+UP_N.flags.writeable = False
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from smoother.arrays import Array
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion, expected_tilting
 from smoother.estimate.graph.imu import DensePath, at_times
 from smoother.estimate.graph.inertial_noise import InertialNoise
-from smoother.estimate.graph.rows import UP_N
+from smoother.frames import UP_N
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,10 @@ from smoother.estimate.graph.inputs import Priors
 from smoother.estimate.graph.mounting import (
     FittedMounting,
 )
-from smoother.estimate.graph.rows import UP_N
 from smoother.estimate.graph.state import (
     LEVER_ARM,
 )
+from smoother.frames import UP_N
 from smoother.samples import Session
 from smoother.trajectory import (
     Keyframes,

@@ -34,9 +34,7 @@ from smoother.estimate.graph.state import (
     VELOCITY_RESPONSE,
     ChainState,
 )
-from smoother.frames import wrap_angle
-
-UP_N = np.array([0.0, 0.0, 1.0])
+from smoother.frames import UP_N, wrap_angle
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, at_times
-from smoother.estimate.graph.rows import UP_N, Rows, empty_jacobians
+from smoother.estimate.graph.rows import Rows, empty_jacobians
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState
-from smoother.frames import wrap_angle
+from smoother.frames import UP_N, wrap_angle
 from smoother.units import DEG
 
 MOVING = 4.0  # m/s from which on the path has a direction to speak of
