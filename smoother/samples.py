@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smoother.arrays import Array, frozen, frozen_int, require_increasing
+from smoother.arrays import Array, frozen, frozen_int, median, require_increasing
 from smoother.config import SessionConfig
+from smoother.disc import pieces
 from smoother.frames import Origin, geodetic_to_nwu
 
 SENSOR_AXES = 3
@@ -89,6 +90,15 @@ class ImuSamples:
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
         require_increasing(self.t, "ImuSamples.t")
+
+    @property
+    def interval(self) -> float:
+        """Usual time from sample to sample, s: the median; of hours, that of the medians of their parts. N > 1.
+
+        All differences of a day, and a copy to sort them in, would be a quarter of a gigabyte.
+        """
+        parts = pieces(len(self.t) - 1)
+        return median(np.array([median(np.diff(self.t[part.start : part.stop + 1])) for part in parts]))
 
     def between(self, start: float, end: float) -> "ImuSamples":
         """Return the samples with start <= t < end."""

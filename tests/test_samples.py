@@ -1,5 +1,7 @@
 """Data types refuse what cannot be, and fill in what was not said."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,24 @@ def test_samples_are_copied_and_read_only() -> None:
     for array in (imu.t, imu.specific_force_s, imu.angular_rate_s):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+
+
+def test_the_usual_interval_is_the_median_whatever_gaps_there_are() -> None:
+    t = np.cumsum(np.random.default_rng(1).choice([0.004, 0.005, 0.006, 3.0], size=1000))
+    imu = ImuSamples(t, np.zeros((1000, 3)), np.zeros((1000, 3)))
+    assert imu.interval == np.median(np.diff(t))
+
+
+def test_the_usual_interval_of_hours_is_found_without_copies_of_all_times() -> None:
+    n = 3_000_000
+    nothing = np.broadcast_to(0.0, (n, 3))
+    imu = ImuSamples(np.arange(n) / 200.0, nothing, nothing)
+    tracemalloc.start()
+    interval = imu.interval
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert interval == pytest.approx(0.005)
+    assert peak < 0.5 * imu.t.nbytes
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, per
 
     A sample holds the mean over the interval before its time, so it counts as of the middle of that interval.
     """
-    number = _step_numbers(imu.t, start, period)
+    number = _step_numbers(imu, start, period)
     first, size = int(number[0]), int(number[-1] - number[0]) + 1
 
     def total(values: Array | BoolArray) -> Array:
@@ -82,11 +82,10 @@ def average_into_steps(imu: ImuSamples, is_at_rest: BoolArray, start: float, per
     return Steps(start, period, first + held, mean(imu.specific_force_s), mean(imu.angular_rate_s), resting)
 
 
-def _step_numbers(t: Array, start: float, period: float) -> IntArray:
-    """Number (N,) of the step that each sample at t (N,) belongs to, ascending."""
-    number, usual = roomy(len(t), np.int64), period
-    if len(t) > 1:
-        usual = float(np.median([np.median(np.diff(t[part.start : part.stop + 1])) for part in pieces(len(t) - 1)]))
+def _step_numbers(imu: ImuSamples, start: float, period: float) -> IntArray:
+    """Number (N,) of the step that each sample belongs to, ascending."""
+    t = imu.t
+    number, usual = roomy(len(t), np.int64), imu.interval if len(t) > 1 else period
     for part in pieces(len(t)):
         before = t[part.start - 1] if part.start else t[0] - usual
         interval = np.minimum(np.diff(t[part], prepend=before), 2.0 * usual)  # a gap is not part of a sample

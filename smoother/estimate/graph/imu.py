@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.graph.sampled import FEW
 from smoother.estimate.graph.state import Constants
@@ -135,7 +135,7 @@ def bin_imu(
     Source: Savage 1998, coning and sculling, second order.
     """
     n_intervals = len(t) - 1
-    dt, nominal = (t[-1] - t[0]) / (n_intervals * n_bins), median(np.diff(imu.t))
+    dt, nominal = (t[-1] - t[0]) / (n_intervals * n_bins), imu.interval
     out = BinnedImu(
         t,
         float(dt),

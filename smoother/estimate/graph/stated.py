@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, median
+from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.graph.components import OWN_SCATTER
 from smoother.estimate.graph.estimated import Estimated
@@ -80,7 +80,7 @@ def contradicted_constants(
     except np.linalg.LinAlgError:
         return ()
     unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt)
-    moment = unsure_moment(float(median(np.diff(session.imu.t))), config.imu_delay, unsteady)
+    moment = unsure_moment(session.imu.interval, config.imu_delay, unsteady)
     problems = list(_delays(config, free, moment))
     if arm is not None and not constants.is_steered:
         R_bs = constants.level_axes_s if config.mounting.R_bs is None else config.mounting.R_bs
