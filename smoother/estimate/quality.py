@@ -13,7 +13,7 @@ from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
-from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES, Trajectory
+from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, STATED, UNLIKE_AXES, Trajectory
 from smoother.units import DEG
 from smoother.words import counted
 
@@ -119,9 +119,11 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
     """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole.
 
-    A mirrored track is wrong whatever was made of it.
+    So does a stated mounting that is wrong; a wrong delay gives places and speeds that do. A mirrored track is wrong
+    whatever was made of it.
     """
-    places = [p.text.partition(":")[0] for p in estimate.report.problems if p.code == MIRRORED_PLACES]
+    anyway = (MIRRORED_PLACES, STATED)
+    places = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in anyway]
     if estimate.report.mode != "full":
         return places
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]

@@ -44,7 +44,12 @@ from smoother.estimate.graph.start import (
     on_the_wheel,
 )
 from smoother.estimate.graph.state import SLIP
-from smoother.estimate.graph.stated import contradicted_constants, contradicted_mounting, contradicted_noise
+from smoother.estimate.graph.stated import (
+    contradicted_constants,
+    contradicted_filter,
+    contradicted_mounting,
+    contradicted_noise,
+)
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.graph.windows import WindowsSolution
@@ -371,7 +376,7 @@ def _contradicted(session: Session, solved: Looked) -> tuple[Problem, ...]:
     out = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
     if stated is not None and not constants.is_steered and not start.alignment.is_level_only:
         out += contradicted_mounting(stated, _fitted_mounting(session, found, solution.noise, start))
-    return out + contradicted_noise(start)
+    return (*out, *contradicted_filter(session), *contradicted_noise(start))
 
 
 def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
