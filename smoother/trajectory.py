@@ -111,6 +111,7 @@ MIRRORED_PLACES = "gps_mirrored"  # likewise, explained by places of which one c
 STATED = "stated_wrong"  # problems of a delay, arm or mounting that is stated of a session, which contradicts it
 # problems of fixes that are late behind the samples now more, now less; or are of another motion than these for a while
 DELAY_CHANGES, MOTION_UNLIKE = "delay_changes", "motion_unlike"
+VELOCITY_EARLY = "gps_velocity_early"  # the problem of velocities that come before they are true, unlike positions
 
 
 @dataclass(frozen=True)

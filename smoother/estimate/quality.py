@@ -20,6 +20,7 @@ from smoother.trajectory import (
     MOTION_UNLIKE,
     STATED,
     UNLIKE_AXES,
+    VELOCITY_EARLY,
     Trajectory,
 )
 from smoother.units import DEG
@@ -132,7 +133,7 @@ def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
     So does a stated mounting that is wrong; a wrong or changing delay, and samples of another motion, give places and
     speeds that do. A mirrored track is wrong whatever was made of it.
     """
-    anyway = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE)
+    anyway = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
     places = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in anyway]
     if estimate.report.mode != "full":
         return places
@@ -237,7 +238,9 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     # an uphill road tilts the floor and the direction of travel alike
     floor = np.arctan2(velocity_b[:, 2], np.hypot(velocity_b[:, 0], velocity_b[:, 1]))
     angles = np.stack([estimate.euler[driving, 0], floor, beta], axis=1)
-    sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.unsure, axis=1)  # not in a gap of the IMU
+    sigma = np.max(estimate.sigmas.attitude[driving, :2], axis=1)
+    sure = sigma < limits.unsure  # not in a gap of the IMU
+    usual = sigma < max(limits.unsure, 1.5 * float(np.median(sigma)))  # a box that creeps makes the mounting unsure
     step = float(np.median(np.diff(t)))
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
@@ -247,7 +250,7 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
             _off_level(part) for part in np.array_split(angles[:, :2], max(1, int(t.size * step / limits.lean_seconds)))
         ),
         "largest_lean_step_rad": max(steps),
-        "lean_creep_rad": max(_creep(angles[sure, i], step, limits) for i in range(3)),
+        "lean_creep_rad": max(_creep(angles[usual, i], step, limits) for i in range(3)),
         "rattling_s": max(_rattling(angles[sure, i], step, limits) for i in range(2)),
     }
 

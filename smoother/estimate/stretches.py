@@ -34,8 +34,9 @@ LEAST_OF_FEW = 0.1  # s likewise of fixes more than QUICK s apart: a car at 1 Hz
 # correlation between any two axes; of the same 0.1 to 0.9, the higher ones of karts where all of it is noise
 ALIKE = 0.8
 # Correlation of what is told and felt by the axis that has most of it: 0.69 and more in every stretch of real karts and
-# cars, 0.98 of simulated ones, and what it is in most stretches of a session that tells at all
+# cars, 0.98 of simulated ones, and what it is in many stretches of a session that tells at all
 UNLIKE, TELLS = 0.5, 0.85
+MANY = 75.0  # per cent of the stretches may be worse than those
 LIVELY = 0.5  # of what an axis usually does; less says nothing of whether it was felt
 STANDS = 1.0  # m/s, below which fixes stand
 # Correlation of force to the left and yaw rate, which go together by the speed: of a box that drives, and no other
@@ -61,7 +62,7 @@ class Stretches:
     def are_unlike(self) -> BoolArray:
         """Mask (B,) of the stretches in which samples and fixes are not of one motion, of a session that tells."""
         known = self.likeness[np.isfinite(self.likeness)]
-        tells = known.size >= FEWEST_STRETCHES and median(known) > TELLS
+        tells = known.size >= FEWEST_STRETCHES and float(np.percentile(known, MANY)) > TELLS
         return np.asarray((self.likeness < UNLIKE) & tells)
 
     @property

@@ -183,6 +183,13 @@ def test_a_box_that_slips_little_by_little_is_seen(axis: int) -> None:
     assert quality.measures["lean_creep_rad"] == pytest.approx(np.radians(10.8), abs=np.radians(1.5))
 
 
+def test_a_box_that_slips_little_by_little_is_seen_though_it_makes_the_mounting_unsure() -> None:
+    moved = leaning(np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate())))
+    assert moved.sigmas is not None
+    unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((len(moved), 3), np.radians(3.0))))
+    assert any("more and more askew" in reason for reason in assess(session(), unsure).reasons)
+
+
 def test_a_lean_that_comes_and_goes_does_not_creep() -> None:
     t = estimate().t
     for period in (90.0, 250.0, 400.0):

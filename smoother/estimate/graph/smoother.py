@@ -65,6 +65,7 @@ from smoother.trajectory import (
     IMU_SHAKEN,
     MIRRORED_AXES,
     UNLIKE_AXES,
+    VELOCITY_EARLY,
     EstimateReport,
     Identified,
     Trajectory,
@@ -84,6 +85,7 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as w
 # rad/s/sqrt(Hz); harsh simulated karts have 3 deg/s and know their delays, a shaken box on a skid pad had 7 and did not
 UNSTEADY = 5.0 * DEG
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
+LONG_APART = 0.3  # s; real velocities come 0.05 to 0.2 s after the positions, or with them
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
@@ -212,6 +214,28 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
         "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
     )
     return (Problem("gps_early", text),)
+
+
+def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
+    """Say so where velocities come before they are true while positions come after: no clock does that.
+
+    A receiver that averages its positions over seconds pulls both delays away from one another, and antenna and line
+    with them.
+    """
+    position, velocity = identified["gps_position_latency"], identified["gps_velocity_latency"]
+    late, early, sigma = position.value, velocity.value, velocity.sigma
+    if not (velocity.observable and position.observable):
+        return ()
+    if not (isinstance(late, float) and isinstance(early, float) and isinstance(sigma, float)):
+        return ()
+    if early + EARLY_SIGMAS * sigma > -EARLY or late - early < LONG_APART:
+        return ()
+    text = (
+        f"the velocities of the fixes seem to come {-early:.2f} s before they are true and the positions {late:.2f} s "
+        "after, as where a receiver averages its positions over seconds: line, speeds and delays are wrong. Switch "
+        "that filter off in the receiver, or leave speed and course out of the file"
+    )
+    return (Problem(VELOCITY_EARLY, text),)
 
 
 def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
@@ -359,6 +383,7 @@ def _completed_report(
             *solution.problems,
             *_blamed(begun, solution.noise),
             *_early(told.identified),
+            *_velocities_early(told.identified),
             *leaning_problems(trajectory),
             *offset_problems(begun.offset),
             *begun.problems,
