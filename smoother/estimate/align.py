@@ -22,7 +22,14 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
-from smoother.estimate.lean_rates import AROUND, LeanRates, lean_rates, slight_mistakes, wrong_naming
+from smoother.estimate.lean_rates import (
+    AROUND,
+    LeanRates,
+    both_turned_round,
+    lean_rates,
+    slight_mistakes,
+    wrong_naming,
+)
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
@@ -252,6 +259,8 @@ def _doubts(force_fit: "_Lines", rate_fit: "_Lines", leaning: LeanRates | None, 
         yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint))
     elif wrong is not None:
         yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint))
+    elif known is not None and (words := both_turned_round(known, by_forces)) is not None:
+        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(axis_mistakes.remedy(words)))
     elif known is not None and (mistakes := slight_mistakes(known, by_forces)):
         yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, axis_mistakes.remedy(*mistakes)))
 

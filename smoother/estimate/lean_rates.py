@@ -10,7 +10,8 @@ whose axes are right, k and c are each one number in both lines, and a vehicle s
 (k is too but on banks and on two wheels). A level axis that has the wrong sign, or two that are exchanged, bring k into
 the wrong line or in with two signs. All 48 ways to name three axes are tried, since none costs anything.
 
-What stays unseen: both level axes with the wrong sign, since k alone has either sign.
+Both level axes with the wrong sign leave k and c one number each, of the other sign. They are told by c alone, and only
+by how the vehicle pitches as it takes the brakes or lets them go, where that is well known: k has either sign.
 """
 
 from dataclasses import dataclass
@@ -40,7 +41,14 @@ UPRIGHT = 10.0 * DEG  # between what is up by forces and by turns, of axes that 
 # Of one that is not seen to lean, likewise, and sigmas of it: twice the 8 deg that are the most there is, and more than
 # banks of kart tracks make of it. And what is left of it once the one mistake is undone
 ASKEW, CERTAIN, HALF_UPRIGHT = 20.0 * DEG, 4.0, 5.0 * DEG
-LEANING, TURNING = slice(0, 4), 4  # rows of the coefficients by the vehicle's lean, and by its turn about up
+# sigmas, by which a vehicle has to dive as it accelerates for both level axes to have the wrong sign. Of real cars and
+# karts, and simulated ones with right signs, it squats by up to 17, and never dives by 1
+BACKWARDS = 6.0
+LEANING, TURNING, BRAKING = (
+    slice(0, 4),
+    4,
+    2,
+)  # rows of the coefficients by the vehicle's lean, and by its turn about up
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +71,11 @@ class LeanRates:
         rest = found - left * by_left - ahead * by_ahead
         noise = 2.0 / 3.0 * float(np.sum((self.sigma[LEANING] * usual[:, None]) ** 2))
         return Leaning(float(np.hypot(left, ahead)), float(found @ found), float(rest @ rest), noise)
+
+    def squat(self, R_bs: Array) -> tuple[float, float]:
+        """Return how the vehicle tilts back with the push ahead as that changes, rad per m/s^2, and its sigma."""
+        sigma = float(np.linalg.norm(self.sigma[BRAKING] * R_bs[1]))
+        return float(self.lines[BRAKING] @ R_bs[1]), sigma
 
     def off_upright(self, R_bs: Array) -> float:
         """Angle, rad, between what turns with the path and what is up in the vehicle."""
@@ -88,11 +101,13 @@ class Leaning:
 
 @dataclass(frozen=True, eq=False)
 class Naming:
-    """One way to name the axes: true (3, 3) @ rate measured is the rate. is_single: one sign, or two axes exchanged."""
+    """One way to name the axes: true (3, 3) @ rate measured is the rate. is_single: one sign, or two axes exchanged;
+    is_turned_round: two signs."""
 
     true: Array
     words: str
     is_single: bool
+    is_turned_round: bool
 
 
 def lean_rates(t: Array, axes: Array, at: Array, rate: Array) -> LeanRates | None:
@@ -137,6 +152,17 @@ def slight_mistakes(rates: LeanRates, R_bs: Array) -> tuple[str, ...]:
     return tuple(words for angle, words in off if angle < UPRIGHT) if min(off)[0] < HALF_UPRIGHT else ()
 
 
+def both_turned_round(rates: LeanRates, R_bs: Array) -> str | None:
+    """Return what has to be done with two axes that both have the wrong sign, None where they have the right one.
+
+    R_bs as for wrong_naming. Two such axes lie level: else what is up would be elsewhere.
+    """
+    size, sigma = rates.squat(R_bs)
+    if not (size < -max(BACKWARDS * sigma, LEAST) and unexplained(rates, R_bs) < UNEXPLAINED):
+        return None
+    return min((rates.off_upright(R_bs @ one.true), one.words) for one in NAMINGS if one.is_turned_round)[1]
+
+
 def unexplained(rates: LeanRates, R_bs: Array) -> float:
     """Share, 0 to 1, of what the level rates do with the push that no vehicle does; 1 where up is elsewhere."""
     if not rates.off_upright(R_bs) < UPRIGHT:
@@ -176,7 +202,8 @@ def _namings() -> tuple[Naming, ...]:
         for signs in product((1.0, -1.0), repeat=3):
             true = np.eye(3)[list(order)] * np.array(signs)[:, None]
             moved, negated = sum(i != source for i, source in enumerate(order)), signs.count(-1.0)
-            out.append(Naming(true, _words(order, signs), (moved, negated) in ((2, 0), (0, 1))))
+            single, round_about = (moved, negated) in ((2, 0), (0, 1)), (moved, negated) == (0, 2)
+            out.append(Naming(true, _words(order, signs), single, round_about))
     return tuple(out)
 
 

@@ -13,7 +13,16 @@ from smoother.disc import release
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
-from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES, Trajectory
+from smoother.trajectory import (
+    DELAY_CHANGES,
+    MIRRORED_AXES,
+    MIRRORED_PLACES,
+    MOTION_UNLIKE,
+    STATED,
+    UNLIKE_AXES,
+    VELOCITY_EARLY,
+    Trajectory,
+)
 from smoother.units import DEG
 from smoother.words import counted
 
@@ -40,7 +49,8 @@ class QualityLimits:
     skid pad is as small but driven faster. lean_step: how far the mean roll, or angle of floor or nose to the direction
     of travel, on the two sides of any moment, each at least lean_seconds of driving, may differ where it stands out of
     the scatter of its means over block_seconds by lean_significance sigma: a box that slipped does both. (Real karts
-    and cars had up to 6.6 sigma and 3 deg, not both.) rattle: how fast roll or floor may swing about their running
+    and cars had up to 6.6 sigma and 3 deg, not both.) lean_creep: likewise how far it may go from the first to the last
+    block evenly: a box that slips little by little. rattle: how fast roll or floor may swing about their running
     mean over rattle_span, for rattle_seconds in all, unless they do so throughout, within rattle_ratio times the usual.
     sideways: angle between heading and direction of travel that no kart holds, and sideways_share of the driving,
     faster than driving_speed, in which it is forgiven. overturned: median of roll, or of the floor against the
@@ -68,6 +78,7 @@ class QualityLimits:
     clearly: float = 3.0
     lean_step: float = 2.5 * DEG
     lean_significance: float = 8.0
+    lean_creep: float = 5.0 * DEG
     unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they say nothing about the mounting
     lean_seconds: float = 60.0  # s
     block_seconds: float = 20.0  # s
@@ -119,9 +130,11 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
 def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
     """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole.
 
-    A mirrored track is wrong whatever was made of it.
+    So does a stated mounting that is wrong; a wrong or changing delay, and samples of another motion, give places and
+    speeds that do. A mirrored track is wrong whatever was made of it.
     """
-    places = [p.text.partition(":")[0] for p in estimate.report.problems if p.code == MIRRORED_PLACES]
+    anyway = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
+    places = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in anyway]
     if estimate.report.mode != "full":
         return places
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
@@ -225,7 +238,9 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     # an uphill road tilts the floor and the direction of travel alike
     floor = np.arctan2(velocity_b[:, 2], np.hypot(velocity_b[:, 0], velocity_b[:, 1]))
     angles = np.stack([estimate.euler[driving, 0], floor, beta], axis=1)
-    sure = np.all(estimate.sigmas.attitude[driving, :2] < limits.unsure, axis=1)  # not in a gap of the IMU
+    sigma = np.max(estimate.sigmas.attitude[driving, :2], axis=1)
+    sure = sigma < limits.unsure  # not in a gap of the IMU
+    usual = sigma < max(limits.unsure, 1.5 * float(np.median(sigma)))  # a box that creeps makes the mounting unsure
     step = float(np.median(np.diff(t)))
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
     return {
@@ -235,6 +250,7 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
             _off_level(part) for part in np.array_split(angles[:, :2], max(1, int(t.size * step / limits.lean_seconds)))
         ),
         "largest_lean_step_rad": max(steps),
+        "lean_creep_rad": max(_creep(angles[usual, i], step, limits) for i in range(3)),
         "rattling_s": max(_rattling(angles[sure, i], step, limits) for i in range(2)),
     }
 
@@ -270,6 +286,22 @@ def _largest_step(values: Array, step: float, limits: QualityLimits) -> float:
     return largest if largest > limits.lean_significance * sigma else 0.0
 
 
+def _creep(values: Array, step: float, limits: QualityLimits) -> float:
+    """By how much values (N,) rad, `step` s apart, go one way from first to last block; zero if not clearly.
+
+    The line is that of the means over blocks, and what they leave beside it is what it is told from.
+    """
+    block = max(1, round(limits.block_seconds / step))
+    if values.size < max(2 * round(limits.lean_seconds / step), 5 * block):
+        return 0.0
+    means = values[: values.size // block * block].reshape(-1, block).mean(axis=1)
+    place = np.arange(len(means)) - 0.5 * (len(means) - 1)
+    slope = float(place @ means / (place @ place))
+    rest = means - np.mean(means) - slope * place
+    sigma = float(np.sqrt(rest @ rest / (len(means) - 2) / (place @ place)))
+    return abs(slope) * (len(means) - 1) if abs(slope) > limits.lean_significance * sigma else 0.0
+
+
 def _rattling(values: Array, step: float, limits: QualityLimits) -> float:
     """Time, s, for which values (N,) rad, `step` s apart, swing more than a kart does, and than they usually do."""
     width = limits.rattle_span / step
@@ -287,6 +319,9 @@ def _attitude_reasons(measures: dict[str, float], limits: QualityLimits) -> list
     step = measures.get("largest_lean_step_rad", 0.0)
     if step > limits.lean_step:
         reasons.append(f"the kart seems to stand {step / DEG:.0f} deg askew from some time on: did the box move?")
+    creep = measures.get("lean_creep_rad", 0.0)
+    if creep > limits.lean_creep and not step > limits.lean_step:
+        reasons.append(f"the kart seems to stand more and more askew, {creep / DEG:.0f} deg in all: did the box slip?")
     rattling = measures.get("rattling_s", 0.0)
     if rattling > limits.rattle_seconds:
         reasons.append(f"the kart seems to rock from side to side for {rattling:.0f} s: was the box loose?")

@@ -29,6 +29,10 @@ ALWAYS = 10.0  # per cent of the windows may have less: a box is turned over, or
 GRAVITY_ALWAYS, GRAVITY_MOSTLY = 0.8, 1.3  # of gravity: what is always there, and mostly no more, is a force
 CALM_RATE = 0.5  # rad/s, that some windows stay below: karts stand, or drive straight on; no force does, even in g
 LARGEST = 1e6  # of what is written for a sample, in whatever unit: milli-g and counts of 16 bits are less
+# of gravity: less is not all of it; and what its size may be off by for bias, scale and clipped vibration
+HARDLY, LIKE_GRAVITY = 0.5, 0.15
+# times, that an axis is shaken more than another from sample to sample at the most; g and m/s^2 are 10 apart
+SAME_SCATTER = 4.0
 GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
 
 
@@ -135,8 +139,9 @@ def turned_to_radians(gyro: Array, file: str) -> list[Problem]:
 def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
     """Turn accelerations (N, 3), which the caller gives away, into m/s^2 where what stays of them is gravity in g.
 
-    t (N,) s, as written. In m/s^2 forces as small are those without gravity, which change with every bend, and stay as
-    they are. Says what it did; `file` is the name for that.
+    Of one axis alone likewise, if there is no gravity without it. t (N,) s, as written. In m/s^2 forces as small are
+    those without gravity, which change with every bend, and stay as they are. Says what it did; `file` is the name for
+    that.
     """
     step = max(1, len(accel) // ENOUGH_SAMPLES)
     some = thinned(accel, step)
@@ -147,11 +152,34 @@ def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
     low, high = GRAVITY_IN_G
     size, steady = median(np.linalg.norm(some, axis=1)), _steady(some, times[-1] - times[0])
     if not (size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size):
-        return []
+        return _axis_turned_to_metres(accel, some, times[-1] - times[0], file)
     with np.errstate(over="ignore"):  # what no sensor writes is left out later
         accel *= STANDARD_GRAVITY
     text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with g where m/s^2 belong; taken so"
     return [Problem("imu_accel_unit", f"{file}: {text}")]
+
+
+def _axis_turned_to_metres(accel: Array, some: Array, lasts: float, file: str) -> list[Problem]:
+    """Turn an axis of accelerations (N, 3) that is in g beside others in m/s^2, which hardly feel gravity, and say so.
+
+    some (M, 3): of them, evenly taken from `lasts` s. In g an axis feels gravity of about 1, and is shaken as much less
+    than the others. Where others feel most of gravity, the motion tells.
+    """
+    if not _steady(some, lasts) < HARDLY * STANDARD_GRAVITY:
+        return []
+    rows = np.arange(0, len(accel) - 1, max(1, len(accel) // ENOUGH_SAMPLES))
+    rows = rows[_are_measured(accel[rows]) & _are_measured(accel[rows + 1])]
+    scatter = np.median(np.abs(accel[rows + 1] - accel[rows]), axis=0)
+    for odd, name in enumerate(("ax", "ay", "az")):
+        in_metres = some * np.where(np.arange(3) == odd, STANDARD_GRAVITY, 1.0)
+        gravity = _steady(in_metres, lasts) / STANDARD_GRAVITY
+        is_in_step = scatter[odd] * STANDARD_GRAVITY < SAME_SCATTER * np.delete(scatter, odd).min()
+        if is_in_step and abs(gravity - 1.0) < LIKE_GRAVITY:
+            with np.errstate(over="ignore"):
+                accel[:, odd] *= STANDARD_GRAVITY
+            text = f"there is gravity only with {name} times 9.81, as where it is in g and others in m/s^2; taken so"
+            return [Problem("imu_axis_unit", f"{file}: {text}")]
+    return []
 
 
 def implausible_units(imu: RawImu) -> Iterator[str]:

@@ -102,6 +102,8 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         imu = without_other_units(imu, recording.imu_file, problems)
         imu = without_turned(imu, gnss, recording.imu_file, problems)
         imu = without_turned_about(imu, gnss, recording.imu_file, problems)
+        imu = _if_enough(imu, recording.imu_file, " in which units and mounting are those of most", problems)
+    if imu is not None:
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)

@@ -52,6 +52,19 @@ def test_a_single_mistake_is_named(session: Session, number: int) -> None:
     assert f"it all fits once {naming.words}. " in problem.text
 
 
+@pytest.mark.parametrize(("R_bs", "names"), [(LEVEL, "gx and gy"), (ON_ITS_SIDE, "gx and gz")])
+@pytest.mark.parametrize("seed", [44, 45])
+def test_two_level_axes_with_the_wrong_sign_are_told_by_how_the_vehicle_squats(
+    R_bs: Array, names: str, seed: int
+) -> None:
+    session = session_of(R_bs, seed, "white")
+    assert not aligned(session, np.eye(3)).problems
+    naming = next(one for one in NAMINGS if one.words == f"the signs of {names} are changed")
+    (problem,) = aligned(session, naming.true.T).problems
+    assert problem.code == "imu_axes_disagree"
+    assert f"it all fits once {naming.words}. " in problem.text
+
+
 @pytest.mark.parametrize("words", ["gy, -gx, gz", "-gy, gx, gz", "gy, gz, gx"])
 def test_a_gyroscope_that_stands_turned_beside_the_accelerometer_is_named(session: Session, words: str) -> None:
     naming = next(one for one in NAMINGS if one.words.endswith(f"columns {words}"))

@@ -175,6 +175,29 @@ def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> N
     assert quality.measures["largest_lean_step_rad"] == pytest.approx(np.radians(4.0), abs=np.radians(0.6))
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_box_that_slips_little_by_little_is_seen(axis: int) -> None:
+    creep = np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate()))
+    quality = assess(session(), leaning(*[creep if i == axis else 0.0 for i in range(3)]))
+    assert any("more and more askew" in reason for reason in quality.reasons), quality.reasons
+    assert quality.measures["lean_creep_rad"] == pytest.approx(np.radians(10.8), abs=np.radians(1.5))
+
+
+def test_a_box_that_slips_little_by_little_is_seen_though_it_makes_the_mounting_unsure() -> None:
+    moved = leaning(np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate())))
+    assert moved.sigmas is not None
+    unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((len(moved), 3), np.radians(3.0))))
+    assert any("more and more askew" in reason for reason in assess(session(), unsure).reasons)
+
+
+def test_a_lean_that_comes_and_goes_does_not_creep() -> None:
+    t = estimate().t
+    for period in (90.0, 250.0, 400.0):
+        slow = np.radians(6.0) * np.sin(2.0 * np.pi * t / period)
+        assert assess(session(), leaning(slow)).measures["lean_creep_rad"] == 0.0
+    assert assess(session(), leaning(np.radians(3.0) * t / t[-1])).passed
+
+
 def test_a_step_that_does_not_stand_out_of_the_scatter_is_none() -> None:
     n = len(estimate())
     slow = np.radians(6.0) * np.sin(2.0 * np.pi * np.arange(n) * 0.02 / 90.0)  # a long climb, a long descent

@@ -40,6 +40,7 @@ def minutes(degrees: Array) -> Array:
         (lambda lat, lon: (np.radians(lat), np.radians(lon)), ".10f", False, "radians; multiply .* 57.29577951"),
         (lambda lat, lon: (lat * 1e7, lon * 1e7), ".0f", True, "integers of 1e-7 degrees .* divide .* by 10000000"),
         (lambda lat, lon: (minutes(lat), minutes(lon)), ".6f", True, r"NMEA's degrees and minutes \(ddmm.mmmm\)"),
+        (lambda lat, lon: (minutes(lat) / 100.0, minutes(lon) / 100.0), ".8f", True, r"\(ddmm.mmmm\) divided by 100"),
         (lambda lat, lon: (lat * 1000.0, lon), ".6f", True, "no degrees on Earth; wanted are degrees"),
     ],
 )
@@ -58,6 +59,14 @@ def test_degrees_are_degrees_wherever_the_track_lies(
 ) -> None:
     fixes, _ = read_fixes(write(tmp_path / "gps.csv", LAT + shift[0], LON + shift[1], has_speed=has_speed))
     assert len(fixes) == 500
+
+
+def test_speeds_in_another_unit_are_no_minutes(tmp_path: Path) -> None:
+    """Positions of which the way is as much too short: mph for km/h make 0.62, and places beyond 0.6 are none."""
+    for shrunk, shift in ((0.6214, 0.0), (0.6, 0.7)):
+        lat, lon = (v[0] + shrunk * (v - v[0]) for v in (LAT, LON))
+        fixes, _ = read_fixes(write(tmp_path / "gps.csv", lat + shift, lon))
+        assert len(fixes) == 500
 
 
 def test_velocities_that_fit_nothing_leave_the_positions_alone(tmp_path: Path) -> None:

@@ -35,7 +35,12 @@ from smoother.estimate.graph.slip import tells_nose
 from smoother.estimate.graph.solve import Solution
 from smoother.estimate.graph.start import Start, have_samples, on_the_wheel
 from smoother.estimate.graph.state import SLIP
-from smoother.estimate.graph.stated import contradicted_constants, contradicted_mounting, contradicted_noise
+from smoother.estimate.graph.stated import (
+    contradicted_constants,
+    contradicted_filter,
+    contradicted_mounting,
+    contradicted_noise,
+)
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.graph.windows import WindowsSolution
@@ -43,6 +48,7 @@ from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
+from smoother.estimate.stretches import stretch_problems
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import (
@@ -50,6 +56,7 @@ from smoother.trajectory import (
     IMU_SHAKEN,
     MIRRORED_AXES,
     UNLIKE_AXES,
+    VELOCITY_EARLY,
     EstimateReport,
     Identified,
     Trajectory,
@@ -69,6 +76,7 @@ SHAKEN = 0.9  # m/s^2/sqrt(Hz); simulated karts below it know delay and arm as w
 # rad/s/sqrt(Hz); harsh simulated karts have 3 deg/s and know their delays, a shaken box on a skid pad had 7 and did not
 UNSTEADY = 5.0 * DEG
 EARLY, EARLY_SIGMAS = 0.05, 3.0  # s, beyond which a fix can not come before it is true
+LONG_APART = 0.3  # s; real velocities come 0.05 to 0.2 s after the positions, or with them
 FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
@@ -197,6 +205,28 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
         "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
     )
     return (Problem("gps_early", text),)
+
+
+def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
+    """Say so where velocities come before they are true while positions come after: no clock does that.
+
+    A receiver that averages its positions over seconds pulls both delays away from one another, and antenna and line
+    with them.
+    """
+    position, velocity = identified["gps_position_latency"], identified["gps_velocity_latency"]
+    late, early, sigma = position.value, velocity.value, velocity.sigma
+    if not (velocity.observable and position.observable):
+        return ()
+    if not (isinstance(late, float) and isinstance(early, float) and isinstance(sigma, float)):
+        return ()
+    if early + EARLY_SIGMAS * sigma > -EARLY or late - early < LONG_APART:
+        return ()
+    text = (
+        f"the velocities of the fixes seem to come {-early:.2f} s before they are true and the positions {late:.2f} s "
+        "after, as where a receiver averages its positions over seconds: line, speeds and delays are wrong. Switch "
+        "that filter off in the receiver, or leave speed and course out of the file"
+    )
+    return (Problem(VELOCITY_EARLY, text),)
 
 
 def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
@@ -344,11 +374,13 @@ def _completed_report(
             *solution.problems,
             *_blamed(begun, solution.noise),
             *_early(told.identified),
+            *_velocities_early(told.identified),
             *leaning_problems(trajectory),
             *offset_problems(begun.offset),
             *begun.problems,
             *drift_problems(begun.drift, given),
             *step_problems(begun.steps, given),
+            *stretch_problems(begun.session, start.driven, start.alignment, start.pauses),
         ),
     )
 
@@ -362,7 +394,7 @@ def _contradicted(session: Session, solved: Looked) -> tuple[Problem, ...]:
     out = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
     if stated is not None and not constants.is_steered and not start.alignment.is_level_only:
         out += contradicted_mounting(stated, _fitted_mounting(session, found, solution.noise, start))
-    return out + contradicted_noise(start)
+    return (*out, *contradicted_filter(session), *contradicted_noise(start))
 
 
 def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:

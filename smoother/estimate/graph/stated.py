@@ -25,15 +25,21 @@ from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
+from smoother.fit.spectrum import vibration_spectrum
 from smoother.samples import Problem, Session
+from smoother.trajectory import STATED
 from smoother.units import DEG
 
-STATED = "stated_wrong"  # code of the problem
+STATED_NOISE = "stated_noise_wrong"  # code of the problem of a density
 # sigmas, and what a delay or the place of an antenna is known to at best where a session is no simulation
 CERTAIN, LEAST_DELAY, LEAST_ARM = 6.0, 0.04, 0.4  # s, m
 LEAST_ANGLE = 4.0 * DEG  # likewise of how the box stands: twice what a track falls to one side for the water
 # times what neighbouring samples scatter by: half of the least that is ever found, and more than is
 TOO_QUIET, TOO_LOUD = 0.5 * OWN_SCATTER, 10.0
+# Whatever low-pass holds samples back for some time lets a 25th through, or less, of what is FAST times as fast as one
+# period in that time. Of engines and roads that shake a box as much as it moves, 0.13 of what is slower is then left
+FAST, LOUD = 4.0, 0.25
+SOME, LOWEST, HIGHEST = 50_000, 0.2, 0.45  # samples that are looked at; Hz, and of their rate, that they tell of
 REMEDY = "Correct it in session.toml, or leave it out to have it found"
 
 
@@ -88,6 +94,32 @@ def contradicted_constants(
     return tuple(problems)
 
 
+def contradicted_filter(session: Session) -> tuple[Problem, ...]:
+    """Say so where samples hold vibration that the low-pass of the delay that is stated for them would have taken out.
+
+    All delays and times shift with it alike, so that nothing else tells. Of shorter ones, and calm boxes, nothing does.
+    """
+    imu, delay = session.imu, session.config.imu_delay
+    if imu is None or delay is None or delay < LEAST_DELAY or len(imu.t) < SOME // 10:
+        return ()
+    first = max(0, (len(imu.t) - SOME) // 2)
+    rate, some = 1.0 / imu.interval, slice(first, first + SOME)
+    fast = FAST / delay
+    if fast > HIGHEST * rate:
+        return ()
+    for values in (imu.specific_force_s[some], imu.angular_rate_s[some]):
+        spectrum = vibration_spectrum(values, rate)
+        above, below = (float(np.linalg.norm(spectrum.rms(*band))) for band in ((fast, rate), (LOWEST, fast)))
+        if above > LOUD * below:
+            text = (
+                f"[imu] delay is stated as {delay:.3g} s, which no low-pass has that leaves vibration above {fast:.0f} "
+                "Hz in the samples: all times, and delays of the fixes, are off by up to as much. "
+                f"{REMEDY}. What samples took to arrive belongs to t_s"
+            )
+            return (Problem(STATED, text),)
+    return ()
+
+
 def _delays(config: SessionConfig, free: Loosened, moment: float) -> Iterator[Problem]:
     names = ("position_latency", config.gps.position_latency), ("velocity_latency", config.gps.velocity_latency)
     for i, (name, stated) in enumerate(names):
@@ -126,7 +158,7 @@ def contradicted_mounting(stated: Array, fitted: FittedMounting) -> tuple[Proble
     rows = ", ".join("[" + ", ".join(f"{value:.3f}" for value in row) + "]" for row in fitted.R_bs)
     text = (
         f"the mounting that is stated (R_bs or axes) is {np.linalg.norm(off) / DEG:.0f} deg off that which the drive "
-        f"shows, R_bs = [{rows}]: roll, pitch and yaw are off by as much. {REMEDY}"
+        f"shows: roll, pitch and yaw are off by as much. It shows R_bs = [{rows}]. {REMEDY}"
     )
     return (Problem(STATED, text),)
 
@@ -147,7 +179,7 @@ def contradicted_noise(start: Start) -> tuple[Problem, ...]:
             f"[imu] {name} is stated as {density:.2g} {unit}, while the samples scatter by {seen:.2g} as the kart "
             f"drives: {why}, and the ± is not right. {REMEDY}"
         )
-        out.append(Problem(STATED, text))
+        out.append(Problem(STATED_NOISE, text))
     return tuple(out)
 
 

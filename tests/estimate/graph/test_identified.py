@@ -10,7 +10,7 @@ from smoother.estimate.graph.identified import identified_values
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.smoother import _early
+from smoother.estimate.graph.smoother import _early, _velocities_early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
 from smoother.trajectory import Identified
 from smoother.units import DEG
@@ -104,3 +104,14 @@ def test_fixes_that_come_before_they_are_true_are_named(value: float, said: bool
     problems = _early({"gps_position_latency": latency})
     assert [p.code for p in problems] == (["gps_early"] if said else [])
     assert not _early({"gps_position_latency": Identified(value, 0.25, "s", False, "default")})
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "said"), [(0.6, -0.3, True), (-0.6, -0.5, False), (0.1, -0.04, False), (0.1, 0.6, False)]
+)
+def test_velocities_alone_that_come_before_they_are_true_are_named(
+    position: float, velocity: float, said: bool
+) -> None:
+    both = {"gps_position_latency": position, "gps_velocity_latency": velocity}
+    identified = {name: Identified(value, 0.02, "s", True, "identified") for name, value in both.items()}
+    assert [p.code for p in _velocities_early(identified)] == (["gps_velocity_early"] if said else [])

@@ -5,10 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
 from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.graph.stated import contradicted_filter
+from smoother.estimate.quality import assess
 from smoother.prepare import prepare
 from smoother.samples import Problem
 from smoother.sim.simulation import Simulation, simulate_preset
@@ -25,9 +28,14 @@ def with_settings(simulation: Simulation, config: SessionConfig) -> Trajectory:
     return GraphSmoother().estimate(prepare(replace(simulation.raw, config=config)))
 
 
-def contradictions(simulation: Simulation, config: SessionConfig) -> list[Problem]:
-    problems = with_settings(simulation, config).report.problems
-    return [problem for problem in problems if problem.code == "stated_wrong"]
+def contradictions(simulation: Simulation, config: SessionConfig, code: str = "stated_wrong") -> list[Problem]:
+    """What is said of settings. What is wrong by more than error bars is in the reasons of the quality gate, too."""
+    trajectory = with_settings(simulation, config)
+    wrong = [problem for problem in trajectory.report.problems if problem.code.startswith("stated_")]
+    reasons = assess(prepare(simulation.raw), trajectory).reasons
+    for problem in wrong:
+        assert (problem.text.partition(": ")[0] in reasons) == (problem.code == "stated_wrong")
+    return [problem for problem in wrong if problem.code == code]
 
 
 def test_what_is_right_is_not_contradicted(simulation: Simulation) -> None:
@@ -38,7 +46,8 @@ def test_what_is_right_is_not_contradicted(simulation: Simulation) -> None:
         gps=GnssTiming(receiver.position_latency, receiver.velocity_latency),
         imu=ImuNoise(imu.accel_noise, imu.gyro_noise),
     )
-    assert contradictions(simulation, settings) == []
+    for code in ("stated_wrong", "stated_noise_wrong"):
+        assert contradictions(simulation, settings, code) == []
     assert contradictions(simulation, SessionConfig()) == []
 
 
@@ -63,11 +72,13 @@ def test_of_two_delays_and_an_arm_that_are_stated_the_wrong_one_is_named(simulat
 
 def test_a_delay_that_leaves_the_fixes_alone_is_what_is_blamed(simulation: Simulation) -> None:
     true = simulation.scenario.gnss.position_latency
-    report = with_settings(simulation, SessionConfig(gps=GnssTiming(true + 0.35))).report
+    trajectory = with_settings(simulation, SessionConfig(gps=GnssTiming(true + 0.35)))
+    report = trajectory.report
     assert report.mode == "gps-only"
     texts = {problem.code: problem.text for problem in report.problems}
     assert "position_latency is stated as" in texts["stated_wrong"]
     assert "average its speeds" not in texts["arm_too_long"]
+    assert not assess(prepare(simulation.raw), trajectory).passed
 
 
 @pytest.mark.parametrize("times", [-1.0, 10.0])
@@ -92,8 +103,36 @@ def test_a_wrong_mounting_is_named_with_the_one_that_the_drive_shows(simulation:
 @pytest.mark.parametrize("name", ["accel_noise", "gyro_noise"])
 def test_a_density_that_the_samples_contradict_is_named(simulation: Simulation, name: str, times: float) -> None:
     true = getattr(simulation.scenario.imu, name)
-    (problem,) = contradictions(simulation, SessionConfig(imu=ImuNoise(**{name: times * true})))
+    (problem,) = contradictions(simulation, SessionConfig(imu=ImuNoise(**{name: times * true})), "stated_noise_wrong")
     assert problem.text.startswith(f"[imu] {name} is stated as")
+
+
+def behind_filter(simulation: Simulation, delay: float, *, is_true: bool) -> Simulation:
+    """Samples of which session.toml says that a low-pass holds them back by `delay` s, as the reader hands them on."""
+    imu = simulation.raw.imu
+    assert imu is not None
+    if is_true:
+        kept = np.exp(-float(np.median(np.diff(imu.t))) / delay)
+        accel, gyro = (lfilter([1.0 - kept], [1.0, -kept], values, axis=0) for values in (imu.accel, imu.gyro))
+        imu = replace(imu, accel=accel, gyro=gyro)
+    raw = replace(simulation.raw, imu=replace(imu, t=imu.t - delay))
+    return replace(simulation, raw=raw)
+
+
+@pytest.mark.parametrize("preset", ["kart", "white"])
+def test_a_delay_of_a_low_pass_that_the_vibration_contradicts_is_named(preset: str) -> None:
+    simulation, config = simulate_preset(preset, 53, duration=120.0), SessionConfig(imu_delay=0.12)
+    (problem,) = contradictions(behind_filter(simulation, 0.12, is_true=False), config)
+    assert problem.text.startswith("[imu] delay is stated as 0.12 s")
+
+
+@pytest.mark.parametrize("delay", [0.006, 0.05, 0.15])
+def test_a_delay_of_a_low_pass_that_was_there_is_not(delay: float) -> None:
+    for preset in ("kart", "kart_harsh"):
+        simulation = behind_filter(simulate_preset(preset, 54, duration=100.0), delay, is_true=True)
+        assert simulation.raw.imu is not None
+        session = replace(prepare(simulation.raw), config=SessionConfig(imu_delay=delay))
+        assert contradicted_filter(session) == ()
 
 
 def test_axes_that_are_wrong_are_blamed_alone(simulation: Simulation) -> None:
