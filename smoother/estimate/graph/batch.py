@@ -49,6 +49,7 @@ from smoother.estimate.graph.state import (
     SLIP,
     TRANSLATION,
     VELOCITY,
+    VELOCITY_RESPONSE,
     ChainState,
 )
 from smoother.estimate.graph.upright import along_path_rows, unsteadiness, upright_rows
@@ -355,7 +356,7 @@ class Batch:
         rw.add_rows(system, list(rows.values()))
         prior = self._priors
         difference = state.constants.as_vector() - prior.constants
-        rw.add_constants_prior(system, difference, constants_sigma(prior, noise))
+        rw.add_constants_prior(system, difference, _or_filters(constants_sigma(prior, noise), difference))
         if prior.holds_height:
             up_s = state.constants.level_axes_s[2]
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
@@ -510,6 +511,16 @@ def constants_sigma(priors: Priors, noise: Noise) -> Array:
     for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         sigma[part] = spread
     return sigma
+
+
+def _or_filters(sigma: Array, difference: Array) -> Array:
+    """Prior sigma (30,) with that of a response which is larger than usual by `difference` (30,), beyond sigma.
+
+    Most receivers hardly filter, some do, over any time: the prior holds as robust rows do, by one over its distance.
+    """
+    out = sigma.copy()
+    out[VELOCITY_RESPONSE] = np.maximum(sigma, difference)[VELOCITY_RESPONSE]
+    return out
 
 
 def _robust(rows: rw.Rows, doubted: BoolArray | None = None) -> rw.Rows:

@@ -14,7 +14,7 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.at_rest import scale_at_rest
 from smoother.estimate.graph.batch import Data, Noise, Priors
-from smoother.estimate.graph.components import OWN_SCATTER, Scatter
+from smoother.estimate.graph.components import OWN_SCATTER, USUAL_VELOCITY, Scatter
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise, hole_lengths
 from smoother.estimate.graph.keyframes import keyframe_times
@@ -401,7 +401,8 @@ def _first_noise(
 
     That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
     samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
-    of it would pass for a wandering offset.
+    of it would pass for a wandering offset. Velocities that a receiver has filtered hardly scatter: from as little as
+    that the path would follow them, and show no filter.
     """
     stated = session.config.imu
     inertial = InertialNoise(
@@ -424,7 +425,7 @@ def _first_noise(
     return Noise(
         inertial,
         position,
-        path.velocity_sigma,
+        np.maximum(path.velocity_sigma, USUAL_VELOCITY),
         offset.sigma,
         offset.tau,
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),
