@@ -26,7 +26,7 @@ from smoother.trajectory import DELAY_CHANGES, MOTION_UNLIKE
 STRETCH = 20.0  # s of driving; a bend or two to either side, and a straight
 FEWEST_STRETCHES, MOST_STRETCHES = 5, 200
 FEWEST, ENOUGH = 15, 400  # fixes of a stretch
-MOVES, FARTHEST, SETTLED = 5, 0.2, 0.003  # of Gauss-Newton, s that each may move, and by which the last may
+MOVES, FARTHEST, SETTLED = 5, 0.2, 0.02  # of Gauss-Newton, s that each may move, and below which one is as good as more
 # s rms of what the three axes have in common about their usual delay. Simulated karts that have one delay come out at
 # 0.002 to 0.015, real karts and cars at 0.012 to 0.026 (the latter a box on the wheel)
 LEAST = 0.05
@@ -36,6 +36,7 @@ ALIKE = 0.8
 # Correlation of what is told and felt by the axis that has most of it: 0.69 and more in every stretch of real karts and
 # cars, 0.98 of simulated ones, and what it is in many stretches of a session that tells at all
 UNLIKE, TELLS = 0.5, 0.85
+SURELY_LIKE, QUIET = 0.75, 0.5  # likewise at a first look, and a part of the least change
 MANY = 75.0  # per cent of the stretches may be worse than those
 LIVELY = 0.5  # of what an axis usually does; less says nothing of whether it was felt
 STANDS = 1.0  # m/s, below which fixes stand
@@ -77,6 +78,13 @@ class Stretches:
         return np.where(alike & tell, sign * np.min(np.abs(off), axis=1), 0.0)
 
     @property
+    def is_quiet(self) -> bool:
+        """Whether all is so far from any alarm that a closer look would find none."""
+        known = self.likeness[np.isfinite(self.likeness)]
+        size = float(np.sqrt(np.mean(self.change**2)))
+        return bool(np.all(known > SURELY_LIKE)) and size < QUIET * self.least
+
+    @property
     def changes(self) -> bool:
         """Whether the delay changes: by more than anything but clocks makes it, and of all axes alike."""
         tell = self.likeness > UNLIKE
@@ -87,7 +95,10 @@ class Stretches:
 
 
 def stretches_of(felt: Felt, path: PathMotion, use: IntArray) -> Stretches | None:
-    """Return what stretches of fixes in use, at speed, say; None where these can not be cut into some."""
+    """Return what stretches of fixes in use, at speed, say; None where these can not be cut into some.
+
+    All at once by least squares first; only where that may say something, each with weights and to the end.
+    """
     every, told, t = median(np.diff(path.t)), path_axes(path)[use], path.t[use]
     driven = np.cumsum(np.minimum(np.diff(t, prepend=t[0]), SLOWEST))
     length = max(STRETCH, float(driven[-1]) / MOST_STRETCHES)
@@ -95,11 +106,14 @@ def stretches_of(felt: Felt, path: PathMotion, use: IntArray) -> Stretches | Non
     parts = [rows[:: -(-len(rows) // ENOUGH)] for rows in parts if len(rows) >= FEWEST]
     if len(parts) < FEWEST_STRETCHES:
         return None
+    ends, least = np.array([(t[rows[0]], t[rows[-1]]) for rows in parts]), LEAST if every <= QUICK else LEAST_OF_FEW
     usual = np.median([np.std(told[rows], axis=0) for rows in parts], axis=0)
+    roughly = Stretches(ends[:, 0], ends[:, 1], *_roughly_said(felt, t, told, parts, usual), least)
+    if roughly.is_quiet:
+        return roughly
     said_of = [_said_of(felt, t[rows], told[rows], usual) for rows in parts]
     delays, likeness = (np.array(values) for values in zip(*said_of, strict=True))
-    ends = np.array([(t[rows[0]], t[rows[-1]]) for rows in parts])
-    return Stretches(ends[:, 0], ends[:, 1], delays, likeness, LEAST if every <= QUICK else LEAST_OF_FEW)
+    return Stretches(ends[:, 0], ends[:, 1], delays, likeness, least)
 
 
 def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses) -> tuple[Problem, ...]:
@@ -169,6 +183,32 @@ def _problems_of_stretches(found: Stretches | None, pauses: Pauses, begun: float
             "off by up to as much. Stamp samples and fixes by one clock, as they come in"
         )
         yield Problem(DELAY_CHANGES, text)
+
+
+def _roughly_said(felt: Felt, t: Array, told: Array, parts: list[IntArray], usual: Array) -> tuple[Array, Array]:
+    """What :func:`_said_of` says of each of the parts (B,), by one step of least squares: (B, 3) s, and (B,)."""
+    rows, count = np.concatenate(parts), np.array([len(part) for part in parts])
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+
+    def sums(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, first, axis=-1))
+
+    def centred(values: Array) -> Array:
+        return np.asarray(values - np.repeat(sums(values) / count, count, axis=-1))
+
+    here, change = felt.with_change(t[rows] - felt.alignment.lag)
+    x, y = centred(np.stack([here, -change], axis=1)), centred(told[rows].T)
+    normal, pull, square = sums(x[:, :, None] * x[:, None]), sums(x * y[:, None]), sums(y * y)
+    determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+    gain, shifted = (
+        normal[:, 1 - i, 1 - i] * pull[:, i] - normal[:, 0, 1] * pull[:, 1 - i] for i in (0, 1)
+    )  # times the determinant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.where((gain != 0.0) & (determinant > 0.0), shifted / gain, np.inf)
+        likeness = pull[:, 0] / np.sqrt(normal[:, 0, 0] * square)
+    lively = (square / count > (LIVELY * usual[:, None]) ** 2) & np.isfinite(likeness)
+    most = np.max(np.where(lively, likeness, -np.inf), axis=0)
+    return felt.alignment.lag + off.T, np.where(lively.any(axis=0), most, np.nan)
 
 
 def _said_of(felt: Felt, t: Array, told: Array, usual: Array) -> tuple[Array, float]:
