@@ -43,9 +43,6 @@ WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within an eighth of it
 ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
-# Of a sigma: a first step with wheels by less leaves less than that to the next one, 0.1 after 0.7 to 1.4; where the
-# slip it was taken with is ALIKE, by its logarithm, to the one that it tells
-FAR, ALIKE = 2.0, 0.125
 ROLLING = 7e-4, 2  # rad, rms, that the last of at most so many steps moves attitudes by, before the one that counts
 STREAM_ROLLING = 3e-5, 4  # likewise of a stream, whose weights are to be those of the batch
 MOSTLY_ROLLING = 0.9  # mean weight of the rows of slip; simulated karts have 0.97 and more
@@ -293,8 +290,8 @@ def on_wheels(
     del taken
     for _ in range(SLIP_ROUNDS):
         better = slip_update(found, slip)
-        size = moved(found.solution, variances(found.solution))
-        if size < ROLLED or (size < FAR and abs(math.log(better.sigma / slip.sigma)) < ALIKE):
+        # a covariance is one at the state that the step was taken from, which has to be near the one after it
+        if moved(found.solution, variances(found.solution)) < ROLLED:
             break
         slip, state = better, found.state
         del found  # two do not fit
