@@ -13,7 +13,6 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph import batch as batch_module
-from smoother.estimate.graph import solve
 from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
@@ -86,7 +85,6 @@ def last_fixture() -> Linearized:
     simulation = simulate_preset("kart", seed=3, track="tinbarn", duration=80.0, motion_standstill=10.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch_module.Batch, "linear", kept)
-        patch.setattr(solve, "FAR", 0.0)  # a step from wheels to wheels is the last one
         GraphSmoother().estimate(prepare(simulation.raw))
     path = made["batch"].path(made["state"])
     return Linearized(**made, path=path, felt=expected_of(made["batch"]._data, path, made["state"], made["noise"]))
