@@ -42,7 +42,6 @@ from smoother.estimate.graph.state import (
     SLIP,
     TRANSLATION,
     VELOCITY,
-    VELOCITY_RESPONSE,
     ChainState,
 )
 
@@ -231,7 +230,7 @@ class Batch:
         add_rows(system, list(rows.values()))
         prior = self._priors
         difference = state.constants.as_vector() - prior.constants
-        add_constants_prior(system, difference, _or_filters(constants_sigma(prior, noise), difference))
+        add_constants_prior(system, difference, constants_sigma(prior, noise))
         if prior.holds_height:
             up_s = state.constants.level_axes_s[2]
             system.corner[LEVER_ARM, LEVER_ARM] += np.outer(up_s, up_s) / HELD**2
@@ -277,13 +276,3 @@ def _of_keyframes(system: ChainSystem) -> ChainSystem:
     n_keyframes, n = system.rhs.shape
     none = np.empty((n_keyframes, n, 0))
     return replace(system, border=none, corner=np.empty((0, 0)), rhs_constants=np.empty(0))
-
-
-def _or_filters(sigma: Array, difference: Array) -> Array:
-    """Prior sigma (30,) with that of a response which is larger than usual by `difference` (30,), beyond sigma.
-
-    Most receivers hardly filter, some do, over any time: the prior holds as robust rows do, by one over its distance.
-    """
-    out = sigma.copy()
-    out[VELOCITY_RESPONSE] = np.maximum(sigma, difference)[VELOCITY_RESPONSE]
-    return out

@@ -8,7 +8,7 @@ from smoother.arrays import MAD_TO_SIGMA, Array, median
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
-from smoother.estimate.graph.components import OWN_SCATTER, USUAL_VELOCITY, Scatter
+from smoother.estimate.graph.components import OWN_SCATTER, Scatter
 from smoother.estimate.graph.imu import BinnedImu, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
@@ -57,8 +57,7 @@ def first_noise(
 
     That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
     samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
-    of it would pass for a wandering offset. Velocities that a receiver has filtered hardly scatter: from as little as
-    that the path would follow them, and show no filter.
+    of it would pass for a wandering offset.
     """
     stated = session.config.imu
     inertial = InertialNoise(
@@ -81,7 +80,7 @@ def first_noise(
     return Noise(
         inertial,
         position,
-        np.maximum(path.velocity_sigma, USUAL_VELOCITY),
+        path.velocity_sigma,
         offset.sigma,
         offset.tau,
         np.array([options.sensor_error_sigma, options.sensor_error_sigma, options.rectification_sigma]),

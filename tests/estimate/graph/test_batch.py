@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph import inertial, session_rows
-from smoother.estimate.graph.batch import Batch, Solved, _or_filters
+from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.components import (
     OWN_SCATTER,
@@ -39,7 +39,6 @@ from smoother.estimate.graph.state import (
     LEVER_ARM,
     ROW_CONSTANTS_SIZE,
     VELOCITY,
-    VELOCITY_RESPONSE,
     ChainState,
     Constants,
 )
@@ -487,13 +486,3 @@ def test_ground_stands_in_for_heights_where_none_is_near() -> None:
     np.testing.assert_array_equal(t[at], t[(t > 34.0 + 1e-9) & (t < 70.0 - 1e-9)])
     assert height[0] == pytest.approx(5.3, abs=2.0)  # not 900
     assert height[-1] == pytest.approx(7.0, abs=2.0)
-
-
-@pytest.mark.parametrize(("difference", "sigma"), [(-0.05, 0.005), (0.004, 0.005), (0.013, 0.013), (0.3, 0.3)])
-def test_the_prior_of_a_response_gives_way_to_filters(difference: float, sigma: float) -> None:
-    """A filter makes it larger; an antenna that leans is what is usual, and makes it less."""
-    usual = np.full(CONSTANTS_SIZE, 0.005)
-    found = _or_filters(usual, np.full(CONSTANTS_SIZE, difference))
-    expected = usual.copy()
-    expected[VELOCITY_RESPONSE] = sigma
-    np.testing.assert_array_equal(found, expected)
