@@ -25,7 +25,6 @@ from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
-from smoother.fit.spectrum import vibration_spectrum
 from smoother.samples import Problem, Session
 from smoother.trajectory import STATED
 from smoother.units import DEG
@@ -102,6 +101,8 @@ def contradicted_filter(session: Session) -> tuple[Problem, ...]:
     imu, delay = session.imu, session.config.imu_delay
     if imu is None or delay is None or delay < LEAST_DELAY or len(imu.t) < SOME // 10:
         return ()
+    from smoother.fit.spectrum import vibration_spectrum  # here: a tenth of a second of imports that few sessions need
+
     first = max(0, (len(imu.t) - SOME) // 2)
     rate, some = 1.0 / imu.interval, slice(first, first + SOME)
     fast = FAST / delay
