@@ -144,7 +144,9 @@ def in_gap(sampled: Array, t: Array) -> BoolArray:
 
     sampled (M,) s: times of the samples.
     """
-    before = np.flatnonzero(np.diff(sampled) > WINDOW)
+    parts = pieces(len(sampled) - 1)  # all differences of a day would be 140 MB
+    holes = [part.start + np.flatnonzero(np.diff(sampled[part.start : part.stop + 1]) > WINDOW) for part in parts]
+    before = np.concatenate([np.empty(0, dtype=np.int64), *holes])
     if not len(before):
         return np.zeros(len(t), dtype=np.bool_)
     latest = np.searchsorted(sampled[before] - 1.0, t) - 1
