@@ -39,8 +39,6 @@ UNLIKE, TELLS = 0.5, 0.85
 SURELY_LIKE, QUIET = 0.75, 0.5  # likewise at a first look, and a part of the least change
 MANY = 75.0  # per cent of the stretches may be worse than those
 LIVELY = 0.5  # of what an axis usually does; less says nothing of whether it was felt
-# s; of longer sessions nothing is asked: beside all that the estimate holds of a day it took half a gigabyte more
-LONGEST = 12 * 3600.0
 STANDS = 1.0  # m/s, below which fixes stand
 # Correlation of force to the left and yaw rate, which go together by the speed: of a box that drives, and no other
 DRIVES = 0.7
@@ -121,8 +119,6 @@ def stretches_of(felt: Felt, path: PathMotion, use: IntArray) -> Stretches | Non
 def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses) -> tuple[Problem, ...]:
     """Say so where the delay changes or samples are of another motion, of a session of which `pauses` are cut out."""
     assert session.imu is not None
-    if path.t[-1] - path.t[0] > LONGEST:
-        return ()
     use = sampled_at_speed(session.imu, path)
     if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
         return ()

@@ -20,6 +20,7 @@ from smoother.estimate.in_step import in_step
 from smoother.estimate.left_out import without_fixes, without_positions
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.retimed import moved
+from smoother.estimate.stretches import stretch_problems
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
 
@@ -62,7 +63,12 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     early = unsettled(rest)
     if early.any():
         begun = _on_one_clock(without_positions(rest, early), options, cut_out)
-    problems = (*coasting_problems(out & ~of_steps), *settling_problems(given.gnss.t, early))
+    start = begun.start
+    problems = (
+        *coasting_problems(out & ~of_steps),
+        *settling_problems(given.gnss.t, early),
+        *stretch_problems(begun.session, start.driven, start.alignment, start.pauses),
+    )
     left_out = out | early
     return replace(begun, steps=steps, problems=problems, left_out=left_out if left_out.any() else None)
 

@@ -48,7 +48,6 @@ from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
-from smoother.estimate.stretches import stretch_problems
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import (
@@ -380,7 +379,6 @@ def _completed_report(
             *begun.problems,
             *drift_problems(begun.drift, given),
             *step_problems(begun.steps, given),
-            *stretch_problems(begun.session, start.driven, start.alignment, start.pauses),
         ),
     )
 
