@@ -44,11 +44,8 @@ ASKEW, CERTAIN, HALF_UPRIGHT = 20.0 * DEG, 4.0, 5.0 * DEG
 # sigmas, by which a vehicle has to dive as it accelerates for both level axes to have the wrong sign. Of real cars and
 # karts, and simulated ones with right signs, it squats by up to 17, and never dives by 1
 BACKWARDS = 6.0
-LEANING, TURNING, BRAKING = (
-    slice(0, 4),
-    4,
-    2,
-)  # rows of the coefficients by the vehicle's lean, and by its turn about up
+# rows of the coefficients by the vehicle's lean, of it by how the push ahead changes, and by its turn about up
+LEANING, BRAKING, TURNING = slice(0, 4), 2, 4
 
 
 @dataclass(frozen=True, eq=False)

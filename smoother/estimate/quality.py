@@ -123,23 +123,24 @@ def assess(session: Session, estimate: Trajectory, limits: QualityLimits | None 
         reasons.append(f"{counted(len(session.gnss), 'fix')} can not tell how the kart went")
     measures |= _attitude_measures(session, estimate, limits) | _standing(session, estimate, limits)
     reasons += _motion_reasons(measures, limits) + _attitude_reasons(measures, limits)
-    reasons += _residual_reasons(estimate, limits) + _axes_reasons(session, estimate)
+    reasons += _residual_reasons(estimate, limits) + _named_reasons(session, estimate)
     return Quality(not reasons, tuple(reasons), measures)
 
 
-def _axes_reasons(session: Session, estimate: Trajectory) -> list[str]:
-    """Axes that no mounting explains, or that show nothing, give attitudes off by many sigmas that look whole.
+def _named_reasons(session: Session, estimate: Trajectory) -> list[str]:
+    """What problems name that makes a result wrong by many sigmas which itself looks whole.
 
-    So does a stated mounting that is wrong; a wrong or changing delay, and samples of another motion, give places and
-    speeds that do. A mirrored track is wrong whatever was made of it.
+    Axes that no mounting explains or that show nothing, and a stated mounting that is not that of the session, give
+    such attitudes; a wrong or changing delay, and samples of another motion, such places and speeds. A mirrored track
+    is wrong whatever was made of it.
     """
-    anyway = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
-    places = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in anyway]
+    in_any_mode = (MIRRORED_PLACES, STATED, DELAY_CHANGES, MOTION_UNLIKE, VELOCITY_EARLY)
+    anyway = [p.text.partition(": ")[0] for p in estimate.report.problems if p.code in in_any_mode]
     if estimate.report.mode != "full":
-        return places
+        return anyway
     wrong = [p.text.partition(":")[0] for p in estimate.report.problems if p.code in (MIRRORED_AXES, UNLIKE_AXES)]
     dead = [p.text.partition(": ")[2].partition(";")[0] for p in session.problems if p.code in (DEAD_AXES, STUCK_AXES)]
-    return places + wrong + dead
+    return anyway + wrong + dead
 
 
 def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) -> dict[str, float]:
