@@ -31,6 +31,7 @@ from smoother.estimate.graph.slip import (
     Slip,
     SlipNoise,
     is_of_wheels,
+    slip_after_step,
     slip_noise,
     slip_of,
 )
@@ -56,10 +57,13 @@ NEAR_FIX = 1.0  # s; beyond, a direction of the path is what the samples add up 
 class Solved:
     """A linearised, solved graph at `state`: the state itself, its covariances and the rows they came from.
 
-    Residuals of rows are those after the step, those of inertial and slip before it: only some are asked for.
+    linearised_at: the state before the step. Covariances are in its axes: turned along with what a step of some degrees
+    moved attitudes by, positions would lend velocities their metres.
+    Residuals of rows and slip are those after the step, those of inertial before it: only some are asked for.
     """
 
     state: ChainState
+    linearised_at: ChainState
     solution: ChainSolution
     inertial: LinearInertial
     rows: dict[str, Rows]
@@ -241,10 +245,11 @@ def _solved(linear: Linear, solution: ChainSolution, share: float) -> Solved:
     """Return the state after a `share` of the step, with the residuals that :class:`Solved` says."""
     return Solved(
         linear.state.retract(share * solution.x, share * solution.constants),
+        linear.state,
         solution,
         linear.inertial,
         {name: after_step(r, solution.x, solution.constants) for name, r in linear.rows.items()},
-        linear.slip,
+        None if linear.slip is None else slip_after_step(linear.slip, solution.x, solution.constants),
     )
 
 

@@ -51,13 +51,13 @@ class Estimated:
 
 def estimated(solved: Solved, nose: float | None) -> Estimated:
     """Return what a graph that was solved in one piece says; nose, rad^2, as for :func:`uncertainty_of`."""
-    state, factor = solved.state, solved.solution.factor
+    at, factor = solved.linearised_at, solved.solution.factor
     return Estimated(
-        state,
+        solved.state,
         solved.solution.constants_covariance,
         uncertainty_of(solved, nose),
         solved.rows,
-        None if factor is None else lambda unseen: ChainJoint(state, factor, unseen),
+        None if factor is None else lambda unseen: ChainJoint(at, factor, unseen),
         common_attitude(solved),
         left_of_inertial(solved, slice(None)),
     )

@@ -143,6 +143,12 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
     )
 
 
+def slip_after_step(slip: Slip, step: Array, constants_step: Array) -> Slip:
+    """Return the slip that the linear model predicts after a step (K, 18) and (30,)."""
+    moved = np.einsum("ki,ki->k", slip.by_keyframe, step) + slip.by_constants @ constants_step[SLIP]
+    return replace(slip, value=slip.value + moved)
+
+
 def _slides(angle: Array, moves: BoolArray, interval: float) -> BoolArray:
     """Mask (K,) of the keyframes in and around a slide, by the slip (K,) rad of those that move and are seen.
 

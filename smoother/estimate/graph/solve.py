@@ -42,6 +42,9 @@ LARGE = 2.0  # of either: steps that are another one's beginning, whatever the p
 WORSE = 1.25  # ratio of the noise of the fixes; from part to whole of a session it changes by some per cent
 SETTLED = 0.05  # relative change of the noise below which another round changes no digit that people read
 SLIP_ROUNDS = 2  # at most, of finding how much slip there is; the first one comes to within an eighth of it
+# Of a sigma: a first step with wheels by less leaves less than that to the next one, 0.1 after 0.7 to 1.4; where the
+# slip it was taken with is ALIKE, by its logarithm, to the one that it tells
+FAR, ALIKE = 2.0, 0.125
 ROLLED = 0.25  # of a sigma, which further steps with wheels would still move by; it adds 3 % to the error
 ROLLING = 7e-4, 2  # rad, rms, that the last of at most so many steps moves attitudes by, before the one that counts
 STREAM_ROLLING = 3e-5, 4  # likewise of a stream, whose weights are to be those of the batch
@@ -290,8 +293,8 @@ def on_wheels(
     del taken
     for _ in range(SLIP_ROUNDS):
         better = slip_update(found, slip)
-        # a covariance is one at the state that the step was taken from, which has to be near the one after it
-        if moved(found.solution, variances(found.solution)) < ROLLED:
+        size = moved(found.solution, variances(found.solution))
+        if size < ROLLED or (size < FAR and abs(math.log(better.sigma / slip.sigma)) < ALIKE):
             break
         slip, state = better, found.state
         del found  # two do not fit

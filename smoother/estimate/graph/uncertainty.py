@@ -55,7 +55,7 @@ def uncertainty_of(solved: Solved, nose: float | None) -> Uncertainty:
 
     nose: variance, rad^2, of where slip has the nose beyond that in `solved`; None where the nose is not by slip.
     """
-    state, P = solved.state, solved.solution.covariance
+    state, P = solved.linearised_at, solved.solution.covariance
     R, R_arm, R_turning = state.R_ns, arm_axes(state), turning_arm(state)
     K, turn_n, arm_n = len(state.t), _turning(state), R_arm @ state.constants.lever_arm_s
     swing_n = np.cross(turn_n, arm_n)

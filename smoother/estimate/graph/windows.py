@@ -197,7 +197,7 @@ def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -
             own[name] = fixes[use]
     assert solution.factor is not None
     until = s.t[core.stop] if core.stop < len(s.t) else s.t[-1] + s.interval  # where the next one begins to count
-    factor = window_factor(s.t[core.start], until, s, solution.factor)
+    factor = window_factor(s.t[core.start], until, solved.linearised_at, solution.factor)
     return _Piece(first, last, begin + outer.start, state, factor, rows, own, left_of_inertial(solved, core))
 
 

@@ -12,7 +12,7 @@ from smoother.estimate.evaluate import errors_between
 from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph import looks, solve
 from smoother.estimate.graph import slip as slip_module
-from smoother.estimate.graph.batch import Solved
+from smoother.estimate.graph.batch import DrivenMotion, Solved
 from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
@@ -236,12 +236,55 @@ def test_wheels_tell_the_heading_and_the_velocity_in_outages(
 def test_what_wheels_tell_of_makes_nothing_less_sure(
     both: tuple[Simulation, Session, Trajectory, Trajectory],
 ) -> None:
-    """The last step of all has to be a small one: its covariance is that of the attitudes that it was taken from."""
+    """Not of a last step by sigmas either: its covariance is one in the axes of the attitudes that it was taken from."""
     _, _, with_wheels, without = both
     assert with_wheels.sigmas is not None and without.sigmas is not None
     for name in ("velocity_n", "attitude", "track"):
         one, other = (np.median(getattr(found.sigmas, name), axis=0) for found in (with_wheels, without))
         assert np.all(one < 1.02 * other), name
+
+
+@pytest.mark.parametrize("preset", ["kart", "kart_harsh"])
+def test_a_last_step_by_a_sigma_is_as_sure_as_another_one_after_it(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Covariances are in the axes of the attitudes before the step, and the nose is where the slip after it has it."""
+    session, moves, last, found = kart(preset)[1], [], [], {}
+    moved = batch_module.moved
+
+    def watched(*given: Any) -> float:
+        moves.append(moved(*given))
+        return moves[-1]
+
+    monkeypatch.setattr(solve, "moved", watched)
+    monkeypatch.setattr(solve, "ALIKE", np.inf)
+    for far in (np.inf, 0.0):
+        monkeypatch.setattr(solve, "FAR", far)
+        found[far > 0.0] = GraphSmoother().estimate(session).sigmas
+        last.append(moves[-1])
+    assert last[0] > 2.0 * solve.ROLLED and last[1] < solve.ROLLED
+    for name in ("velocity_n", "attitude", "track"):
+        one, other = (np.median(getattr(found[goes_far], name), axis=0) for goes_far in (True, False))
+        np.testing.assert_allclose(one, other, rtol=0.06, err_msg=name)
+
+
+def test_the_slip_after_a_step_is_that_of_the_state_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What attitudes were off by before the step is none of what slip says of the nose."""
+    looked_at: list[tuple[Slip, Slip, Slip]] = []
+    roll = batch_module.Batch.roll
+
+    def watched(batch: batch_module.Batch, linear: batch_module.Linear, motion: DrivenMotion, *given: Any) -> Solved:
+        solved = roll(batch, linear, motion, *given)
+        before, after = (batch._slip(state, motion) for state in (linear.state, solved.state))
+        assert solved.slip is not None
+        looked_at.append((before, after, solved.slip))
+        return solved
+
+    monkeypatch.setattr(batch_module.Batch, "roll", watched)
+    GraphSmoother().estimate(kart("kart_harsh")[1])
+    before, after, predicted = looked_at[0]
+    moves = before.moves & after.moves
+    moved = (after.value - before.value)[moves]
+    missed = (after.value - predicted.value)[moves]
+    assert np.std(missed) < 0.2 * np.std(moved)
 
 
 def test_wheels_draw_no_latency_and_no_arm(both: tuple[Simulation, Session, Trajectory, Trajectory]) -> None:
