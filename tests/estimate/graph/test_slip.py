@@ -236,7 +236,7 @@ def test_wheels_tell_the_heading_and_the_velocity_in_outages(
 def test_what_wheels_tell_of_makes_nothing_less_sure(
     both: tuple[Simulation, Session, Trajectory, Trajectory],
 ) -> None:
-    """Not of a last step by sigmas either: its covariance is one in the axes of the attitudes that it was taken from."""
+    """Not of a last step by sigmas: its covariance is one in the axes of the attitudes that it was taken from."""
     _, _, with_wheels, without = both
     assert with_wheels.sigmas is not None and without.sigmas is not None
     for name in ("velocity_n", "attitude", "track"):
@@ -245,7 +245,7 @@ def test_what_wheels_tell_of_makes_nothing_less_sure(
 
 
 @pytest.mark.parametrize("preset", ["kart", "kart_harsh"])
-def test_a_last_step_by_a_sigma_is_as_sure_as_another_one_after_it(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_last_step_by_a_sigma_is_as_sure_as_one_more_after_it(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Covariances are in the axes of the attitudes before the step, and the nose is where the slip after it has it."""
     session, moves, last, found = kart(preset)[1], [], [], {}
     moved = batch_module.moved
