@@ -5,6 +5,7 @@ every write of a life from the first boot to the end of a second recording.
 """
 
 import fcntl
+import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ sys.path.insert(0, str(FIRMWARE))
 import build  # noqa: E402
 
 HANGS_AFTER = 1800  # s; half a minute is enough on a machine that does nothing else
+VOLUME_AT = 1 << 20  # where the volume begins on a card
 PROGRAMS = ("sdcard", "mpu9250", "neo6m", "app")
 
 
@@ -90,13 +92,27 @@ def test_file_systems_made_and_left_here_please_fsck(programs, tmp_path):
         run(programs, "cuts", "save", str(cut_at), str(torn), str(image))
         # the volume stands behind a partition table: give fsck the volume alone
         volume = tmp_path / "volume.img"
-        subprocess.run(
-            ["dd", f"if={image}", f"of={volume}", "bs=1M", "skip=1", "conv=sparse", "status=none"], check=True
-        )
+        _cut_out(image, VOLUME_AT, volume)
         done = subprocess.run([build.find_tool("fsck.fat"), "-n", str(volume)], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout
         image.unlink()
         volume.unlink()
+
+
+def _cut_out(image: Path, first: int, volume: Path) -> None:
+    """Copy what lies in `image` from byte `first` on, without reading its holes: nearly all of its gigabytes are one."""
+    with image.open("rb") as card, volume.open("wb") as out:
+        size = os.fstat(card.fileno()).st_size
+        out.truncate(size - first)
+        end = first
+        while end < size:
+            try:
+                begin = os.lseek(card.fileno(), end, os.SEEK_DATA)
+            except OSError:  # a hole up to the end
+                return
+            end = os.lseek(card.fileno(), begin, os.SEEK_HOLE)
+            out.seek(begin - first)
+            out.write(os.pread(card.fileno(), end - begin, begin))
 
 
 def test_reader_finds_what_the_logger_recorded(programs, tmp_path):

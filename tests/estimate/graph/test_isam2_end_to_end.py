@@ -82,5 +82,5 @@ def test_the_constants_of_the_stream_are_those_identified(solutions: tuple[Traje
 
 def test_quick_fixes_without_speeds_are_streamed_too() -> None:
     """They tell velocities by their differences alone, for which the digits of a Cholesky factor do not suffice."""
-    raw = simulate_preset("kart", 1, track="tinbarn", duration=40.0, gnss_rate=25.0, gnss_velocity=False).raw
+    raw = simulate_preset("kart", 1, track="tinbarn", duration=20.0, gnss_rate=25.0, gnss_velocity=False).raw
     assert GraphSmoother(GraphOptions(solver="isam2")).estimate(prepare(raw)).report.mode == "full"
