@@ -100,7 +100,7 @@ def test_file_systems_made_and_left_here_please_fsck(programs, tmp_path):
 
 
 def _cut_out(image: Path, first: int, volume: Path) -> None:
-    """Copy what lies in `image` from byte `first` on, without reading its holes: nearly all of its gigabytes are one."""
+    """Copy what lies in `image` from byte `first` on, but for its holes: nearly all of its gigabytes are one."""
     with image.open("rb") as card, volume.open("wb") as out:
         size = os.fstat(card.fileno()).st_size
         out.truncate(size - first)
