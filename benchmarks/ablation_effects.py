@@ -310,6 +310,7 @@ EFFECTS = (
     Effect("response of the Doppler", options={"velocity_response_sigma": 1e-3 * OFF}),
     Effect("shape of what the Doppler filters", options={"evenness_sigma": 1e-3 * OFF}),
     Effect("slopes of what the receiver shows", patches=((session_rows, "shown_below", _all_shown),)),
+    Effect("noise that the receiver filtered", patches=((components, "passed_noise", _same_everywhere),)),
     Effect("magnetometer", session=_no_magnetometer),
     Effect("robust weights", patches=((session_rows, "robust", _same),)),
     Effect("standstill", patches=((start, "session_standstill", _never_still),)),

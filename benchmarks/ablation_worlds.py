@@ -178,6 +178,9 @@ WORLDS = {
     "kart, magnetic course": World("kart", {}, _magnetic),
     "kart, Doppler that is a mean of five": World("kart", {}, _filtered),
     "kart at an even speed, such a Doppler": World("kart", {"motion_top_speed": 12.0}, _filtered),
+    "kart at an even speed, such a Doppler of 10 Hz": World(
+        "kart", {"motion_top_speed": 12.0, "gnss_rate": 10.0}, _filtered
+    ),
     "kart at an even speed": World("kart", {"motion_top_speed": 12.0}),
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),

@@ -20,7 +20,7 @@ from smoother.estimate.graph.increments import left_jacobian_inverse, linearize_
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inertial_noise import interval_noise
 from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.response import low_passed
+from smoother.estimate.graph.response import evened, low_passed
 from smoother.estimate.graph.rows import Rows, ground_rows
 from smoother.estimate.graph.session_rows import expected_of
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
@@ -196,8 +196,7 @@ def test_doppler_velocity(last: Linearized) -> None:
         tau, arm = math.sqrt(2.0 * rho), path.R_ns @ c.lever_arm_s
         x = felt.followed.velocity_n[:, :2]
         x = x + felt.followed.turn_rate[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
-        y, once = level(last, low_passed(x, dt, tau), t + tau), low_passed(x, dt, tau / math.sqrt(2.0))
-        z = level(last, low_passed(once[::-1], dt, tau / math.sqrt(2.0))[::-1], t)
+        y, z = level(last, low_passed(x, dt, tau), t + tau), level(last, evened(x, dt, tau), t)
         rounded = (1.0 - c.evenness) * y + c.evenness * z - level(last, x, t)
         beta = beta + u**2 * (3.0 - 2.0 * u) * (rounded - beta)
     want = between(state, t).velocity_n + swing + beta + c.doppler_bias_n - data.velocity_n[use]

@@ -30,6 +30,7 @@ WORLD_OF = {
     "arm that stays with the kart, box on the wheel": "kart, late force on the wheel",
     "shape of what the Doppler filters": "kart, Doppler that is a mean of five",
     "slopes of what the receiver shows": "kart, Doppler that is a mean of five",
+    "noise that the receiver filtered": "kart, Doppler that is a mean of five",
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
 }

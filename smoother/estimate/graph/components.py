@@ -20,9 +20,11 @@ from smoother.estimate.graph.inertial import VarianceComponent, inertial_compone
 from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise
 from smoother.estimate.graph.normal_equations import used_columns
+from smoother.estimate.graph.response import PassedNoise, passed_noise
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
-from smoother.estimate.graph.state import ACCEL_BIAS, GYRO_BIAS, ROW_CONSTANTS_SIZE
+from smoother.estimate.graph.state import ACCEL_BIAS, EVENNESS, GYRO_BIAS, ROW_CONSTANTS_SIZE, VELOCITY_RESPONSE
+from smoother.fit.running import running_mean
 
 # bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
 SENSOR_ERROR = (np.array([1e-3, 1e-3, 1e-2]), np.array([1.5e-2, 1.5e-2, 1.0]))
@@ -123,7 +125,12 @@ def update_noise(
         accel = _density(force, now.accel, scatter.accel)
     else:
         together = not force_is_stated
-        velocity[:2], accel = _velocity_and_force(velocities, force, noise, scatter, doppler, together=together)
+        variance = np.diag(solution.constants_covariance)
+        unsure = float(np.sqrt(variance[VELOCITY_RESPONSE][0])), float(np.sqrt(variance[EVENNESS][0]))
+        passed = passed_noise(state.constants, unsure, doppler.every)
+        if passed is not None:
+            velocities = _of_means(velocities, solved.rows["gps_velocity"], passed.several)
+        velocity[:2], accel = _velocity_and_force(velocities, force, noise, scatter, doppler, passed, together=together)
     gyro = _density(rate, now.gyro, scatter.gyro)
     rough = None if binned.rough is None else binned.rough[some]
     inertial = _spread_out(replace(now, accel=accel, gyro=gyro), force, rate, rough)
@@ -201,6 +208,13 @@ def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
     return unseen_variance(offset, float(noise.position[0]), population, n_fixes)
 
 
+def _of_means(component: "RowComponent", rows: Rows, several: int) -> "RowComponent":
+    """The component with squares of the means of `several` level residuals in turn in place of those of each."""
+    squares = component.squares.copy()
+    squares[:, :2] = running_mean(np.copysign(np.sqrt(squares), rows.residual)[:, :2], several) ** 2
+    return RowComponent(squares, component.expected)
+
+
 def _density(component: VarianceComponent, density: float, scatter: float) -> float:
     """Density estimated from residuals that were given `density`."""
     ratio = _density_ratio(component, density, scatter) ** HASTE
@@ -223,12 +237,13 @@ def _velocity_and_force(
     noise: Noise,
     scatter: Scatter,
     doppler: DopplerNoise,
+    passed: PassedNoise | None,
     *,
     together: bool,
 ) -> tuple[float, float]:
     """Sigma of level velocities, m/s, and density of force, m/s^2/sqrt(Hz), by a step of Fisher scoring.
 
-    together: of both (:func:`scored`); without, force stays.
+    together: of both (:func:`scored`); without, force stays. passed: see there.
     """
     sigma, accel = float(noise.velocity[0]), noise.inertial.accel
     squares, expected = float(np.sum(velocities.squares[:, :2])), float(np.sum(velocities.expected[:, :2]))
@@ -236,31 +251,49 @@ def _velocity_and_force(
     ratio = np.array([of_rows, _density_ratio(force, accel, scatter.accel) if together else 1.0])
     count = max(1.0, float(np.count_nonzero(velocities.expected[:, 0])))
     share, usual = (sigma / accel) ** 2 / doppler.every, float(USUAL_VELOCITY[0]) / sigma
-    of_velocity, of_force = scored(ratio, share, count, usual, together=together)
+    of_velocity, of_force = scored(ratio, share, count, usual, passed, together=together)
     if together and accel * of_force < OWN_SCATTER * scatter.accel:  # it stays there: velocities must not count on more
-        of_velocity, _ = scored(np.array([of_rows, 1.0]), share, count, usual, together=False)
+        of_velocity, _ = scored(np.array([of_rows, 1.0]), share, count, usual, passed, together=False)
     return sigma * of_velocity, max(accel * of_force, OWN_SCATTER * scatter.accel)
 
 
-def scored(ratio: Array, share: float, count: float, usual: float, *, together: bool = True) -> tuple[float, float]:
+def scored(
+    ratio: Array, share: float, count: float, usual: float, passed: PassedNoise | None = None, *, together: bool = True
+) -> tuple[float, float]:
     """Ratios by which the sigma of level velocities and the density of force are to change.
 
     ratio (2,): of each, what the residuals show to what they were given. share: variance of a velocity over that of the
     change from it to the next, as the samples tell it. count: of velocities, at least 1; usual: the sigma that
-    receivers have over the one that was given, known up to USUAL_SPREAD. together: both change; without, force stays.
+    receivers have over the one that was given, known up to USUAL_SPREAD. passed: by a receiver that filters; then the
+    residuals of velocities are means of passed.several. together: both change; without, force stays.
 
     Where samples are much the noisier, velocities are fitted nearly exactly: some per cent of their noise is left in
     the residuals, and of what is too much in these, some per cent only are theirs. Ratio by ratio that takes dozens of
     turns. Velocities that measure a random walk leave, in the part of angle theta of the spectrum, their noise and the
     walk's as 4 share sin^2(theta/2) to 1; the information on both variances is the mean over theta of the products.
     Two of the three directions of force are such a walk, the third is left to itself.
+
+    What is slow in the noise of a receiver that filters is as large as without its filter, and tells how much
+    velocities are worth; what is quick is missing. Taken for white it would be a fifth of that behind a mean of five,
+    and the force as noisy as the rest. So sigma is that of white noise before the filter, whose slow part shows in
+    means of residuals: there filters of one response are alike, which in quick noise they are not.
     Source: Foerstner 1979; scoring: Harville 1977; the means are elementary integrals.
     """
     walk = 1.0 / math.sqrt(1.0 + 4.0 * share)  # mean part that is the walk's, and the mean of its square
     square = (1.0 + 2.0 * share) * walk**3
-    both = 2.0 * (walk - square) if together else 0.0
-    information = np.array([[2.0 * (1.0 - 2.0 * walk + square), both], [both, 2.0 * square + 1.0]])
-    expected = np.array([2.0 * (1.0 - walk), 2.0 * walk + 1.0])
+    both, own = walk - square, 1.0 - 2.0 * walk + square
+    white = np.array([2.0 * (1.0 - walk), 2.0 * walk + 1.0])  # expected of both residuals, in halves of `count`
+    information = np.array([[2.0 * own, 2.0 * both], [2.0 * both, 2.0 * square + 1.0]])
+    expected = white
+    if passed is not None:
+        part, means = 1.0 / (1.0 + 4.0 * share * np.sin(0.5 * passed.angle) ** 2), passed.of_means()
+        left = passed.power * (1.0 - part)
+        information[:, 0] = 2.0 * np.mean(left * (1.0 - part) * means), 2.0 * np.mean(left * part)
+        information[0, 1] = 2.0 * np.mean(part * (1.0 - part) * means)
+        expected = information.sum(axis=1)
+        ratio = ratio * np.sqrt(white / expected)
+    if not together:
+        information[0, 1] = information[1, 0] = 0.0
     known = np.array([2.0 / (count * USUAL_SPREAD**2), 0.0])  # in the same unit, half of `count`
     slope = expected * 2.0 * np.log(ratio) + known * 2.0 * math.log(usual)
     step = np.linalg.solve(information + np.diag(known), slope)

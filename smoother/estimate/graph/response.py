@@ -4,7 +4,7 @@ What the constants velocity_response and evenness of a session mean (:class:`smo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from smoother.estimate.graph.state import Constants
 
 # s^2: a response below the first is as much noise as not, above the second a receiver's low-pass (tau of 0.09 s)
 LOW_PASS = (1e-3, 4e-3)
+PARTS = 2000  # of a spectrum; velocities that tell little are told by its first hundredth
 FORGOTTEN = 1e-9  # share of a value that is left
 
 
@@ -67,7 +68,7 @@ def response_of(path: DensePath, felt: ExpectedMotion, session: Constants, t: Ar
     filtered, by_filter, by_evenness = late(antenna_n), late(jerk_n, 2), simple.by_evenness_n
     if not session.is_steered:
         filtered = filtered + evenness * (even(antenna_n) - filtered)
-        by_filter = by_filter + evenness * (even(jerk_n, 2) - by_filter)
+        by_filter = by_filter + evenness * (even(jerk_n) - by_filter)
         slow_n = _antenna_velocity(path, felt.slow, session)
         by_evenness = share * (even(slow_n) - late(slow_n))
     shown = filtered - at_times(path, _level(antenna_n), t)
@@ -82,6 +83,52 @@ def low_pass_share(response: float) -> tuple[float, float]:
     """Share, 0 to 1, in which a response, s^2, is a filter's and no noise, and the slope of that by the response."""
     u = min(max((response - LOW_PASS[0]) / (LOW_PASS[1] - LOW_PASS[0]), 0.0), 1.0)
     return u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / (LOW_PASS[1] - LOW_PASS[0])
+
+
+@dataclass(frozen=True, eq=False)
+class PassedNoise:
+    """What a receiver's filter leaves of the noise in its velocities.
+
+    power (N,): share of its power, in N equal parts of the spectrum from nothing to half of the velocities' rate; of
+    what is slow all. several: velocities, an odd number, that it goes on for.
+    """
+
+    power: Array
+    several: int
+
+    @property
+    def angle(self) -> Array:
+        """Middles (N,) of the parts, rad from one velocity to the next."""
+        return np.asarray(np.pi * (np.arange(len(self.power)) + 0.5) / len(self.power))
+
+    def of_means(self) -> Array:
+        """Share (N,) of a power that running means of `several` leave."""
+        return left_of_mean(self.several, self.angle)
+
+
+def passed_noise(session: Constants, unsure: tuple[float, float], every: float) -> PassedNoise | None:
+    """What the filter of a receiver leaves of the noise in velocities `every` s apart; None where it shows no filter.
+
+    unsure: sigmas of response, s^2, and of evenness. Of the least response within its sigma, and of an evenness within
+    its own of what filters have: where a filter is in doubt, velocities seem to be worth little, and hold neither
+    response nor delay. Means of less than two velocities pass the noise. Of a box on the wheel the response is not the
+    receiver's alone.
+    v_i = v_(i-1) + a (x_i - v_(i-1)) with that response leaves 1 / (1 + 8 response / every^2 sin^2(angle / 2)); a mean
+    of n velocities has a response of (n^2 - 1) / 24 every^2.
+    """
+    response, evenness = session.velocity_response - unsure[0], min(max(session.evenness, 0.0), 1.0)
+    squared = low_pass_share(response)[0] * response / every**2
+    n = math.sqrt(1.0 + 24.0 * max(squared, 0.0))
+    if session.is_steered or n < 2.0 or abs(session.evenness - evenness) > unsure[1]:
+        return None
+    found = PassedNoise(np.ones(PARTS), 1 + 2 * round(0.5 * (n - 1.0)))
+    late = 1.0 / (1.0 + 8.0 * squared * np.sin(0.5 * found.angle) ** 2)
+    return replace(found, power=late + evenness * (left_of_mean(n, found.angle) - late))
+
+
+def left_of_mean(n: float, angle: Array) -> Array:
+    """Share (N,) of a power at angle (N,), rad from one value to the next, that means of n values leave."""
+    return np.asarray((np.sin(0.5 * n * angle) / (n * np.sin(0.5 * angle))) ** 2)
 
 
 def _jerk(motion: Motion, dt: float) -> Array:
@@ -118,9 +165,20 @@ def low_passed(values: Array, dt: float, tau: float) -> Array:
 
 
 def evened(values: Array, dt: float, tau: float) -> Array:
-    """Values (M, c) after a mean over as much before as after, with the response of a low-pass of time constant tau.
+    """Values (M, c), dt s apart and straight lines in between, after a mean over as much before as after.
 
-    A low-pass and the same one backwards, each with half of the square of tau: no delay is left.
+    Of a length with the response of a low-pass of time constant tau; what is at the ends goes on beyond them.
     """
-    each = tau / math.sqrt(2.0)
-    return low_passed(low_passed(values, dt, each)[::-1], dt, each)[::-1]
+    half = math.sqrt(3.0) * tau
+    beyond = int(half / dt) + 2
+    padded = np.pad(values, ((beyond, beyond), (0, 0)), mode="edge")
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(0.5 * dt * (padded[1:] + padded[:-1]), axis=0)])
+    steps, part = int(half / dt), half - dt * int(half / dt)
+
+    def integral(at: int, sign: float) -> Array:
+        """From the beginning to `part` s after (sign 1) or before (-1) the edges from `at` on."""
+        here, beside = padded[at : at + len(values)], padded[at + int(sign) : at + int(sign) + len(values)]
+        return total[at : at + len(values)] + sign * part * (here + 0.5 * part / dt * (beside - here))
+
+    after, before = integral(beyond + steps, 1.0), integral(beyond - steps, -1.0)
+    return np.asarray((after - before) / (2.0 * half))

@@ -1,5 +1,8 @@
 """Variance components by themselves: what residuals say of the noise that they come from."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,8 @@ from smoother.estimate.graph.components import (
     LOCAL,
     LOCAL_BOUNDS,
     USUAL_SPREAD,
+    RowComponent,
+    _of_means,
     _shape,
     _share,
     bounded_mean,
@@ -15,6 +20,9 @@ from smoother.estimate.graph.components import (
 )
 from smoother.estimate.graph.inertial import VarianceComponent
 from smoother.estimate.graph.inertial_noise import ROUND
+from smoother.estimate.graph.response import passed_noise
+from smoother.estimate.graph.rows import prior_row
+from smoother.estimate.graph.state import Constants
 
 
 def component_of(squares: np.ndarray, redundancy: np.ndarray) -> VarianceComponent:
@@ -88,21 +96,24 @@ class Walk:
     """Velocities of sigma r that measure a random walk of steps q, and another such walk that nothing measures.
 
     Residuals of both after the smoother of a filter that was given r and q as they are not: by its spectrum.
+    weights: of the last velocities, the newest first, in each that is shown; that it is late and round is known.
     """
 
-    def __init__(self, r: float, q: float, n: int = 20_000, seed: int = 0) -> None:
+    def __init__(self, r: float, q: float, n: int = 20_000, seed: int = 0, weights: Sequence[float] = (1.0,)) -> None:
         rng = np.random.default_rng(seed)
-        steps, noise = q * rng.normal(size=n), r * rng.normal(size=n)
+        steps, white = q * rng.normal(size=n), r * rng.normal(size=n)
+        noise = np.sum([w * np.roll(white, i) for i, w in enumerate(weights)], axis=0)
         change = steps + noise - np.roll(noise, 1)  # of what is measured, on a circle
         self._power, self._theta, self._n = np.abs(np.fft.fft(change)) ** 2 / n, 2.0 * np.pi * np.arange(n) / n, n
         self._aside = float(np.mean((q * rng.normal(size=n)) ** 2))
 
-    def ratios(self, r: float, q: float) -> np.ndarray:
-        """Ratio of the sigmas that the residuals show to r and q, with which they were found."""
+    def ratios(self, r: float, q: float, several: int = 1) -> np.ndarray:
+        """Ratio of the sigmas that the residuals show to r and q, with which they were found; of means of several."""
         of_noise = 4.0 * r**2 * np.sin(0.5 * self._theta) ** 2
         whole = of_noise + q**2
         share = of_noise / whole
-        squares = np.mean(share * self._power / whole), np.mean((1.0 - share) * self._power / whole)
+        means = np.abs(np.fft.fft(np.ones(several) / several, self._n)) ** 2
+        squares = np.mean(share * means * self._power / whole), np.mean((1.0 - share) * self._power / whole)
         expected = np.mean(share), np.mean(1.0 - share)
         force = (2.0 * squares[1] + self._aside / q**2) / (2.0 * expected[1] + 1.0)
         return np.sqrt([squares[0] / expected[0], force])
@@ -120,6 +131,39 @@ def test_noise_of_velocity_and_force_is_found_in_a_few_turns(r: float, wrong: tu
     # 20,000 velocities of a quarter of the steps tell their sigma to 5 %
     assert found[0] == pytest.approx(r, rel=0.1 if r < 0.1 else 0.04)
     assert found[1] == pytest.approx(q, rel=0.03)
+
+
+@pytest.mark.parametrize("wrong", [(3.0, 1.0), (1.0 / 3.0, 1.5), (0.5, 0.7)])
+@pytest.mark.parametrize(
+    ("weights", "evenness"), [([1.0 / 3.0] * 3, 0.5), ([0.2] * 5, 1.0), ([0.4 * 0.6**i for i in range(40)], 0.0)]
+)
+def test_noise_that_a_receiver_filtered_is_as_much_as_it_is_worth(
+    weights: list[float], evenness: float, wrong: tuple[float, float]
+) -> None:
+    """Taken for white it would be a fifth of it behind a mean of five, and the steps half as large again."""
+    r, q, every, lasts = 0.15, 0.063, 0.2, np.arange(len(weights))
+    response = 0.5 * every**2 * float(np.array(weights) @ (lasts - np.array(weights) @ lasts) ** 2)
+    session = Constants(0.0, 0.0, np.zeros(3), velocity_response=response, evenness=evenness)
+    passed = passed_noise(session, (0.0, 0.0), every)
+    assert passed is not None
+    walk, found = Walk(r, q, weights=weights), np.array([wrong[0] * r, wrong[1] * q])
+    for _ in range(20):
+        share, ratios = float((found[0] / found[1]) ** 2), walk.ratios(*found, passed.several)
+        found *= scored(ratios, share, 20_000.0, r / found[0], passed)
+    assert found[0] == pytest.approx(r, rel=0.15)  # filters of one response differ by so much in means
+    assert found[1] == pytest.approx(q, rel=0.1)
+
+
+def test_means_of_residuals_keep_their_sign() -> None:
+    rng = np.random.default_rng(0)
+    residual = rng.normal(size=(1000, 3))
+    rows = replace(prior_row("gps_velocity", residual[0], np.full(3, 0.5), slice(0, 3)), residual=residual)
+    component = RowComponent(residual**2 / 0.25, np.ones((1000, 3)))
+    found = _of_means(component, rows, 3)
+    mean = (residual[:-2] + residual[1:-1] + residual[2:]) / 3.0
+    np.testing.assert_allclose(found.squares[1:-1, :2], mean[:, :2] ** 2 / 0.25)
+    np.testing.assert_array_equal(found.squares[:, 2], component.squares[:, 2])  # upwards nothing is taken for filtered
+    np.testing.assert_array_equal(found.expected, component.expected)
 
 
 def test_few_velocities_are_as_noisy_as_those_of_receivers_are() -> None:

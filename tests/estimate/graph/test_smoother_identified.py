@@ -175,6 +175,24 @@ def test_a_receiver_that_filters_what_it_shows_draws_neither_delay_nor_arm(weigh
     assert s.trajectory.report.identified["gps_velocity_response"].value > 0.01
 
 
+@pytest.mark.parametrize(("seed", "track", "rate", "n"), [(104, "longmeadow", 5.0, 3), (102, "larkfield", 5.0, 5)])
+def test_at_even_speed_a_filter_draws_neither_delay_nor_arm(seed: int, track: str, rate: float, n: int) -> None:
+    """There an arm ahead and a delay are nearly one; with filtered noise taken for white 0.08 s off, six sigmas."""
+    simulation = simulate_preset(
+        "kart", seed, track=track, duration=200.0, motion_top_speed=12.0, gnss_rate=rate, gnss_outages=()
+    )
+    scenario = simulation.scenario
+    s = smoothed(simulation, behind_filter(prepare(simulation.raw), [1.0 / n] * n))
+    found = s.trajectory.report.identified
+    late = found["gps_velocity_latency"]
+    assert abs(late.value - scenario.gnss.velocity_latency - 0.5 * (n - 1) / rate) < 2.5 * late.sigma
+    arm = found["lever_arm_b"]
+    assert abs(arm.value[0] - scenario.lever_arm_b[0]) < 2.5 * arm.sigma[0]
+    response = found["gps_velocity_response"]
+    assert abs(response.value - (n**2 - 1) / 24.0 / rate**2) < 2.5 * response.sigma
+    assert found["gps_velocity_noise"].value[0] > 0.1  # 0.03 taken for white
+
+
 def test_a_receiver_far_slower_than_others_is_no_worse() -> None:
     """Its response is 35 sigmas of what receivers have; held near that, speed would be 1 m/s off."""
     tau = 0.6
