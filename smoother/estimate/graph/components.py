@@ -51,9 +51,6 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 # Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
 # this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
-# Logarithm of a step of the fixes' white noise, beyond which their wander waits: beside ten times too much of it fixes
-# do not seem to wander, and come back from that by some per cent in a turn
-NEAR_WHITE = 0.25
 MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
 LOCAL = 2.0  # s of residuals that tell how noisy force is in their midst
 LOCAL_EVERY = 0.4  # s from one interval that tells it to the next
@@ -142,10 +139,7 @@ def update_noise(
         inertial=replace(inertial, local=local_level(force, some, binned.t, now)) if by_place else inertial,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
-        offset_sigma=np.minimum(
-            noise.offset_sigma * np.where(_is_near(white, noise.position), _offset_ratio(solved), 1.0),
-            noise.offset_most,
-        ),
+        offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
@@ -389,11 +383,6 @@ def bounded_mean(n: int, largest: float) -> float:
         return 1.0 - math.exp(-largest)
     inside, density = math.erf(math.sqrt(0.5 * largest)), math.exp(-0.5 * largest) / math.sqrt(2.0 * math.pi)
     return inside - 2.0 * math.sqrt(largest) * density + largest * (1.0 - inside)
-
-
-def _is_near(sigma: Array, before: Array) -> Array:
-    """Whether white noise of fixes (3,), m, is nearly what it was before."""
-    return np.asarray(np.abs(np.log(np.maximum(sigma, SMALLEST_POSITION) / before)) < NEAR_WHITE)
 
 
 def _offset_ratio(solved: Solved) -> Array:
