@@ -51,6 +51,9 @@ LARGEST_SHARE = 0.95  # something is left where nothing shakes
 # Squared residual of a fix over what is expected of it, beyond which more does not say how much fixes scatter, but that
 # this one was off. On real karts the median is 0.4-0.65 of a Gaussian one's, and the last hundredth up to 1.7.
 LARGEST_SQUARE = 1.0
+# Logarithm of a step of the heights' white noise, beyond which their wander waits: beside ten times too much of it they
+# do not seem to wander, and come back from that by some per cent in a turn
+NEAR_WHITE = 0.25
 MOST_HEIGHTS = 0.5  # share of the fixes that have one, from which on they tell how it wanders
 LOCAL = 2.0  # s of residuals that tell how noisy force is in their midst
 LOCAL_EVERY = 0.4  # s from one interval that tells it to the next
@@ -139,7 +142,7 @@ def update_noise(
         inertial=replace(inertial, local=local_level(force, some, binned.t, now)) if by_place else inertial,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
-        offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved), noise.offset_most),
+        offset_sigma=np.minimum(noise.offset_sigma * _offset_ratio(solved, white, noise), noise.offset_most),
         sensor_error=np.clip(noise.sensor_error * _error_ratio(solved, noise), *SENSOR_ERROR),
     )
 
@@ -385,8 +388,12 @@ def bounded_mean(n: int, largest: float) -> float:
     return inside - 2.0 * math.sqrt(largest) * density + largest * (1.0 - inside)
 
 
-def _offset_ratio(solved: Solved) -> Array:
-    """Ratio (3,) for the sigma of the GPS offset: few of its steps stand out of the white noise, so it moves slowly."""
+def _offset_ratio(solved: Solved, white: Array, noise: Noise) -> Array:
+    """Ratio (3,) for the sigma of the GPS offset: few of its steps stand out of the white noise, so it moves slowly.
+
+    That of heights waits until their noise, given in `noise`, is near `white` (3,) m, where it is going. That of level
+    fixes does not: thinned real ones are then nearer to the path, and level velocities do not hang on it.
+    """
     start, steps = solved.rows["gps_offset_start"], solved.rows["gps_offset"]
     chi2, redundancy = np.zeros(3), np.zeros(3)
     for rows in (start, steps):
@@ -395,7 +402,8 @@ def _offset_ratio(solved: Solved) -> Array:
     chi2[:2], redundancy[:2] = chi2[:2].mean(), redundancy[:2].mean()
     ratio = np.clip(np.sqrt((chi2 + 1.0) / (np.maximum(redundancy, 0.0) + 1.0)), 1.0 / 3.0, 3.0)
     has_height = np.isfinite(solved.rows["gps_position"].sigma[:, 2])
-    if np.mean(has_height) < MOST_HEIGHTS:  # level ground has none, and says nothing of the receiver's
+    is_on_its_way = abs(math.log(max(float(white[2]), SMALLEST_POSITION) / float(noise.position[2]))) > NEAR_WHITE
+    if is_on_its_way or np.mean(has_height) < MOST_HEIGHTS:  # level ground has none, and says nothing of the receiver's
         ratio[2] = 1.0
     return ratio
 

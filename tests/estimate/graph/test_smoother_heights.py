@@ -49,6 +49,19 @@ def test_one_height_is_enough_for_a_session(solver: str) -> None:
     assert np.sqrt(np.mean((found.velocity_error_n[:, 2] / sigmas.velocity_n[:, 2]) ** 2)) < 1.6
 
 
+def test_fixes_once_a_second_wander_as_much_as_they_do() -> None:
+    """White noise is first taken for ten times as much: beside that heights do not seem to wander, and hold the path."""
+    simulation = simulate_preset("kart", 501, duration=300.0, gnss_rate=1.0)
+    found = smoothed(simulation, prepare(simulation.raw))
+    sigmas = found.trajectory.sigmas
+    assert sigmas is not None
+    driving = found.trajectory.speed > 5.0
+    up = (found.velocity_error_n / sigmas.velocity_n)[driving, 2]
+    assert np.sqrt(np.mean(up**2)) < 1.45
+    noise = found.trajectory.report.identified["gps_position_noise"].value
+    assert simulation.scenario.gnss.white_up < np.asarray(noise)[2] < 1.5 * simulation.scenario.gnss.white_up
+
+
 def test_where_no_height_tells_ground_may_rise() -> None:
     """A level drive put on a slope: what it climbs nobody measured, and the sigma of the velocity up knows."""
     simulation, slope = simulate_preset("kart", 6, duration=120.0, gnss_outages=()), 0.04
