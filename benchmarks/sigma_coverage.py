@@ -180,7 +180,7 @@ def mean_nees(sessions: Sequence[SessionErrors]) -> list[MeanNees]:
 
 
 def run(case: Case, estimator: Estimator | None = None, *, states_delay: bool = False) -> SessionErrors:
-    """Simulate, smooth, and compare with the truth. states_delay: the settings say that no filter delays the samples."""
+    """Simulate, smooth, and compare with the truth. states_delay: settings say that no filter delays the samples."""
     simulation = case.simulate()
     session = recorded(simulation)
     if states_delay:

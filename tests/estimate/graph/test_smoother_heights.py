@@ -50,7 +50,7 @@ def test_one_height_is_enough_for_a_session(solver: str) -> None:
 
 
 def test_fixes_once_a_second_wander_as_much_as_they_do() -> None:
-    """White noise is first taken for ten times as much: beside that heights do not seem to wander, and hold the path."""
+    """White noise is first taken for ten times as much: beside that heights hardly seem to wander, and hold it."""
     simulation = simulate_preset("kart", 501, duration=300.0, gnss_rate=1.0)
     found = smoothed(simulation, prepare(simulation.raw))
     sigmas = found.trajectory.sigmas
