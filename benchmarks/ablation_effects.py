@@ -160,7 +160,7 @@ def _one_by_one(*_: Any) -> float:
     return 1.0
 
 
-def _no_ratio(_: Any) -> Array:
+def _no_ratio(*_: Any) -> Array:
     return np.ones(3)
 
 
