@@ -37,7 +37,7 @@ from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.estimate.graph.batch import Batch, constants_moved, moved, variances
 from smoother.estimate.graph.coarse import near_solution
-from smoother.estimate.graph.estimated import estimated
+from smoother.estimate.graph.estimated import are_made_up, estimated
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory
@@ -178,7 +178,7 @@ def told_batch(session: Session, start: LagStart) -> Trajectory:
         if turn > 0 and max(moved(step, variances(step)), constants_moved(step)) < SETTLED:
             break
     mounting, population = fit_mounting(state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
-    found = estimated(solved, None)
+    found = estimated(solved, None, are_made_up(begun.fine))
     return build_trajectory(session, found, noise, mounting, begun.fine, begun.priors, options.rate, population)
 
 

@@ -7,17 +7,22 @@ estimator finds; only its result is in body axes b.
 All arrays are float64 and read-only; times are seconds on one clock per session, strictly increasing.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from smoother.arrays import Array, frozen, frozen_int, median, require_increasing
+from smoother.arrays import Array, BoolArray, frozen, frozen_int, median, require_increasing
 from smoother.config import SessionConfig
 from smoother.disc import pieces
 from smoother.frames import Origin, geodetic_to_nwu
 
 SENSOR_AXES = 3
-
+GAP_STEPS = 1.5  # usual steps, beyond which a sample is missing
+BESIDE = 16  # steps before or after one, that tell the rate there
+ALIKE_STEPS = 1.6  # ratio of the long ones among these to the short ones; between samples lost by chance it is more
+SLOWEST_STEP = 0.0525  # s; twenty samples a second, with some jitter: fewer do not tell how a kart moves
+RATES_TOGETHER = 1 << 16  # steps whose neighbours are looked at together
 
 IMU_BEFORE_FIXES, IMU_AFTER_FIXES = "imu_before_fixes", "imu_after_fixes"  # by the stamps of both, as they were read
 IMU_AXES_UNKNOWN, IMU_INCOMPLETE = "imu_axes_unknown", "imu_incomplete"  # codes of motion sensors that are not used
@@ -35,13 +40,46 @@ class Problem:
     count: int = 1
 
 
+def usual_step(t: Array) -> float:
+    """Return the usual step of times t (N,) s, N > 1: the median; of hours, that of the medians of their parts.
+
+    All differences of a day, and a copy to sort them in, would be a quarter of a gigabyte.
+    """
+    parts = pieces(len(t) - 1)
+    return median(np.array([median(np.diff(t[part.start : part.stop + 1])) for part in parts]))
+
+
+def usual_steps(steps: Array, usual: float) -> Array:
+    """Return the usual step (N,) s where each of `steps` (N,) s between samples is, of which `usual` s is the median.
+
+    A sensor or its logger may go on more slowly, as a telephone that got warm: where steps are alike for a while that
+    is the rate, and no samples are lost. Slower than SLOWEST_STEP they do not count.
+    """
+    local = np.full(len(steps), usual)
+    long = np.flatnonzero(steps > GAP_STEPS * usual)
+    for part in pieces(len(long), RATES_TOGETHER):
+        for beside in (np.arange(BESIDE + 1), np.arange(-BESIDE, 1)):
+            some = long[part]
+            some = some[(some + beside[0] >= 0) & (some + beside[-1] < len(steps))]
+            short, middle, tall = np.percentile(steps[some[:, None] + beside], [20.0, 50.0, 80.0], axis=1)
+            is_rate = (tall < ALIKE_STEPS * short) & (middle > GAP_STEPS * usual) & (middle <= SLOWEST_STEP)
+            local[some[is_rate]] = middle[is_rate]
+    return local
+
+
+def are_gaps(steps: Array, usual: float, times: float) -> BoolArray:
+    """Mask (N,) of the steps s that are longer than `times` the :func:`usual_steps`."""
+    return np.asarray(steps > times * usual_steps(steps, usual))
+
+
 @dataclass(frozen=True, eq=False)
 class RawImu:
     """Inertial samples as logged. t (N,) s; accel, gyro (N, 3) counts in s; temperature (N,) deg C, NaN where unknown.
 
     accel_scale is m/s^2 per count, gyro_scale rad/s per count (1.0 for files in SI). Full scale in SI, or None if
     the file does not say; clipping is judged by it. longest_step s: in a longer interval samples were lost, as the
-    reader found from the stamps before it evened them out; None where nobody looked.
+    reader found from the stamps before it evened them out, or they come more slowly for a while (:func:`usual_steps`);
+    None where nobody looked.
     """
 
     t: Array
@@ -93,12 +131,19 @@ class ImuSamples:
 
     @property
     def interval(self) -> float:
-        """Usual time from sample to sample, s: the median; of hours, that of the medians of their parts. N > 1.
+        """Usual time from sample to sample, s."""
+        return usual_step(self.t)
 
-        All differences of a day, and a copy to sort them in, would be a quarter of a gigabyte.
-        """
-        parts = pieces(len(self.t) - 1)
-        return median(np.array([median(np.diff(self.t[part.start : part.stop + 1])) for part in parts]))
+    @property
+    def rms_interval(self) -> float:
+        """The same, rms over the time that there are samples: where they came more slowly for a while, more."""
+        usual, squares, total = self.interval, 0.0, 0.0
+        for part in pieces(len(self.t) - 1):
+            steps = np.diff(self.t[part.start : part.stop + 1])
+            local = usual_steps(steps, usual)
+            sampled = np.minimum(steps, local)
+            squares, total = squares + float(local**2 @ sampled), total + float(np.sum(sampled))
+        return math.sqrt(squares / total)
 
     def between(self, start: float, end: float) -> "ImuSamples":
         """Return the samples with start <= t < end."""

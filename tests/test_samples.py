@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, ImuSamples, MagSamples, RawImu, RawMag, Session
+from smoother.samples import (
+    BESIDE,
+    GnssFixes,
+    ImuSamples,
+    MagSamples,
+    RawImu,
+    RawMag,
+    Session,
+    are_gaps,
+    usual_steps,
+)
 
 ORIGIN = Origin(45.0, 12.0, 30.0)
 
@@ -49,6 +59,30 @@ def test_the_usual_interval_of_hours_is_found_without_copies_of_all_times() -> N
     tracemalloc.stop()
     assert interval == pytest.approx(0.005)
     assert peak < 0.5 * imu.t.nbytes
+
+
+def test_samples_that_come_more_slowly_for_a_while_are_no_gaps() -> None:
+    steps = np.concatenate([np.full(500, 0.005), np.full(100, 0.02), np.full(500, 0.005), [0.02], np.full(99, 0.005)])
+    local = usual_steps(steps, 0.005)
+    np.testing.assert_array_equal(local, np.where(np.arange(1200) // 100 == 5, 0.02, 0.005))
+    np.testing.assert_array_equal(np.flatnonzero(are_gaps(steps, 0.005, 1.5)), [1100])
+    imu = ImuSamples(np.cumsum(steps), np.zeros((1200, 3)), np.zeros((1200, 3)))
+    slow, fast = 100 * 0.02, 1099 * 0.005
+    assert imu.interval == pytest.approx(0.005)
+    assert imu.rms_interval == pytest.approx(np.sqrt((slow * 0.02**2 + fast * 0.005**2) / (slow + fast)), rel=0.01)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.5, 0.8])
+def test_samples_lost_by_chance_are_no_lower_rate(lost: float) -> None:
+    kept = np.flatnonzero(np.random.default_rng(2).random(20_000) > lost)
+    assert np.mean(usual_steps(np.diff(0.005 * kept), 0.005) > 0.005) < 0.01
+
+
+def test_samples_too_slow_for_a_kart_or_too_few_are_gaps() -> None:
+    few = np.concatenate([np.full(200, 0.005), np.full(BESIDE // 2, 0.02), np.full(200, 0.005)])
+    slow = np.concatenate([np.full(200, 0.005), np.full(100, 0.08)])
+    for steps in (few, slow):
+        assert np.all(usual_steps(steps, 0.005) == 0.005)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,8 @@ from smoother.samples import (
     RawImu,
     RawMag,
     RawSession,
+    are_gaps,
+    usual_step,
 )
 from smoother.session.clock import are_fix_gaps, regularize
 from smoother.session.inertial import dead_axes
@@ -319,11 +321,11 @@ def _samples_and_gaps(imu: RawImu) -> tuple[float, Array]:
 
 
 def _interval_and_gaps(t: Array, limit: float) -> tuple[float, Array]:
-    """Mean step (s), and the steps longer than `limit` seconds, which are not in the mean."""
-    gaps, total, count = [], 0.0, 0
+    """Mean step (s), and the steps longer than `limit` seconds that are no lower rate, which are not in the mean."""
+    gaps, total, count, usual = [], 0.0, 0, usual_step(t)
     for part in pieces(len(t) - 1):
         steps = np.diff(t[part.start : part.stop + 1])
-        good = steps <= limit
+        good = ~are_gaps(steps, usual, limit / usual)
         gaps.append(steps[~good])
         total, count = total + float(np.sum(steps[good])), count + int(np.count_nonzero(good))
         release(t)

@@ -11,7 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
-from smoother.samples import ImuSamples
+from smoother.samples import ImuSamples, usual_steps
 
 CHUNK = 65536  # rows
 
@@ -88,7 +88,8 @@ def _step_numbers(imu: ImuSamples, start: float, period: float) -> IntArray:
     number, usual = roomy(len(t), np.int64), imu.interval if len(t) > 1 else period
     for part in pieces(len(t)):
         before = t[part.start - 1] if part.start else t[0] - usual
-        interval = np.minimum(np.diff(t[part], prepend=before), 2.0 * usual)  # a gap is not part of a sample
+        interval = np.diff(t[part], prepend=before)
+        interval = np.minimum(interval, 2.0 * usual_steps(interval, usual))  # a gap is not part of a sample
         number[part] = np.rint((t[part] - 0.5 * interval - start) / period)
         release(number, t)
     return number

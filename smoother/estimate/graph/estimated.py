@@ -49,8 +49,11 @@ class Estimated:
     inertial: Mapping[str, ResidualStatistics] = field(default_factory=dict)
 
 
-def estimated(solved: Solved, nose: float | None) -> Estimated:
-    """Return what a graph that was solved in one piece says; nose, rad^2, as for :func:`uncertainty_of`."""
+def estimated(solved: Solved, nose: float | None, made_up: BoolArray | None) -> Estimated:
+    """Return what a graph that was solved in one piece says; nose, rad^2, as for :func:`uncertainty_of`.
+
+    made_up (K,): as for :func:`common_attitude`.
+    """
     at, factor = solved.linearised_at, solved.solution.factor
     return Estimated(
         solved.state,
@@ -58,7 +61,7 @@ def estimated(solved: Solved, nose: float | None) -> Estimated:
         uncertainty_of(solved, nose),
         solved.rows,
         None if factor is None else lambda unseen: ChainJoint(at, factor, unseen),
-        common_attitude(solved),
+        common_attitude(solved, made_up),
         left_of_inertial(solved, slice(None)),
     )
 
@@ -73,7 +76,7 @@ def _told(state: ChainState, made_up: BoolArray | None) -> IntArray:
     return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else sampled)
 
 
-def common_attitude(solved: Solved, made_up: BoolArray | None = None) -> Array:
+def common_attitude(solved: Solved, made_up: BoolArray | None) -> Array:
     """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes; zero where it is not known.
 
     made_up (K,): keyframes without samples, whose errors have nothing in common with those of others.

@@ -19,9 +19,9 @@ from smoother.estimate.graph.sampled import FEW
 from smoother.estimate.graph.state import Constants
 from smoother.fit.running import gaussian_mean
 from smoother.frames import GRAVITY_N
-from smoother.samples import ImuSamples
+from smoother.samples import BESIDE, ImuSamples, usual_steps
 
-GAP_FACTOR = 3.5  # a step longer than this many nominal ones is a gap: nothing was measured in it
+GAP_FACTOR = 3.5  # a step longer than this many usual ones is a gap: nothing was measured in it
 MOSTLY_MISSING = 0.5  # share of an interval without samples, from which on its attitude is made up
 SLOW = 0.3  # s: what lasts longer may be the kart's motion, and
 NEARBY = 0.2  # s over which vibration is averaged
@@ -194,9 +194,9 @@ def vibration(values: Array, dt: float) -> Array:
 
 
 def _samples_around(imu: ImuSamples, start: float, end: float) -> ImuSamples:
-    """The samples from the last one before start to the first one after end, where there are any."""
-    first = max(int(np.searchsorted(imu.t, start)) - 1, 0)
-    last = int(np.searchsorted(imu.t, end, side="right")) + 1
+    """The samples from the last one before start to the first one after end, and those that tell their rate."""
+    first = max(int(np.searchsorted(imu.t, start)) - 1 - BESIDE, 0)
+    last = int(np.searchsorted(imu.t, end, side="right")) + 1 + BESIDE
     return ImuSamples(
         imu.t[first:last],
         imu.specific_force_s[first:last],
@@ -255,7 +255,8 @@ def _piecewise_constant(
     after = np.clip(np.searchsorted(imu.t, t), 0, len(imu.t) - 1)
     before = np.maximum(after - 1, 0)
     span = imu.t[after] - imu.t[before]
-    missing = (span > GAP_FACTOR * nominal) & (t < imu.t[after] - nominal)
+    local = np.append(nominal, usual_steps(np.diff(imu.t), nominal))[after]
+    missing = (span > GAP_FACTOR * local) & (t < imu.t[after] - local)
     missing |= (t > imu.t[-1]) | (t < imu.t[0] - nominal)
     force, rate = np.take(imu.specific_force_s, after, axis=0), np.take(imu.angular_rate_s, after, axis=0)
     if np.any(missing) and make_up is not None:

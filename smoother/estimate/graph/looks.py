@@ -14,7 +14,7 @@ from smoother.arrays import BoolArray
 from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
-from smoother.estimate.graph.estimated import Estimated, estimated
+from smoother.estimate.graph.estimated import Estimated, are_made_up, estimated
 from smoother.estimate.graph.identified import UNSTEADY_DELAY, doubt_by_rates
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.options import GraphOptions
@@ -154,7 +154,7 @@ def _solve(
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
-    return estimated(whole.solved, nose_variance(session, whole.noise)), whole
+    return estimated(whole.solved, nose_variance(session, whole.noise), are_made_up(start.binned)), whole
 
 
 def _jumped(

@@ -63,7 +63,7 @@ def build_trajectory(
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         widen(keyframes, swing)
-    sampled_every = session.imu.interval if session.imu is not None else 0.0
+    sampled_every = session.imu.rms_interval if session.imu is not None else 0.0
     identified = identified_values(
         found.state.constants,
         found.constants_covariance,

@@ -18,11 +18,11 @@ from itertools import pairwise
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
-from smoother.estimate.graph.estimated import Estimated, common_attitude
+from smoother.estimate.graph.estimated import Estimated, are_made_up, common_attitude
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
@@ -30,7 +30,7 @@ from smoother.estimate.graph.leftovers import joined, left_of_inertial
 from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.parts import busiest_part, fixes_between, stretch, where_sampled
 from smoother.estimate.graph.rows import Rows, heading_rows
-from smoother.estimate.graph.sampled import HOLE, are_unsampled
+from smoother.estimate.graph.sampled import HOLE
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
 from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import ChainState
@@ -85,7 +85,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
     priors, problems = main.priors, main.problems
     noise = replace(main.noise, inertial=main.noise.inertial.everywhere())
-    common = _common_attitude(main.solved, start)
+    common = _common_attitude(main.solved, start, are_made_up(busiest.binned))
     del main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     windows = _windows(start)
@@ -101,7 +101,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
 
 
-def _common_attitude(main: Solved, start: Start) -> Array:
+def _common_attitude(main: Solved, start: Start, made_up: BoolArray | None) -> Array:
     """Covariance (3, 3) rad^2 in s of the mean error of attitude; zero where `main` is not all that has samples.
 
     Over hours other errors are common than in one window.
@@ -110,7 +110,7 @@ def _common_attitude(main: Solved, start: Start) -> Array:
     first, last = max(start.spans[0, 0], whole[0]), min(start.spans[-1, 1], whole[-1])
     if t[0] - first > HOLE or last - t[-1] > HOLE:
         return np.zeros((3, 3))
-    return common_attitude(main, are_unsampled(start.spans, t, t))
+    return common_attitude(main, made_up)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import wrap_angle
 from smoother.prepare import prepare
-from smoother.samples import Session
+from smoother.samples import RawSession, Session
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
 
@@ -86,3 +86,32 @@ def test_a_good_compass_does_not_turn_a_kart_whose_lean_nobody_knows() -> None:
     found = smoothed("white", 0, 10.0)
     assert np.all(found.rms < np.array([3.0, 3.0, 5.0]) * DEG)
     assert np.all(found.z < HONEST)
+
+
+def _more_slowly(raw: RawSession, times: int) -> RawSession:
+    """The session with means of `times` samples in place of these in its second half."""
+    imu = raw.imu
+    assert imu is not None
+    half = len(imu.t) // 2
+    end = half + (len(imu.t) - half) // times * times
+
+    def means(values: Array) -> Array:
+        return np.concatenate([values[:half], values[half:end].reshape(-1, times, 3).mean(axis=1)])
+
+    t = np.append(imu.t[:half], imu.t[half + times - 1 : end : times])
+    return replace(raw, imu=replace(imu, t=t, accel=means(imu.accel), gyro=means(imu.gyro)))
+
+
+@pytest.mark.parametrize(("times", "largest"), [(1, 0.3), (5, 0.3), (16, 4.0)])
+def test_attitudes_are_honest_where_samples_come_more_slowly_from_a_moment_on(times: int, largest: float) -> None:
+    """40 Hz tell all that 200 do. 12.5 Hz are holes: attitudes in them have nothing in common with the others."""
+    simulation = simulate_preset("white", 31, duration=120.0)
+    session = prepare(_more_slowly(simulation.raw, times))
+    trajectory = GraphSmoother().estimate(session)
+    truth = simulation.truth.trajectory(trajectory.t, simulation.scenario.lever_arm_b, session.origin)
+    driving = (trajectory.speed > 5.0) & (trajectory.t > trajectory.t[0] + 10.0)
+    assert trajectory.sigmas is not None
+    sigma = trajectory.sigmas.attitude[driving]
+    z = wrap_angle(trajectory.euler - truth.euler)[driving] / sigma
+    assert np.all(np.sqrt(np.mean(z[:, :2] ** 2, axis=0)) < HONEST)
+    assert np.median(sigma[:, 0]) < largest * DEG
