@@ -89,7 +89,9 @@ class Calibration:
             release(raw, force, rate)
         for values in (force, rate):
             values.flags.writeable = False
-        return ImuSamples(raw.t, force, rate, raw.accel_full_scale, raw.gyro_full_scale, raw.longest_step)
+        return ImuSamples(
+            raw.t, force, rate, raw.accel_full_scale, raw.gyro_full_scale, raw.longest_step, raw.stamp_sigma
+        )
 
     def gyro_bias_at(self, temperature: Array | None) -> Array:
         """Bias (3,) or, where temperatures (N,) deg C are known, (N, 3) rad/s; an unknown one counts as the usual."""

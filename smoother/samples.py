@@ -72,6 +72,14 @@ def are_gaps(steps: Array, usual: float, times: float) -> BoolArray:
     return np.asarray(steps > times * usual_steps(steps, usual))
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """Time from sample to sample, s, rms over the time that there are any; sigma, s, of when they were taken."""
+
+    every: float
+    stamp_sigma: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class RawImu:
     """Inertial samples as logged. t (N,) s; accel, gyro (N, 3) counts in s; temperature (N,) deg C, NaN where unknown.
@@ -79,7 +87,7 @@ class RawImu:
     accel_scale is m/s^2 per count, gyro_scale rad/s per count (1.0 for files in SI). Full scale in SI, or None if
     the file does not say; clipping is judged by it. longest_step s: in a longer interval samples were lost, as the
     reader found from the stamps before it evened them out, or they come more slowly for a while (:func:`usual_steps`);
-    None where nobody looked.
+    None where nobody looked. stamp_sigma s: of when samples were taken, where their stamps are too coarse to say.
     """
 
     t: Array
@@ -91,6 +99,7 @@ class RawImu:
     gyro_full_scale: float | None = None
     temperature: Array | None = None
     longest_step: float | None = None
+    stamp_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), accel=(len(self.t), 3), gyro=(len(self.t), 3))
@@ -115,7 +124,8 @@ class RawMag:
 class ImuSamples:
     """Calibrated inertial samples. t (N,) s; specific_force_s (N, 3) m/s^2; angular_rate_s (N, 3) rad/s; axes s.
 
-    A sample holds the mean over the interval that ends at its time. Full scales and longest_step as in :class:`RawImu`.
+    A sample holds the mean over the interval that ends at its time. Full scales, longest_step and stamp_sigma as in
+    :class:`RawImu`.
     """
 
     t: Array
@@ -124,6 +134,7 @@ class ImuSamples:
     accel_full_scale: float | None = None
     gyro_full_scale: float | None = None
     longest_step: float | None = None
+    stamp_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), specific_force_s=(len(self.t), 3), angular_rate_s=(len(self.t), 3))
@@ -135,15 +146,15 @@ class ImuSamples:
         return usual_step(self.t)
 
     @property
-    def rms_interval(self) -> float:
-        """The same, rms over the time that there are samples: where they came more slowly for a while, more."""
+    def sampling(self) -> Sampling:
+        """How far apart samples are, and how well it is known when they were taken."""
         usual, squares, total = self.interval, 0.0, 0.0
         for part in pieces(len(self.t) - 1):
             steps = np.diff(self.t[part.start : part.stop + 1])
             local = usual_steps(steps, usual)
             sampled = np.minimum(steps, local)
             squares, total = squares + float(local**2 @ sampled), total + float(np.sum(sampled))
-        return math.sqrt(squares / total)
+        return Sampling(math.sqrt(squares / total), self.stamp_sigma)
 
     def between(self, start: float, end: float) -> "ImuSamples":
         """Return the samples with start <= t < end."""
@@ -155,6 +166,7 @@ class ImuSamples:
             self.accel_full_scale,
             self.gyro_full_scale,
             self.longest_step,
+            self.stamp_sigma,
         )
 
 

@@ -69,7 +69,7 @@ def test_samples_that_come_more_slowly_for_a_while_are_no_gaps() -> None:
     imu = ImuSamples(np.cumsum(steps), np.zeros((1200, 3)), np.zeros((1200, 3)))
     slow, fast = 100 * 0.02, 1099 * 0.005
     assert imu.interval == pytest.approx(0.005)
-    assert imu.rms_interval == pytest.approx(np.sqrt((slow * 0.02**2 + fast * 0.005**2) / (slow + fast)), rel=0.01)
+    assert imu.sampling.every == pytest.approx(np.sqrt((slow * 0.02**2 + fast * 0.005**2) / (slow + fast)), rel=0.01)
 
 
 @pytest.mark.parametrize("lost", [0.1, 0.5, 0.8])

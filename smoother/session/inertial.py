@@ -30,7 +30,7 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, accel, gyro)
     time, index = put_in_time_order(rows, t, accel, gyro)
-    return RawImu(time, taken(accel, index), taken(gyro, index)), rows.problems
+    return RawImu(time, taken(accel, index), taken(gyro, index), stamp_sigma=rows.stamp_sigma), rows.problems
 
 
 def dead_axes(imu: RawImu) -> list[tuple[str, str]]:

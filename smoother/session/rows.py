@@ -28,6 +28,7 @@ MOST_TOGETHER = 256  # rows of one reading; sensors store fewer
 ENOUGH = 100_000  # rows that show how all are read out
 UNEVEN = 0.6  # share by which time from reading to reading may differ from what its rows take: two in place of three
 MANY = 8  # rows; a tick of a sixtieth of a second holds as many only beyond 480 Hz
+COARSE_UNSURE = 0.5  # steps of stamps that are cut off, or rounded, or of the last row that was read out by then
 COARSE_SHARE = 0.05  # of rows that share a stamp: above it the stamps are too coarse, below they are flaws
 RESTLESS = 0.3  # share of steps that fall: no clock starts again as often, but rows are in no order at all
 RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started again
@@ -44,12 +45,14 @@ class RowFilter:
     """The rows of one file still in use, and what was said about the others.
 
     file : name for the sentences. prefix : start of the problem codes. keep : (N,) bool, changed only by `drop`.
+    stamp_sigma s : of when rows were taken, where stamps are too coarse to say.
     """
 
     file: str
     prefix: str
     keep: BoolArray
     problems: list[Problem] = field(default_factory=list)
+    stamp_sigma: float = 0.0
 
     def drop(self, bad: BoolArray, code: str, reason: str) -> None:
         """Stop using the rows of mask `bad` (N,); `reason` completes '<file>: <n> rows ...'."""
@@ -125,9 +128,10 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
     """Times (N,) s in which rows that share a stamp but not their values, each (N, M), are spread evenly.
 
     Where the stamps have too few decimals for the rate, rows with the same stamp are different samples; dropping them
-    as repeated would thin the recording. They lie between their stamp and the next one. Where the stamps have decimals
-    enough, rows that share one were read out of the sensor together, at the time of the last of them; so were rows that
-    follow one another far quicker than they come. A few equal stamps are left to be dropped.
+    as repeated would thin the recording. They lie between their stamp and the next one, if stamps are cut off; if they
+    are rounded, half a step earlier, and if rows are read out at such times, a whole one. Where the stamps have
+    decimals enough, rows that share one were read out of the sensor together, at the time of the last of them; so were
+    rows that follow one another far quicker than they come. A few equal stamps are left to be dropped.
     """
     together = _step_within_reading(t)
     if np.all(rows.keep) and is_increasing(t) and not together:
@@ -153,7 +157,9 @@ def spread_coarse_times(rows: RowFilter, t: Array, *values: Array) -> Array:
         rows.say("coarse_time", f"{said}read out together, spread evenly up to it", count)
     else:
         room = np.append(steps, typical)
-        rows.say("coarse_time", f"{said}spread evenly", count)
+        rows.stamp_sigma = COARSE_UNSURE * typical
+        earlier = f"if stamps are rounded, all are {1e3 * rows.stamp_sigma:.3g} ms earlier"
+        rows.say("coarse_time", f"{said}spread evenly; {earlier}, if read out together, twice that", count)
     room = _room_of_reading(room, size) if together else np.clip(room, 0.0, typical)
     spread = t.copy()
     spread[index] = time + place * (room / size)[group]

@@ -142,14 +142,22 @@ class DenseRows:
         for name, values in _sigmas(t, state.t, covariance, track, bend, R_nb, motion.velocity_n).items():
             self.sigmas[name][part] = values
 
-    def unsure_of_time(self, part: slice, sigma: float) -> None:
-        """Add what the kart goes and gains in `sigma` s to the sigmas of position, velocity and speed of `part`."""
+    def unsure_of_time(self, part: slice, sigma: float, of_attitude: float = 0.0) -> None:
+        """Add what the kart goes and gains in `sigma` s to the sigmas of position, velocity and speed of `part`.
+
+        of_attitude s: likewise what it turns. Less than all of the former: what filters may hold samples back by is
+        small beside errors of attitude.
+        """
         velocity_n, R_nb = self.velocity_n[part], self.R_nb[part]
         acceleration_n = np.einsum("nij,nj->ni", R_nb, self.acceleration_b[part])
         pace = np.maximum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]), 1e-12)
         faster = np.sum(velocity_n[:, :2] * acceleration_n[:, :2], axis=1) / pace
         for name, change in (("position_n", velocity_n), ("velocity_n", acceleration_n), ("speed", faster)):
             self.sigmas[name][part] = np.hypot(self.sigmas[name][part], sigma * change)
+        if of_attitude > 0.0:
+            turned = np.einsum("nij,nj->ni", euler_jacobian(R_nb), self.angular_rate_b[part])
+            unsure = np.hypot(self.sigmas["attitude"][part], of_attitude * turned)
+            self.sigmas["attitude"][part] = np.minimum(unsure, ANY_ANGLE)
 
     def trajectory(self, t: Array, report: EstimateReport, joint: JointPosition | None) -> Trajectory:
         """Return the rows, all of which are filled."""

@@ -11,6 +11,7 @@ from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constan
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
+from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
 
@@ -42,15 +43,15 @@ def doubt_by_rates(gyro: float) -> float:
     return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
 
 
-def unsure_moment(sampled_every: float, stated: float | None, unsteady: float = 0.0) -> float:
-    """Sigma, s, of when a sample is true that comes every `sampled_every` s; stated: its delay, s, where it is known.
+def unsure_moment(sampling: Sampling, stated: float | None, unsteady: float = 0.0) -> float:
+    """Sigma, s, of when a sample of `sampling` is true; stated: its delay, s, where it is known.
 
     unsteady: in parts of UNSTEADY_DELAY, what delays miss where rates do not tell attitudes.
     Else it is taken for the mean since the one before. Of a logger that stamps what is at that moment all latencies are
     longer by half of that, of one behind a filter they are shorter.
     """
-    of_samples = math.hypot(0.5 * sampled_every / math.sqrt(3.0), FILTERS) if stated is None else 0.0
-    return math.hypot(of_samples, UNSTEADY_DELAY * unsteady)
+    of_samples = math.hypot(0.5 * sampling.every / math.sqrt(3.0), FILTERS) if stated is None else 0.0
+    return math.hypot(of_samples, sampling.stamp_sigma, UNSTEADY_DELAY * unsteady)
 
 
 def identified_values(
@@ -62,20 +63,20 @@ def identified_values(
     mounting: FittedMounting,
     config: SessionConfig,
     unseen: Array,
-    sampled_every: float,
+    sampling: Sampling,
     doubt: float = 0.0,
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
     covariance (30, 30) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
-    sampled_every s: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
+    sampling: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
     of UNSTEADY_DELAY and UNSTEADY_ARM.
     """
     S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
     sigma, unsteady = np.sqrt(np.diag(S)), max(doubt_by_rates(noise.inertial.gyro), doubt)
     return {
-        **_of_the_receiver(constants, sigma, priors, config, unsure_moment(sampled_every, config.imu_delay, unsteady)),
+        **_of_the_receiver(constants, sigma, priors, config, unsure_moment(sampling, config.imu_delay, unsteady)),
         "lever_arm_b": _lever_arm(constants, S, priors, mounting, config, unsteady),
         "R_bs": _mounting(noise, mounting, config, common_attitude),
         **_rectification(constants, sigma, noise),

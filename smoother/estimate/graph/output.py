@@ -21,7 +21,7 @@ from smoother.estimate.graph.mounting import (
 )
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.pauses import NO_PAUSES, Pauses
-from smoother.samples import Problem, Session
+from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (
     BOX_ON_WHEEL,
     EstimateReport,
@@ -63,7 +63,7 @@ def build_trajectory(
     swing = swing_on_the_wheel(keyframes)
     if swing is not None:
         widen(keyframes, swing)
-    sampled_every = session.imu.rms_interval if session.imu is not None else 0.0
+    sampling = session.imu.sampling if session.imu is not None else Sampling(0.0)
     identified = identified_values(
         found.state.constants,
         found.constants_covariance,
@@ -73,7 +73,7 @@ def build_trajectory(
         mounting,
         session.config,
         unseen,
-        sampled_every,
+        sampling,
         doubt,
     )
     report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
@@ -83,7 +83,8 @@ def build_trajectory(
     unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt) if session.config.gps.position_latency is None else 0.0
     for part in parts_of(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
-        rows.unsure_of_time(part, unsure_moment(sampled_every, session.config.imu_delay, unsteady))
+        moment = unsure_moment(sampling, session.config.imu_delay, unsteady)
+        rows.unsure_of_time(part, moment, sampling.stamp_sigma)
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
 

@@ -85,7 +85,7 @@ def contradicted_constants(
     except np.linalg.LinAlgError:
         return ()
     unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt)
-    moment = unsure_moment(session.imu.rms_interval, config.imu_delay, unsteady)
+    moment = unsure_moment(session.imu.sampling, config.imu_delay, unsteady)
     problems = list(_delays(config, free, moment))
     if arm is not None and not constants.is_steered:
         R_bs = constants.level_axes_s if config.mounting.R_bs is None else config.mounting.R_bs

@@ -12,6 +12,7 @@ from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early, _velocities_early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
+from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
 
@@ -19,6 +20,7 @@ from smoother.units import DEG
 def told(
     sampled_every: float,
     sigma: float = 2e-3,
+    stamp_sigma: float = 0.0,
     tau_spread: float = math.inf,
     config: SessionConfig | None = None,
     *,
@@ -40,7 +42,7 @@ def told(
         FittedMounting(np.eye(3), np.full(3, 0.01), True, True),
         config or SessionConfig(),
         np.zeros(3),
-        sampled_every,
+        Sampling(sampled_every, stamp_sigma),
         doubt,
     )
 
@@ -52,6 +54,12 @@ def test_nobody_says_whether_a_sample_is_of_its_moment_or_of_the_time_before(key
     assert told(0.02)[key].sigma == pytest.approx(math.hypot(2e-3, 1.5e-3, 0.01 / math.sqrt(3.0)))
     assert told(0.02)[key].value == told(0.0)[key].value
     assert told(0.02)["lever_arm_b"].sigma == told(0.0)["lever_arm_b"].sigma
+
+
+def test_stamps_that_are_too_coarse_leave_delays_unsure_whatever_is_stated() -> None:
+    for config in (SessionConfig(), SessionConfig(imu_delay=0.0)):
+        of_stamps = told(0.0, stamp_sigma=0.05, config=config)["gps_velocity_latency"].sigma
+        assert of_stamps == pytest.approx(0.05, rel=0.01)
 
 
 def test_where_the_delay_of_the_samples_is_stated_their_moment_is_known() -> None:
