@@ -62,3 +62,9 @@ def metres(c: FixColumns) -> tuple[Array, Array]:
         return c.t, c.t
     east = np.mod(c.lon_deg - c.lon_deg[0] + 180.0, 360.0) - 180.0
     return (c.lat_deg - c.lat_deg[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(c.lat_deg))
+
+
+def way_gone(c: FixColumns) -> Array:
+    """Metres (N,) gone from the first fix to each; what fixes scatter by is in it."""
+    north, east = metres(c)
+    return np.append(0.0, np.cumsum(np.hypot(np.diff(north), np.diff(east))))

@@ -1,6 +1,7 @@
 """Heights that jump: a receiver, or a program behind it, that changes what it measures from, or writes single nonsense.
 
-Latitude and longitude of those fixes are as good as ever, so it is the height alone that is mended.
+Latitude and longitude of those fixes are as good as ever, so it is the height alone that is mended, or left out where
+all of them are of another unit.
 """
 
 import numpy as np
@@ -13,6 +14,29 @@ JUMP_HEIGHT = 50.0  # m from one fix to the next; recorded ones have 30 at most,
 FASTEST_CLIMB = 50.0  # m/s
 STEADY_ROWS = 10  # a height that stays as long is measured from elsewhere; a shorter one is nonsense
 END_ROWS = 5  # whose median is the height on either side of a step
+SLOPE_SPAN, SLOPE_WAY = 5.0, 30.0  # s and m over which the way rises or falls, beyond what heights scatter
+STEEPEST = 0.3  # of the way, that it rises or falls by for half of it; hill climbs have 0.1, centimetres for metres 1
+FEWEST_SLOPES = 50
+
+
+def without_impossible_heights(rows: RowFilter, t: Array, way: Array, alt_m: Array) -> Array:
+    """Heights (N,) m at t (N,) s in order, NaN where unknown; all of them where no road is as steep as they are.
+
+    way (N,) m: gone until each. Says in `rows` what was done.
+    """
+    known = np.flatnonzero(np.isfinite(alt_m))
+    at = t[known]
+    later = np.searchsorted(at, at + SLOPE_SPAN)
+    first = np.flatnonzero(later < known.size)
+    first, last = known[first], known[later[first]]
+    gone = way[last] - way[first]
+    far = (gone > SLOPE_WAY) & (t[last] - t[first] < 2.0 * SLOPE_SPAN)
+    slope = np.abs(alt_m[last] - alt_m[first])[far] / gone[far]
+    if slope.size < FEWEST_SLOPES or (usual := float(np.median(slope))) < STEEPEST:
+        return alt_m
+    text = f"heights rise and fall by {100.0 * usual:.0f} % of the way, which no track does; in metres? None was used"
+    rows.say("height_impossible", text, known.size)
+    return np.full_like(alt_m, np.nan)
 
 
 def without_height_jumps(rows: RowFilter, t: Array, alt_m: Array) -> Array:

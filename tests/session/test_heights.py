@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.session.heights import without_height_jumps
+from smoother.session.heights import without_height_jumps, without_impossible_heights
 from smoother.session.rows import RowFilter
 
 T = np.arange(600) / 5.0
@@ -58,3 +58,22 @@ def test_nothing_but_jumps_ends_in_no_height_and_not_in_an_error() -> None:
     out, said = mended(np.where(np.arange(600) % 2 == 0, 0.0, 400.0))
     assert said and np.nanmax(out) - np.nanmin(out) < 1.0
     assert mended(np.full(600, np.nan))[1] == {} and mended(np.zeros(0), np.zeros(0))[1] == {}
+
+
+@pytest.mark.parametrize(
+    ("times", "speed", "are_used"),
+    [(1.0, 15.0, True), (3.28, 15.0, True), (100.0, 15.0, False), (100.0, 0.0, True), (1000.0, 4.0, True)],
+)
+def test_heights_in_centimetres_are_not_used(times: float, speed: float, are_used: bool) -> None:
+    """On a track of half a metre up and down, by a receiver that scatters; of who hardly moves nothing is said."""
+    heights = times * (100.0 + 0.5 * np.sin(T / 10.0) + 0.3 * np.random.default_rng(3).standard_normal(T.size))
+    rows = RowFilter("gps.csv", "gps", np.ones(T.size, dtype=np.bool_))
+    out = without_impossible_heights(rows, T, speed * T, heights)
+    assert [problem.code for problem in rows.problems] == ([] if are_used else ["gps_height_impossible"])
+    assert np.isfinite(out).all() if are_used else np.isnan(out).all()
+
+
+def test_a_hill_climb_is_a_road() -> None:
+    rows = RowFilter("gps.csv", "gps", np.ones(T.size, dtype=np.bool_))
+    heights = 0.2 * 20.0 * T
+    assert without_impossible_heights(rows, T, 20.0 * T, heights) is heights and not rows.problems
