@@ -75,13 +75,15 @@ def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = Fal
 def _measured(t: Array, c: FixColumns) -> IntArray | None:
     """Rows (K,) of the fixes that are not on the line between others, by their stamps t (N,) s or by UTC; None if all.
 
-    Stamps are those of the arrival, now sooner, now later: what is a straight line by UTC is none by them.
+    Stamps are those of the arrival, now sooner, now later: what is a straight line by UTC is none by them. Nor is the
+    size of velocities north and east that are.
     """
-    channels = [c.lat_deg, c.lon_deg, c.alt_m, c.speed]
-    by_stamps = measured_rows(t, channels)
-    if by_stamps is None and is_increasing(c.unix_s):
-        return measured_rows(c.unix_s - c.unix_s[:1], channels)
-    return by_stamps
+    times = [t, c.unix_s - c.unix_s[:1]] if is_increasing(c.unix_s) else [t]
+    for channels in ([c.lat_deg, c.lon_deg, c.alt_m, c.speed], [c.lat_deg, c.lon_deg, c.alt_m]):
+        for moments in times:
+            if (rows := measured_rows(moments, channels)) is not None:
+                return rows
+    return None
 
 
 def _on_drawn_lines(t: Array, c: FixColumns) -> BoolArray:

@@ -130,6 +130,23 @@ def test_a_table_of_interpolated_fixes_has_as_many_as_were_measured(tmp_path: Pa
     )
 
 
+def test_velocities_that_were_interpolated_by_their_parts_hide_no_rows(tmp_path: Path) -> None:
+    """The size of a velocity between two others is not between theirs in a bend; positions tell alone."""
+    fixed, (lat, lon, alt, speed) = drive(5.0)
+    course = fixed / 5.0 + 0.3 * np.sin(fixed)
+    t = np.round(np.arange(0.0, fixed[-1], 0.1), 6)
+    lat, lon, alt, north, east = (
+        np.interp(t, fixed, values) for values in (lat, lon, alt, speed * np.cos(course), speed * np.sin(course))
+    )
+    heading = np.degrees(np.arctan2(east, north)) % 360.0
+    table = np.column_stack([t, np.round(lat, 8), np.round(lon, 8), np.round(alt, 2), np.hypot(north, east), heading])
+    header = "t_s,lat_deg,lon_deg,alt_m,speed_mps,course_deg"
+    np.savetxt(tmp_path / "gps.csv", table, fmt="%.8f", delimiter=",", header=header, comments="")
+    fixes, problems = read_fixes(tmp_path / "gps.csv")
+    assert "gps_interpolated" in {problem.code for problem in problems}
+    assert len(fixes) == pytest.approx(t.size / 2, abs=2)
+
+
 def test_samples_at_the_stamps_of_other_sensors_are_told_from_those_that_were_measured() -> None:
     rng = np.random.default_rng(4)
     measured = np.round(np.arange(0.0, 60.0, 0.02), 3)
