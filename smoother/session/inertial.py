@@ -11,6 +11,7 @@ ABSURD_SPECIFIC_FORCE = 1000.0  # m/s^2; beyond 100 g, no sensor of a kart reads
 HOLE = 1.0  # s without samples
 FEWEST_IMU_SAMPLES = 100  # fewer tell nothing
 ABSURD_RATE = 100.0  # rad/s, 5700 deg/s; likewise
+FEW_SILENT = 0.2  # share of samples that may be nothing but zeros, for a sensor that at times does not answer
 
 
 def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, list[Problem]]:
@@ -19,13 +20,16 @@ def screen_imu(file: str, t: Array, accel: Array, gyro: Array) -> tuple[RawImu, 
     t (N,) s; accel (N, 3) m/s^2 and gyro (N, 3) rad/s, axes s, which the caller gives away.
     """
     rows = RowFilter(file, "imu", np.ones(t.size, dtype=np.bool_))
-    too_large, unreadable = np.empty(t.size, dtype=np.bool_), np.empty(t.size, dtype=np.bool_)
+    too_large, unreadable, silent = (np.empty(t.size, dtype=np.bool_) for _ in range(3))
     for part in pieces(t.size):
         a, w = accel[part], gyro[part]
         with np.errstate(invalid="ignore"):
             too_large[part] = _any_of_row(np.abs(a) > ABSURD_SPECIFIC_FORCE) | _any_of_row(np.abs(w) > ABSURD_RATE)
         unreadable[part] = _any_of_row(~np.isfinite(a)) | _any_of_row(~np.isfinite(w)) | ~np.isfinite(t[part])
+        silent[part] = ~(_any_of_row(a != 0.0) | _any_of_row(w != 0.0))
         release(t, accel, gyro)
+    if np.count_nonzero(silent) <= FEW_SILENT * t.size:
+        rows.drop(silent, "silent", "in which all six values are zero: the sensor did not answer")
     rows.drop(unreadable, "invalid", "with an empty or unreadable value")
     rows.drop(too_large, "absurd", "with accelerations or rates no sensor can read")
     t = spread_coarse_times(rows, t, accel, gyro)
