@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.evaluate import errors_between
 from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph import looks, solve
@@ -318,10 +318,10 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
     solutions = []
     whole = looks.estimated
 
-    def watched(solved: Solved, nose: float | None) -> Estimated:
+    def watched(solved: Solved, nose: float | None, made_up: BoolArray | None) -> Estimated:
         assert (nose is None) == stated
         solutions.append((solved, nose or 0.0))
-        return whole(solved, nose)
+        return whole(solved, nose, made_up)
 
     monkeypatch.setattr(looks, "estimated", watched)
     found = GraphSmoother().estimate(session)
