@@ -64,7 +64,7 @@ def metres(c: FixColumns) -> tuple[Array, Array]:
     return (c.lat_deg - c.lat_deg[0]) * METRES_PER_DEGREE, east * METRES_PER_DEGREE * np.cos(np.radians(c.lat_deg))
 
 
-def way_gone(c: FixColumns) -> Array:
-    """Metres (N,) gone from the first fix to each; what fixes scatter by is in it."""
+def way_from_before(c: FixColumns) -> Array:
+    """Metres (N,) from the fix before to each, 0 for the first one; what fixes scatter by is in it."""
     north, east = metres(c)
-    return np.append(0.0, np.cumsum(np.hypot(np.diff(north), np.diff(east))))
+    return np.append(0.0, np.hypot(np.diff(north), np.diff(east)))

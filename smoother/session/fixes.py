@@ -6,7 +6,7 @@ from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.frames import velocity_n_from_course
 from smoother.samples import GnssFixes, Problem
 from smoother.session.doppler import without_wrong_velocity
-from smoother.session.fix_columns import ESTIMATED, FixColumns, metres, sent_speed, way_gone
+from smoother.session.fix_columns import ESTIMATED, FixColumns, metres, sent_speed, way_from_before
 from smoother.session.heights import without_height_jumps, without_impossible_heights
 from smoother.session.interpolated import measured_rows, on_drawn_lines, rows_at_knots
 from smoother.session.rows import RowFilter, put_in_time_order
@@ -88,9 +88,7 @@ def _measured(t: Array, c: FixColumns) -> IntArray | None:
 
 def _on_drawn_lines(t: Array, c: FixColumns) -> BoolArray:
     """Mask (N,) of the fixes that are on the line which an exporter drew over an outage."""
-    north, east = metres(c)
-    way = np.append(0.0, np.hypot(np.diff(north), np.diff(east)))
-    return on_drawn_lines(t, [c.lat_deg, c.lon_deg, c.speed], way)
+    return on_drawn_lines(t, [c.lat_deg, c.lon_deg, c.speed], way_from_before(c))
 
 
 def _drawn_note(file: str, count: int) -> list[Problem]:
@@ -286,7 +284,7 @@ def _to_fixes(rows: RowFilter, t: Array, c: FixColumns) -> GnssFixes:
         satellites = _cleaned(
             rows, c.num_sv, (c.num_sv < 0.0) | (c.num_sv >= ABSURD_SATELLITES), "satellites", "number of satellites"
         )
-        alt = without_impossible_heights(rows, t, way_gone(c), alt)
+        alt = without_impossible_heights(rows, t, np.cumsum(way_from_before(c)), alt)
         hdop = np.where((c.hdop > 0.0) & (c.hdop < 99.0), c.hdop, np.nan)  # 99.99 stands for unknown
     return GnssFixes(
         t=t,

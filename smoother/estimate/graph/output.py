@@ -81,9 +81,9 @@ def build_trajectory(
     t = _times(session, pauses, rate)
     rows = DenseRows.empty(len(t))
     unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt) if session.config.gps.position_latency is None else 0.0
+    moment = unsure_moment(sampling, session.config.imu_delay, unsteady)
     for part in parts_of(t, pauses):
         rows.fill(part, t[part], found, noise, mounting, source, keyframes)
-        moment = unsure_moment(sampling, session.config.imu_delay, unsteady)
         rows.unsure_of_time(part, moment, sampling.stamp_sigma)
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
