@@ -153,6 +153,22 @@ class TestDegrading:
             assert s.trajectory.report.mode == "gps-only"
             assert "one clock" in told["imu_unusable"] and "[gps] position_latency" in told["imu_unusable"]
 
+    @pytest.mark.parametrize("of_another_drive", [False, True])
+    def test_samples_are_told_from_those_of_another_drive_by_one_fix_in_five_seconds(
+        self, of_another_drive: bool
+    ) -> None:
+        """So few fixes hardly explain what is felt, be it of the drive or not; the noise that is found does."""
+        simulation = simulate_preset("kart", 71, duration=330.0, imu_accel_noise=0.9)
+        session = prepare(simulation.raw)
+        rare = session.gnss.select(np.arange(0, len(session.gnss), 25))
+        if of_another_drive:
+            other = prepare(simulate_preset("kart", 72, duration=330.0, track="tinbarn").raw)
+            session = replace(session, imu=other.imu)
+        s = smoothed(simulation, replace(session, gnss=rare, mag=None))
+        assert s.trajectory.report.mode == ("gps-only" if of_another_drive else "full")
+        told = {p.code for p in s.trajectory.report.problems}
+        assert ("imu_unusable" in told) == of_another_drive
+
     def test_a_kart_that_never_moved_stays_where_it_is(self) -> None:
         s = smoothed(simulate_preset("white", 4, duration=28.0))
         assert np.max(np.abs(s.velocity_error_n)) < 0.5
