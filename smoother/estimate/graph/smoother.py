@@ -81,6 +81,7 @@ FEWEST_FIXES = 10
 SHORTEST_OVERLAP = 5.0  # s of inertial samples and fixes together
 FEWEST_SAMPLED = 3  # fixes in that time; fewer are an outage
 RARE = 2.0  # s from fix to fix, usually; in that time a kart takes a bend
+STRANGE_IF_RARE = 0.12  # likewise by such fixes, of which a real kart's explain 0.14 and more
 LITTLE = 0.35  # share of rate and force that such fixes explain, below which it is asked what was found
 STRANGE = (
     0.15  # least share of rate and force that the fixes must explain: karts 0.86 and more, a motorway 0.38, noise 0.04
@@ -167,7 +168,8 @@ class GraphSmoother:
             session, start = begun.session, begun.start
         pauses, unlike = start.pauses, (*start.alignment.problems, Problem("imu_unusable", UNLIKE))
         is_rare = float(np.median(np.diff(session.gnss.t))) > RARE
-        if not start.alignment.is_level_only and start.alignment.share_explained < STRANGE and not is_rare:
+        strange = start.alignment.share_explained < (STRANGE_IF_RARE if is_rare else STRANGE)
+        if strange and not start.alignment.is_level_only:
             raise _FixesAlone(unlike)
         with watch("solve"):
             solved = look(session, start, options, watch.say)
