@@ -13,6 +13,7 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.samples import BESIDE, Problem, are_gaps, usual_step, usual_steps
+from smoother.session.utc_leaps import without_leaps
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
 
@@ -357,13 +358,15 @@ def true_fix_times(t_receive: Array, unix_s: Array) -> tuple[Array, bool]:
 
     t_receive (N,) s, strictly increasing; unix_s (N,) the UTC in each fix, NaN where unknown. The least delays follow
     a line (two clocks and a constant latency); every fix is put on it, raised to the typical delay, so that the latency
-    of the stamps as they were written stays the same. Returns times (N,) s and whether anything was changed: not
-    without UTC, with too few fixes, or where the two do not behave like two clocks.
+    of the stamps as they were written stays the same. Where UTC was set, it goes on as it began. Returns times (N,) s
+    and whether anything was changed: not without UTC, with too few fixes, or where the two do not behave like two
+    clocks.
     """
     known = np.isfinite(unix_s)
     if np.count_nonzero(known) < FEWEST_FIXES:
         return t_receive, False
     utc = unix_s - unix_s[known][0]
+    utc[known] = without_leaps(t_receive[known], utc[known])
     delay = t_receive - utc
     odd = ~(np.abs(delay - median(delay[known])) < ODD_UTC)
     if np.mean(odd) > 0.5:

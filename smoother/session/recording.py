@@ -37,6 +37,7 @@ from smoother.session.spikes import without_spikes
 from smoother.session.standing import dead_problems, stuck_problems, without_frozen
 from smoother.session.time_unit import LONGEST_PERIOD
 from smoother.session.turned import without_turned, without_turned_about
+from smoother.session.utc_leaps import leaps
 from smoother.session.week_rollover import with_present_dates
 from smoother.words import counted, span
 
@@ -52,8 +53,6 @@ OF_NO_COLUMN = (
 )
 FEWEST_FIXES_FOR_CLOCK = 32
 LEAST_AT_ODDS, FEW_AT_ODDS = 10.0, 0.01  # s beyond what clocks drift, and share of the fixes, worth a word
-LEAST_SET, BESIDE_SET = 0.25, 15  # s by which a clock was set, and fixes on either side that tell by how much
-SEEN_SET = 2.0  # s from one fix to the next, in which it shows which of the two it was
 LEAST_UNFIXED = (10.0, 0.05)  # s and share of the IMU's recording, before the first fix or after the last
 
 
@@ -256,24 +255,16 @@ def _utc_at_odds(recording: Recording) -> Iterator[Problem]:
 
 def _utc_set(t: Array, unix_s: Array, file: str) -> Iterator[Problem]:
     """What to say where one of the two clocks, stamps t (N,) s or UTC (N,) s, leapt against the other for good."""
-    ahead, usual = unix_s - t, median(np.diff(t))
-    for row in (np.flatnonzero(np.abs(np.diff(ahead)) > LEAST_SET) + 1).tolist():
-        before, after = ahead[max(0, row - BESIDE_SET) : row], ahead[row : row + BESIDE_SET]
-        by = median(after) - median(before)
-        steady = max(median(np.abs(side - median(side))) for side in (before, after))
-        if min(before.size, after.size) < BESIDE_SET or abs(by) < LEAST_SET or steady > 0.1 * abs(by):
-            continue
-        steps = (t[row] - t[row - 1], unix_s[row] - unix_s[row - 1])
-        if min(steps) > SEEN_SET:
-            text = f"UTC leaps by {by:+.2f} s against t_s in the gap at {t[row]:.0f} s: one of the two was set anew"
+    for leap in leaps(t, unix_s):
+        at = f"at {t[leap.row]:.0f} s"
+        if leap.set == "either":
+            text = f"UTC leaps by {leap.by:+.2f} s against t_s in the gap {at}: one of the two was set anew"
             yield Problem("gps_utc_set", f"{file}: {text}; if it was t_s, the lap across it is off by as much")
-        elif abs(steps[1] - usual) > abs(steps[0] - usual):
-            text = (
-                f"UTC leaps by {by:+.2f} s at {t[row]:.0f} s, and t_s does not; times of day are off by as much there"
-            )
+        elif leap.set == "utc":
+            text = f"UTC leaps by {leap.by:+.2f} s {at}, and t_s does not; times of day are off by as much there"
             yield Problem("gps_utc_set", f"{file}: {text}")
         else:
-            text = f"t_s leaps by {-by:+.2f} s at {t[row]:.0f} s, and UTC does not; the lap across it is off by as much"
+            text = f"t_s leaps by {-leap.by:+.2f} s {at}, and UTC does not; the lap across it is off by as much"
             yield Problem("gps_clock_set", f"{file}: {text}")
 
 

@@ -108,7 +108,7 @@ def read_out(path: Path) -> ThesisRecording:
 
 def read_magcalib(path: Path) -> tuple[Array | None, list[Problem]]:
     """Read magcalib.txt: the field (K, 3) in counts, axes s, while the box was turned; None if nothing is in it."""
-    data = np.frombuffer(_read_bytes(path), dtype=np.uint8)
+    data = np.frombuffer(_read_bytes(path, may_be_empty=True), dtype=np.uint8)
     starts = _triple_starts(data)
     if starts.size == 0:
         return None, [Problem("magcalib_unusable", f"{path.name}: no magnetometer values in {data.size} bytes")]
@@ -310,11 +310,11 @@ def _marked_triples(octets: npt.NDArray[np.uint8], marks: int) -> IntArray:
     return np.array(starts, dtype=np.int64)
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read_bytes(path: Path, *, may_be_empty: bool = False) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise SessionError(f"{path.name}: cannot be read ({error.strerror or error})") from error
-    if not data:
+    if not (data or may_be_empty):
         raise SessionError(f"{path.name}: the file is empty; was the recording started?")
     return data
