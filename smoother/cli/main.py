@@ -3,7 +3,6 @@
 import errno
 import gc
 import io
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ import click
 from smoother import threads
 from smoother.cli.arguments import EXIT_DONE, EXIT_INTERRUPTED, EXIT_UNUSABLE
 from smoother.cli.commands import COMMAND_NAMES, named_command
-from smoother.cli.output import warn
+from smoother.cli.output import print_to_nobody, warn
 from smoother.cli.smoothing import smooth
 from smoother.errors import SmootherError, UsageError
 
@@ -42,7 +41,11 @@ def run(arguments: Sequence[str]) -> int:
     command, rest, name = choose(list(arguments) or ["--help"])
     try:
         _require_words(arguments)
-        return int(command.main(args=rest, prog_name=name, standalone_mode=False) or EXIT_DONE)
+        # as click's own `main` does, which would make a bug of a closed pipe
+        with command.make_context(name, list(rest)) as context:
+            return int(command.invoke(context) or EXIT_DONE)
+    except click.exceptions.Exit as done:
+        return done.exit_code
     except SmootherError as error:
         warn(str(error))
     except click.ClickException as error:
@@ -51,8 +54,7 @@ def run(arguments: Sequence[str]) -> int:
         warn(str(error) or "stopped")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # the reader of our stdout has gone (`smooth ... | head`); keep Python from complaining about it at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print_to_nobody()  # keeps Python from complaining about it at exit
         return EXIT_DONE
     except OSError as error:
         if error.errno not in FULL or error.filename is not None:  # of files with names, their writers tell

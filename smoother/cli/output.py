@@ -99,6 +99,11 @@ def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     _console().print(table)
 
 
+def print_to_nobody() -> None:
+    """Print to nowhere from here on: the reader of our stdout has gone (`smooth .. | head`)."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _console() -> Console:
     """A console that lets the one error boundary decide what a closed pipe means."""
     from rich.console import Console

@@ -22,7 +22,7 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import tasks
 from smoother.cli.commands import COMMAND_NAMES, named_command
-from smoother.cli.output import open_page, progress_on_terminal, say_json, warn
+from smoother.cli.output import open_page, print_to_nobody, progress_on_terminal, say_json, warn
 from smoother.cli.pipeline import Options, Result, smooth_session
 from smoother.cli.tables import show_result
 from smoother.errors import SmootherError
@@ -96,7 +96,10 @@ def smooth(
     wanted = [task for path, place in places for task in tasks(path, place, recording)]
     for path, directory in wanted:
         outcomes.append(_attempt(path, directory, options, is_only=len(wanted) == 1))
-        _report(outcomes[-1], path, as_json, is_only=len(wanted) == 1)
+        try:
+            _report(outcomes[-1], path, as_json, is_only=len(wanted) == 1)
+        except BrokenPipeError:
+            print_to_nobody()  # the results of the other sessions are wanted all the same
     if as_json:
         say_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]

@@ -438,6 +438,25 @@ def test_a_reader_that_closes_the_pipe_is_no_error() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("command", ["simulate --list", "check monday", "laps monday"])
+def test_a_table_whose_reader_has_gone_is_no_error(command: str, monday: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("needs system package bash")
+    piped = f"{console_script()} {command} | true; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", piped], cwd=monday.parent, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("0\n", "")
+
+
+def test_sessions_are_smoothed_whether_or_not_anybody_reads_of_them(monday: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("needs system package bash")
+    shutil.copytree(monday, monday.with_name("tuesday"))
+    piped = f"{console_script()} monday tuesday --no-figures --no-baseline | true; echo ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", piped], cwd=monday.parent, capture_output=True, text=True, check=False)
+    assert done.stdout == "0\n"
+    assert (monday.with_name("tuesday") / "smoothed" / "trajectory.csv").exists()
+
+
 def test_output_that_has_no_room_is_one_line() -> None:
     full = Path("/dev/full")
     if not full.exists():
