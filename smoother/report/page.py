@@ -133,7 +133,8 @@ def _compared_title(told: words.Told) -> str:
 def _compared_words(told: words.Told) -> str:
     which = "the best lap" if told.statistics is not None else "a minute around the top speed"
     baseline = "dashed: the baseline, an older method that is run beside it; " if told.baseline is not None else ""
-    return f"Of {which}. Dots on the map: GPS fixes as received; {baseline}solid: the smoother."
+    shown = f"Map and curves are of {which}, the table of the whole session. Dots on the map: GPS fixes as received; "
+    return f"{shown}{baseline}solid: the smoother."
 
 
 def _quality(told: words.Told) -> list[Element]:
