@@ -22,6 +22,8 @@ from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
+from smoother.estimate.align_rare import RareAlignment, align_rare, are_rare
+from smoother.estimate.averages import WINDOW, Averages, in_gap, steps
 from smoother.estimate.lean_rates import (
     AROUND,
     LeanRates,
@@ -30,6 +32,7 @@ from smoother.estimate.lean_rates import (
     slight_mistakes,
     wrong_naming,
 )
+from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, path_axes, peak, sampled_at_speed, thinned
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
@@ -37,12 +40,9 @@ from smoother.units import DEG, STANDARD_GRAVITY
 
 # fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
 FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
-MIN_SPEED = 3.0  # m/s below which a course says little about the nose
 STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
 ROUNDS = 6  # of reweighting
 UNKNOWN = 1e-15  # share of the largest eigenvalue below which one is rounding
-WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
-LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what they explain bends once within WINDOW
 FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
 # Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
 # know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
@@ -62,29 +62,10 @@ LEANS_ELSEWHERE = (
     "the axes of the gyroscope are not the accelerometer's: in bends, on the way into them and on the brakes the box "
     "turns as no kart leans{}. Change it in the recording; roll and pitch are wrong"
 )
-FEW = 500  # of them that are looked up together: each brings 100 kB of its surroundings into memory
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
 SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
 BESIDE_SPIN = 1.0  # s
 MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
-
-
-@dataclass(frozen=True, eq=False)
-class PathMotion:
-    """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN."""
-
-    t: Array
-    velocity_n: Array
-
-    @property
-    def speed(self) -> Array:
-        """Horizontal speed, (N,) m/s."""
-        return np.asarray(np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1]))
-
-    @property
-    def yaw(self) -> Array:
-        """Direction of travel, anticlockwise from north, (N,) rad."""
-        return np.arctan2(self.velocity_n[:, 1], self.velocity_n[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +79,8 @@ class Alignment:
     turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
     NaN where the fixes do not explain it. is_misnamed: problems are of axes that no box on a steering wheel has either.
     felt (3, 3): columns of what is felt ahead, to the left and upwards in s, in parts of what there is; a rotation if
-    all axes are in one unit, and None where the fixes do not explain it.
+    all axes are in one unit, and None where the fixes do not explain it. by_changes: fixes are rare, and explained are
+    turns and changes of velocity from one to the next, whichever less.
     """
 
     R_bs: Array
@@ -113,10 +95,13 @@ class Alignment:
     force_scale: float = np.nan
     is_misnamed: bool = False
     felt: Array | None = None
+    by_changes: bool = False
 
 
 def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
+    if path.is_measured and are_rare(path.t) and (rare := align_rare(imu, path)) is not None:
+        return _of_rare(rare)
     use = sampled_at_speed(imu, path)
     if use.size < FEWEST_AT_SPEED:
         return _level_only(imu, use.size)
@@ -133,76 +118,15 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     return _fit(axes[use], *averages.around(at - lag, WINDOW), lag, lean_rates(path.t, axes, at, rate))
 
 
-def sampled_at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
-    """Return which fixes of a moving kart have samples around them."""
-    inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
-    return np.flatnonzero((path.speed > MIN_SPEED) & inside & ~in_gap(imu.t, path.t))
-
-
-def in_gap(sampled: Array, t: Array) -> BoolArray:
-    """Mask (N,) of times t s in a stretch without samples, or a second from it, where averages are made up.
-
-    sampled (M,) s: times of the samples.
-    """
-    parts = pieces(len(sampled) - 1)  # all differences of a day would be 140 MB
-    holes = [part.start + np.flatnonzero(np.diff(sampled[part.start : part.stop + 1]) > WINDOW) for part in parts]
-    before = np.concatenate([np.empty(0, dtype=np.int64), *holes])
-    if not len(before):
-        return np.zeros(len(t), dtype=np.bool_)
-    latest = np.searchsorted(sampled[before] - 1.0, t) - 1
-    return np.asarray((latest >= 0) & (t < sampled[before + 1][np.maximum(latest, 0)] + 1.0))
-
-
 def _unsampled(sampled: Array, t: Array) -> BoolArray:
     """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
     return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
 
 
-def peak(x: Array, y: Array) -> float:
-    """Where y (N,) over evenly spaced x (N,) is largest, by the parabola through the three points around it."""
-    i = int(np.clip(np.argmax(y), 1, y.size - 2))
-    before, at, after = y[i - 1 : i + 2]
-    bend = before - 2.0 * at + after
-    if bend >= 0.0:
-        return float(x[np.argmax(y)])
-    return float(x[i] + np.clip(0.5 * (before - after) / bend, -1.0, 1.0) * (x[1] - x[0]))
-
-
-def thinned(rows: IntArray, count: int) -> IntArray:
-    """At most `count` of the rows, evenly taken."""
-    return rows[:: max(1, -(-rows.size // count))]
-
-
-class Averages:
-    """Mean force and rate of samples over windows, from cumulative sums."""
-
-    def __init__(self, imu: ImuSamples) -> None:
-        self._t, self._sum, before = imu.t, roomy((len(imu.t), 6)), np.zeros(6)
-        for part in pieces(len(imu.t)):
-            total, steps = self._sum[part], _steps(imu.t, part)[:, None]  # in place: copies of all would cost as much
-            np.multiply(imu.specific_force_s[part], steps, out=total[:, :3])
-            np.multiply(imu.angular_rate_s[part], steps, out=total[:, 3:])
-            total[0] += before
-            np.cumsum(total, axis=0, out=total)
-            before = total[-1].copy()
-            release(imu, self._sum)
-
-    def around(self, t: Array, width: float) -> tuple[Array, Array]:
-        """Mean force and rate, each (..., 3), over `width` seconds around t (...)."""
-        mean = np.empty((*t.shape, 6))
-        for some in pieces(t.shape[-1], FEW):
-            until, since = (self._until(t[..., some] + half) for half in (0.5 * width, -0.5 * width))
-            mean[..., some, :] = (until - since) / width
-            release(self._t, self._sum)
-        return mean[..., :3], mean[..., 3:]
-
-    def _until(self, t: Array) -> Array:
-        """The sums (..., 6) until t (...), linear between samples."""
-        t = np.clip(t, self._t[0], self._t[-1])
-        k = np.clip(np.searchsorted(self._t, t, side="right") - 1, 0, self._t.size - 2)
-        fraction = ((t - self._t[k]) / (self._t[k + 1] - self._t[k]))[..., None]
-        before, after = np.take(self._sum, k, axis=0), np.take(self._sum, k + 1, axis=0)  # faster than indexing
-        return np.asarray((1.0 - fraction) * before + fraction * after)
+def _of_rare(found: RareAlignment) -> Alignment:
+    share = max(min(found.turned, found.moved), 0.0)
+    noise = found.accel_noise, found.gyro_noise
+    return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
 
 
 def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates | None) -> Alignment:
@@ -275,19 +199,6 @@ def _no_wheel_does(upward: Array, gravity: Array, leaning: LeanRates | None, by_
     if axis_mistakes.apart(upward, gravity) > OVER:
         return True
     return leaning is not None and wrong_naming(leaning, by_forces) is not None
-
-
-def path_axes(path: PathMotion) -> Array:
-    """Forward and left acceleration m/s^2 and yaw rate rad/s of the path, (N, 3), averaged over WINDOW."""
-    t, dt = path.t, WINDOW / 2.0
-    before = np.stack([np.interp(t - dt, t, path.velocity_n[:, i]) for i in range(2)], axis=1)
-    after = np.stack([np.interp(t + dt, t, path.velocity_n[:, i]) for i in range(2)], axis=1)
-    acceleration = (after - before) / WINDOW
-    yaw = path.yaw
-    forward = acceleration[:, 0] * np.cos(yaw) + acceleration[:, 1] * np.sin(yaw)
-    left = -acceleration[:, 0] * np.sin(yaw) + acceleration[:, 1] * np.cos(yaw)
-    turn = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
-    return np.stack([forward, left, wrap_angle(turn) / WINDOW], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,15 +330,10 @@ def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
     yaw, before = roomy(len(imu.t)), 0.0
     for part in pieces(len(imu.t)):
         rate_up = (imu.angular_rate_s[part] - alignment.gyro_bias_s) @ alignment.R_bs[2]
-        yaw[part] = before + np.cumsum(rate_up * np.clip(_steps(imu.t, part), 0.0, 0.5))
+        yaw[part] = before + np.cumsum(rate_up * np.clip(steps(imu.t, part), 0.0, 0.5))
         before = float(yaw[part.stop - 1])
         release(imu, yaw)
     return yaw
-
-
-def _steps(t: Array, part: slice) -> Array:
-    """Time (K,) s since the sample before of each sample of a part of t (N,); 0 for the very first."""
-    return np.diff(t[part], prepend=t[max(part.start - 1, 0)])
 
 
 def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.align import MIN_SPEED, WINDOW, Averages, PathMotion, align, path_axes
+from smoother.estimate.align import align
+from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.path_motion import MIN_SPEED, PathMotion, path_axes
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
 

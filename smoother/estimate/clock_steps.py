@@ -15,8 +15,10 @@ from pathlib import PurePath
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import WINDOW, Alignment, Averages, PathMotion, path_axes, sampled_at_speed, thinned
+from smoother.estimate.align import Alignment
+from smoother.estimate.averages import WINDOW, Averages
 from smoother.estimate.delays import Felt, Said, common, said
+from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.samples import Problem, Session
 from smoother.trajectory import ClockMove, Identified
 
@@ -76,13 +78,10 @@ class ClockStep:
         return self.last - self.first <= UNPLACED
 
 
-def clock_steps(
-    imu_t: Array, fixes_t: Array, felt: Felt, path: PathMotion, use: IntArray, *, has_doppler: bool
-) -> tuple[ClockStep, ...]:
+def clock_steps(imu_t: Array, fixes_t: Array, felt: Felt, path: PathMotion, use: IntArray) -> tuple[ClockStep, ...]:
     """Find steps in the delay of a path behind what was felt; see the module's text.
 
     imu_t, fixes_t: stamps s of samples and fixes. use: fixes of the path at speed that have samples around them.
-    has_doppler: whether the path is one of measured velocities.
     """
     every = median(np.diff(path.t)) if len(path.t) > 1 else math.inf
     if use.size < FEWEST or every > SLOWEST or float(path.t[use[-1]] - path.t[use[0]]) < 2.0 * SIDE:
@@ -91,7 +90,7 @@ def clock_steps(
     seams, lags = _segments(felt, path.t[rows], axes[rows])
     if not len(seams):
         return ()
-    tells_much = has_doppler and every <= QUICK
+    tells_much = path.is_measured and every <= QUICK
     smallest, unsure = (SMALLEST, 0.0) if tells_much else (SMALLEST_OF_FEW, UNSURE_OF_FEW)
     ends = np.concatenate([[-np.inf], seams, [np.inf]])
     found = []
@@ -104,13 +103,11 @@ def clock_steps(
     return tuple(found)
 
 
-def session_steps(
-    session: Session, path: PathMotion, alignment: Alignment, *, has_doppler: bool
-) -> tuple[ClockStep, ...]:
+def session_steps(session: Session, path: PathMotion, alignment: Alignment) -> tuple[ClockStep, ...]:
     """Find the steps of a session; `alignment` is that of all of it with the path."""
     assert session.imu is not None
     felt, use = Felt(Averages(session.imu), alignment), sampled_at_speed(session.imu, path)
-    return clock_steps(session.imu.t, session.gnss.t, felt, path, use, has_doppler=has_doppler)
+    return clock_steps(session.imu.t, session.gnss.t, felt, path, use)
 
 
 def moves_of(steps: tuple[ClockStep, ...]) -> tuple[ClockMove, ...]:

@@ -15,16 +15,10 @@ from functools import partial
 import numpy as np
 
 from smoother.arrays import Array, median
-from smoother.estimate.align import (
-    Alignment,
-    Averages,
-    PathMotion,
-    align,
-    path_axes,
-    sampled_at_speed,
-    thinned,
-)
+from smoother.estimate.align import Alignment, align
+from smoother.estimate.averages import Averages
 from smoother.estimate.delays import Felt, Said, common, said
+from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.trajectory import Identified
@@ -72,15 +66,14 @@ class ClockDrift:
 UNSEEN_DRIFT = ClockDrift(0.0, math.inf, False)
 
 
-def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_doppler: bool = True) -> ClockDrift:
+def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> ClockDrift:
     """Return how the clock of samples drifts against that of the fixes; `alignment` is that of the whole session.
 
-    has_doppler: whether the path is one of measured velocities. The drift is found on a stretch that grows to the whole
-    session, since a delay is only found to within a corner.
+    The drift is found on a stretch that grows to the whole session, since a delay is only found to within a corner.
     """
     use = sampled_at_speed(imu, path)
     lasts = float(path.t[-1] - path.t[0])
-    if use.size < FEWEST or lasts < SHORTEST:
+    if use.size < FEWEST or lasts < SHORTEST or alignment.by_changes:  # rare fixes know too little of forces
         return UNSEEN_DRIFT
     axes = path_axes(path)
     if alignment.share_explained < EXPLAINED:
@@ -99,7 +92,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment, *, has_
         if not (math.isfinite(clock.drift) and abs(clock.drift) < LARGEST):
             return UNSEEN_DRIFT
         if is_all:
-            smallest = _smallest(lasts, has_doppler and median(np.diff(path.t)) <= QUICK)
+            smallest = _smallest(lasts, path.is_measured and median(np.diff(path.t)) <= QUICK)
             found = _judged(slopes, clock, smallest / lasts)
             return replace(found, is_found=found.is_found and _is_even(felt, path.t[rows], axes[rows], clock))
         reach *= WIDER
@@ -217,7 +210,7 @@ def _first_clock(imu: ImuSamples, path: PathMotion, begin: float) -> tuple[Align
     middle, zero = begin + 0.5 * FIRST, float(path.t[0])
     count = min(math.ceil(MOST_DRIFT / min(STEP / (middle - zero), COARSEST)), MOST_TRIED)
     fixes = slice(*np.searchsorted(path.t, [begin, begin + FIRST]).tolist())
-    driven, tried = PathMotion(path.t[fixes], path.velocity_n[fixes]), []
+    driven, tried = PathMotion(path.t[fixes], path.velocity_n[fixes], path.is_measured), []
     for drift in np.linspace(-MOST_DRIFT, MOST_DRIFT, 2 * count + 1).tolist():
         clock = _Clock(zero, 0.0, drift)
         first, last = clock.of_samples(driven.t[[0, -1]]).tolist()

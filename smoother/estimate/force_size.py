@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, IntArray, median
-from smoother.estimate.align import LAGS, WINDOW, Averages, PathMotion, path_axes, peak, sampled_at_speed, thinned
+from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.path_motion import LAGS, PathMotion, path_axes, peak, sampled_at_speed, thinned
 from smoother.samples import ImuSamples
 
 ENOUGH_FOR_DELAY, ENOUGH, FEWEST = 300, 1500, 100  # windows, evenly taken: to find it roughly, to tell it, and to try

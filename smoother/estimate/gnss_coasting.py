@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import LAGS, Alignment, Averages, PathMotion, in_gap, initial_attitude
+from smoother.estimate.align import Alignment, initial_attitude
+from smoother.estimate.averages import Averages, in_gap
 from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity
+from smoother.estimate.path_motion import LAGS, PathMotion
 from smoother.samples import ImuSamples, Problem, Session
 from smoother.words import counted
 

@@ -6,8 +6,9 @@ not as the places do.
 
 import numpy as np
 
-from smoother.estimate.align import PathMotion, align
+from smoother.estimate.align import align
 from smoother.estimate.gnss_screen import says_velocity
+from smoother.estimate.path_motion import PathMotion
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import MIRRORED_AXES, MIRRORED_PLACES, UNLIKE_AXES
@@ -64,4 +65,4 @@ def _way_of(fixes: GnssFixes) -> PathMotion:
         for half in (-0.5 * BASELINE, 0.5 * BASELINE)
     )
     level = (after - before) / BASELINE
-    return PathMotion(fixes.t, np.column_stack([level, np.full(len(fixes), np.nan)]))
+    return PathMotion(fixes.t, np.column_stack([level, np.full(len(fixes), np.nan)]), is_measured=False)

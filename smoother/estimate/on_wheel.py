@@ -11,7 +11,8 @@ is turned as the path bends, and vibration knows nothing of the fixes.
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.align import Averages, PathMotion, path_axes, sampled_at_speed, thinned
+from smoother.estimate.averages import Averages
+from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES

@@ -11,8 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment, PathMotion, align
+from smoother.estimate.align import Alignment, align
+from smoother.estimate.averages import Averages
 from smoother.estimate.gnss_screen import says_velocity
+from smoother.estimate.path_motion import PathMotion
 from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession
 from smoother.units import DEG, STANDARD_GRAVITY
 
@@ -27,6 +29,7 @@ AT_THE_END = 0.01  # share of the samples at the largest value of an axis, beyon
 SAME_UNIT = 0.2  # share; the nearest two of them are many times apart
 # share by which a single axis may be off beside the others once it is in their unit
 SAME_AXIS_UNIT = 0.3
+LASTING, NO_KART = 0.5, 0.5  # s, and rad/s that a level axis turns by over them; karts lean by 0.02 to 0.1
 ALIKE = 4.0  # times, by which axes of one gyroscope scatter differently at the most; degrees and radians do by 57
 TURN_UNITS = {  # how many times too fast
     "with deg/s where rad/s belong": 1.0 / DEG,
@@ -84,7 +87,25 @@ def _force_scales(found: Alignment | None) -> list[Array]:
 
 
 def _rate_scales(imu: RawImu) -> list[Array]:
-    """What (3,) would bring rates to one unit, where one axis scatters as degrees beside radians do."""
+    """What (3,) would bring rates to one unit, where one axis scatters as degrees beside radians do.
+
+    So do the level axes of a box that rocks on rubber. But it comes to rest within a rocking or two: what turns on and
+    on by as many radians a second is no kart.
+    """
+    return [scales for scales in _rates_alike(imu) if np.all(_lasting_rate(imu)[scales < 1.0] > NO_KART)]
+
+
+def _lasting_rate(imu: RawImu) -> Array:
+    """Scatter (3,) of the rates over LASTING, as the file's unit says, about what is usual."""
+    some = beginning(imu)
+    if len(some.t) < 2:
+        return np.zeros(3)
+    _, rate = Averages(some).around(np.arange(some.t[0], some.t[-1], LASTING), LASTING)
+    return np.asarray(np.sqrt(np.mean((rate - np.median(rate, axis=0)) ** 2, axis=0)))
+
+
+def _rates_alike(imu: RawImu) -> list[Array]:
+    """What (3,) would bring the scatter from sample to sample of all axes to one size."""
     rows = np.arange(0, len(imu.t) - 1, max(1, len(imu.t) // FEW))
     if not len(rows):
         return []

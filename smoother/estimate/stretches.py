@@ -16,9 +16,11 @@ from itertools import combinations
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median, runs_of
-from smoother.estimate.align import Alignment, Averages, PathMotion, in_gap, path_axes, sampled_at_speed
+from smoother.estimate.align import Alignment
+from smoother.estimate.averages import Averages, in_gap
 from smoother.estimate.clock_steps import QUICK, SLOWEST
 from smoother.estimate.delays import Felt, common, said
+from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed
 from smoother.estimate.pauses import Pauses
 from smoother.samples import Problem, Session
 from smoother.trajectory import DELAY_CHANGES, MOTION_UNLIKE

@@ -5,7 +5,8 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment, PathMotion, align, initial_attitude, rotation_to_up
+from smoother.estimate.align import Alignment, align, initial_attitude, rotation_to_up
+from smoother.estimate.path_motion import PathMotion
 from smoother.frames import euler_from_rotation, rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive

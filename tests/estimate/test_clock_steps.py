@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.align import PathMotion, align
+from smoother.estimate.align import align
 from smoother.estimate.clock_steps import ClockStep, moves_of, of_both_sides, session_steps, step_problems
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import moved
 from smoother.estimate.true_time import in_session_time
@@ -61,7 +62,7 @@ def driven(session: Session) -> PathMotion:
 def found_in(session: Session, path: PathMotion | None = None) -> tuple[ClockStep, ...]:
     assert session.imu is not None
     path = driven(session) if path is None else path
-    return session_steps(session, path, align(session.imu, path), has_doppler=True)
+    return session_steps(session, path, align(session.imu, path))
 
 
 @pytest.mark.parametrize("by", [0.15, 0.4, 1.5, -0.3, -1.0])

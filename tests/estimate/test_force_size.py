@@ -7,9 +7,10 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.align import PathMotion, align
+from smoother.estimate.align import align
 from smoother.estimate.force_size import MODEL, size_delay
 from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.path_motion import PathMotion
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
 from smoother.sim.motion import wander

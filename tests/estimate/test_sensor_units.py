@@ -137,6 +137,19 @@ def test_axes_of_one_sensor_in_two_units_are_brought_to_one(
     assert problem.text.startswith(f"only with {sensor[0]}") and problem.text.endswith("taken so")
 
 
+@pytest.mark.parametrize(("size", "hertz"), [(0.1, 25.0), (0.3, 15.0), (1.0, 8.0)])
+def test_a_level_box_that_rocks_on_rubber_is_no_sensor_in_two_units(size: float, hertz: float) -> None:
+    """Rocking by `size` deg makes gx and gy scatter tens of times as much as gz."""
+    right = simulate_preset("kart", 6, duration=90.0, R_bs=so3.exp(np.array([0.0, 0.0, 1.0])), imu_gyro_tone=0.0).raw
+    assert right.imu is not None
+    angle = 2.0 * np.pi * hertz * right.imu.t
+    rocking = size * DEG * 2.0 * np.pi * hertz * np.column_stack([np.cos(angle), np.sin(1.1 * angle), 0.0 * angle])
+    rocked = dataclasses.replace(
+        right, imu=dataclasses.replace(right.imu, gyro=right.imu.gyro + rocking / right.imu.gyro_scale)
+    )
+    assert "imu_axis_unit" not in [problem.code for problem in in_known_units(rocked).problems]
+
+
 @pytest.mark.parametrize("scales", [(0.5, 1.0, 1.0), (1.0, 0.2, 1.0), (1.0, 1.0, 0.4)])
 def test_an_axis_by_any_other_factor_is_not_converted(kart: RawSession, scales: tuple[float, float, float]) -> None:
     raw = in_known_units(by_axis(kart, "accel", scales))

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import BoolArray
-from smoother.estimate.align import PathMotion, align
+from smoother.estimate.align import align
 from smoother.estimate.clock_offset import EXPLAINED, NO_OFFSET, ClockOffset, clock_offset, without_offset
 from smoother.estimate.clock_steps import ClockStep, beside_steps, moves_of, session_steps
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift, clock_drift, on_clock_of_fixes
 from smoother.estimate.gnss_coasting import coasting, coasting_problems
-from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.start import Start, make_start
 from smoother.estimate.in_step import in_step
 from smoother.estimate.left_out import without_fixes, without_positions
+from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.retimed import moved
 from smoother.estimate.stretches import stretch_problems
@@ -81,7 +81,7 @@ def _on_one_clock(
     if _explains(begun) >= EXPLAINED or begun.start.alignment.is_level_only:
         return begun
     assert given.imu is not None
-    offset = clock_offset(given.imu, PathMotion(given.gnss.t, begun.start.driven.velocity_n))
+    offset = clock_offset(given.imu, _driven(given, begun))
     if not offset.is_found:
         return begun
     better = _at_one_pace(without_offset(given, offset), options, cut_out)
@@ -103,9 +103,9 @@ def _at_one_pace(
     assert given.imu is not None
     stays = not all(step.is_placed for step in begun.steps)  # and would pass for a drift
     if not (stays or begun.start.alignment.is_level_only):
-        driven, has_doppler = _driven(given, begun)
+        driven = _driven(given, begun)
         with suppress(np.linalg.LinAlgError):  # then nothing is known of a drift, and that is all
-            drift = clock_drift(given.imu, driven, begun.start.alignment, has_doppler=has_doppler)
+            drift = clock_drift(given.imu, driven, begun.start.alignment)
     if drift.is_found:
         on_one = on_clock_of_fixes(given, drift)
         better = _begun(on_one, options, cut_out(on_one))
@@ -115,9 +115,9 @@ def _at_one_pace(
     return replace(begun, drift=drift)
 
 
-def _driven(given: Session, begun: Begun) -> tuple[PathMotion, bool]:
-    """The path at the fixes as given, since in pauses that are closed clocks run on, and whether it was measured."""
-    return PathMotion(given.gnss.t, begun.start.driven.velocity_n), most_say_velocity(given.gnss.velocity_n)
+def _driven(given: Session, begun: Begun) -> PathMotion:
+    """The path at the fixes as given, since in pauses that are closed clocks run on."""
+    return replace(begun.start.driven, t=given.gnss.t)
 
 
 def _without_steps(
@@ -126,10 +126,9 @@ def _without_steps(
     """Session and beginning without steps between its clocks; what leaves less in common of the two was none."""
     if begun.start.alignment.is_level_only:
         return given, begun
-    driven, has_doppler = _driven(given, begun)
     steps: tuple[ClockStep, ...] = ()
     with suppress(np.linalg.LinAlgError):  # then nothing is known of steps, and that is all
-        steps = session_steps(given, driven, begun.start.alignment, has_doppler=has_doppler)
+        steps = session_steps(given, _driven(given, begun), begun.start.alignment)
     if not any(step.is_placed for step in steps):
         return given, replace(begun, steps=steps)
     out, on_one = beside_steps(given, steps), moved(given, moves_of(steps))

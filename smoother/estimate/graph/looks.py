@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import BoolArray
-from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.estimated import Estimated, are_made_up, estimated
@@ -32,6 +31,7 @@ from smoother.estimate.graph.start import (
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
+from smoother.estimate.path_motion import MIN_SPEED
 from smoother.samples import Session
 
 AT_ODDS = 4.0  # sigmas between the delay found and that by the size of the force; shaken boxes have up to two

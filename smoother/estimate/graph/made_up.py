@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, IntArray
-from smoother.estimate.align import MIN_SPEED, Alignment
+from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.path_motion import MIN_SPEED
 from smoother.samples import GnssFixes, ImuSamples
 from smoother.units import STANDARD_GRAVITY
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
-from smoother.estimate.align import MIN_SPEED
 from smoother.estimate.graph.ground import CELL, Visits
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
+from smoother.estimate.path_motion import MIN_SPEED
 from smoother.fit.running import gaussian_mean
 from smoother.frames import to_left, wrap_angle
 from smoother.trajectory import Keyframes

@@ -7,10 +7,11 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
-from smoother.estimate.align import MIN_SPEED, Alignment, PathMotion, align, initial_attitude
+from smoother.estimate.align import Alignment, align, initial_attitude
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.graph.at_rest import scale_at_rest
 from smoother.estimate.graph.first_noise import first_noise, receiver_share
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved
@@ -33,6 +34,7 @@ from smoother.estimate.graph.state import (
 )
 from smoother.estimate.left_out import without_positions
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
+from smoother.estimate.path_motion import MIN_SPEED, PathMotion
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import session_standstill
 from smoother.samples import Session
@@ -89,7 +91,8 @@ def make_start(
     """
     assert session.imu is not None
     path = fit_path(session if doubted is None else without_positions(session, doubted))
-    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n)
+    is_measured = most_say_velocity(session.gnss.velocity_n)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured)
     alignment = align(session.imu, driven)
     is_steered, by_size = _on_wheel_and_delay(session, driven, alignment)
     priors = _priors(session, alignment, path, options, by_size)
@@ -163,7 +166,7 @@ def informed(
 def on_path_without(session: Session, start: Start, doubted: BoolArray) -> Start:
     """Return the start with the path through all fixes but the positions `doubted` (N,)."""
     path = fit_path(without_positions(session, doubted))
-    return replace(start, path=path, driven=PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n))
+    return replace(start, path=path, driven=replace(start.driven, velocity_n=path.at(session.gnss.t).velocity_n))
 
 
 def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
