@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,7 +75,10 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What was made of a session, still in memory. smoothed has the rows laps are timed on, `every` n-th is written."""
+    """What was made of a session, still in memory. smoothed has the rows laps are timed on, `every` n-th is written.
+
+    files : bytes of every file that lay there, by :func:`files_beside`.
+    """
 
     session: Session
     smoothed: Trajectory
@@ -83,6 +86,7 @@ class Estimates:
     quality: Quality
     laps: LapAnalysis | None = None
     every: int = 1
+    files: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def written(self) -> Trajectory:
@@ -136,6 +140,20 @@ def require_recording(path: Path) -> None:
     if holds_results(session_directory(path)):
         what = "holds results, not a recording" if path.is_dir() else "lies among results and is no recording"
         raise UsageError(f"{path}: {what}; name the folder it was made from")
+
+
+def files_beside(path: Path) -> dict[str, int]:
+    """Return the bytes of every file that a session may be made from, by their names as seen from its folder.
+
+    A calibration.toml in the folder above is one.
+    """
+    from smoother.calibration import find_calibration
+    from smoother.session.files import list_files
+
+    files = list_files(path)
+    calibration = find_calibration(files.directory)
+    names = {*files.names, *(() if calibration is None else (os.path.relpath(calibration, files.directory),))}
+    return {name: (files.directory / name).stat().st_size for name in sorted(names)}
 
 
 def holds_results(directory: Path) -> bool:
@@ -214,12 +232,13 @@ def _smooth_session(path: Path, out: Path | None, options: Options, progress: Pr
     watch = Stopwatch()
     progress("reading", 0.0)
     with watch.stage("reading"):
-        raw = read(path)
+        raw, files = read(path), files_beside(path)
     with watch.stage("preparing"):
         session = calibrated(raw, session_directory(path))
         said = stated(session.config, session_directory(path), path)
     directory = output_directory(path, out, session.name)
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
+    estimates = replace(estimates, files=files)
     earlier = [name for name in STALE if (directory / name).is_file()]
     other = _another_recording(directory, raw, is_renamed=out is None)
     try:
@@ -382,7 +401,7 @@ def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[s
     document = summary(estimates.session, estimates.written, estimates.quality, watch.seconds, asked)
     if estimates.laps is not None:
         document |= lap_documents(estimates.laps, estimates.smoothed, estimates.session)
-    return document
+    return document | {"files": dict(estimates.files)}
 
 
 def unwritable(directory: Path, error: OSError) -> SmootherError:

@@ -8,6 +8,7 @@ from smoother.cli.output import Progress, no_progress, warn
 from smoother.cli.pipeline import (
     TRAJECTORY,
     Options,
+    files_beside,
     holds_results,
     read_summary,
     require_recording,
@@ -19,8 +20,8 @@ from smoother.cli.pipeline import (
 def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:
     """Return the directory of the results of a session, and whether they passed the quality gate.
 
-    Smooths with the usual options where results are missing, of another recording in the same place, or older than
-    any file of the session.
+    Smooths with the usual options where results are missing, of another recording in the same place, older than any
+    file of the session, or made from others than those that are there now.
     """
     require_recording(path)
     directory = usual_output(path)
@@ -43,8 +44,11 @@ def _is_current(path: Path, directory: Path, document: dict[str, object]) -> boo
     files, told = list_files(path), document.get("session")
     if not isinstance(told, dict) or told.get("name") != files.session_name():
         return False
+    now, then = files_beside(path), document.get("files")
+    if then is not None and then != now:  # one came, went, or was replaced by one that is older
+        return False
     written = (directory / TRAJECTORY).stat().st_mtime
-    return all((files.directory / name).stat().st_mtime <= written for name in files.names)
+    return all((files.directory / name).stat().st_mtime <= written for name in now)
 
 
 def _verdict(document: dict[str, object]) -> tuple[bool, list[str]]:
