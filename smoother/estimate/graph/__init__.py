@@ -29,6 +29,7 @@ What is expected of the motion between keyframes
     heading         heading of the magnetic field
 
 All other factors: rows
+    claims          what a receiver claims of its fixes, and when it was another
     rows            residual and Jacobians of each kind of measurement
     normal_equations  rows, whitened and added to the system
     slip            wheels roll along and hardly sideways

@@ -8,12 +8,13 @@ from smoother.arrays import MAD_TO_SIGMA, Array, median
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.graph.claims import claimed_accuracy
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter
 from smoother.estimate.graph.imu import BinnedImu, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.options import GraphOptions
-from smoother.samples import GnssFixes, Session
+from smoother.samples import Session
 from smoother.units import DEG, STANDARD_GRAVITY
 
 DATA_SHEET_ACCEL = 300e-6 * STANDARD_GRAVITY  # m/s^2/sqrt(Hz), MPU9250 product specification
@@ -23,9 +24,6 @@ ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hou
 # m: an accuracy that only fixed carrier phases have, and their scatter and wander beside Doppler at most; of all other
 # receivers these are 0.06 and 0.35 or more, of those 0.02 and 0.13 or less. The least error that is left to them.
 RTK, RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.1, 0.03, 0.25, 0.01
-# per cent of the fixes, and times by which the others are worse from which on corrections came or went: receivers that
-# settle or lose sight for a while have 1.1 to 3, of fixed and other solutions in turn it is 20 to 100
-WORSE, MIXED = 92.0, 6.0
 # m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
@@ -33,21 +31,8 @@ MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5]
 
 def receiver_share(session: Session, options: GraphOptions) -> float:
     """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so."""
-    claimed = _claimed(session.gnss)
+    claimed = claimed_accuracy(session.gnss)
     return 1.0 if claimed is None else float(np.clip(claimed / options.offset_sigma[0], 0.1, 1.0))
-
-
-def _claimed(fixes: GnssFixes) -> float | None:
-    """Horizontal accuracy, m, that a receiver claims of its fixes, None if of none.
-
-    The usual one; but where corrections came or went, and some fixes are many times less accurate, that of those: the
-    wander of all is modelled as one.
-    """
-    reported = fixes.sigma_horizontal
-    if reported is None or not np.any(np.isfinite(reported)):
-        return None
-    usual, worse = np.nanpercentile(reported, [50.0, WORSE])
-    return float(worse if worse > MIXED * usual else usual)
 
 
 def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
@@ -56,7 +41,7 @@ def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float
     It is believed where the fixes say the same: they scatter by hardly more than a digit and stay beside the Doppler,
     which wanders by more than they do; taken for white, it would outvote them.
     """
-    claimed = _claimed(session.gnss)
+    claimed = claimed_accuracy(session.gnss)
     if claimed is None:
         return None
     is_one = claimed < RTK and path.position_sigma[0] < RTK_SCATTER and offset.sigma[0] < RTK_WALK

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.estimate.graph.claims import ALIKE, Claims
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.slip import (
@@ -117,6 +118,7 @@ class Data:
         bridges what is missing.
     pauses: time that is cut out between some of them, for which the biases walk on.
     lasting m/s: sigma of the part of velocities' errors that lasts for a while.
+    claims: stretches of different accuracy.
     """
 
     t: Array
@@ -131,6 +133,7 @@ class Data:
     sampled: Array | None = None
     pauses: Pauses = NO_PAUSES
     lasting: float = 0.0
+    claims: Claims = ALIKE
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.arm import arm_axes, arm_axes_at
+from smoother.estimate.graph.claims import ALIKE, Claims
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
@@ -231,24 +232,27 @@ def ground_rows(state: ChainState, sigma: float, at: IntArray, height: Array) ->
     return Rows("ground", at, residual, np.full((len(at), 1), sigma), left, right, constants, np.ones(len(at)))
 
 
-def offset_rows(state: ChainState, sigma: Array, tau: float) -> tuple[Rows, Rows]:
+def offset_rows(
+    state: ChainState, sigma: Array, tau: float, claims: Claims = ALIKE, late: float = 0.0
+) -> tuple[Rows, Rows]:
     """First-order Gauss-Markov process of the GPS offset: its start, and its steps. sigma (3,) m, tau s.
 
-    o_{k+1} = phi o_k + w, phi = exp(-T/tau), var w = sigma^2 (1 - phi^2). Source: Gelb 1974, 3.8.
+    o_{k+1} = phi o_k + w, phi = exp(-T/tau), var w = sigma^2 (1 - phi^2). Source: Gelb 1974, 3.8. claims, of fixes late
+    by `late` s: in parts of sigma, how large it is in stretches, between which it is another.
     """
-    phi = np.exp(-state.interval / tau)
     n = len(state.t) - 1
-    left, right, constants = empty_jacobians(1, 3)
-    left[:, :, OFFSET], right[:, :, OFFSET] = -phi * np.eye(3), np.eye(3)
+    share, anew = claims.between(state.t, late) if len(claims.renewed) else (claims.share, np.zeros(1, dtype=np.bool_))
+    phi = np.where(anew, 0.0, np.exp(-state.interval / tau))[:, None]
+    left, right, constants = empty_jacobians(len(phi), 3)  # of all alike, one stands for all
+    left[:, :, OFFSET], right[:, :, OFFSET] = -phi[:, :, None] * np.eye(3), np.eye(3)
     residual = state.offset_n[1:] - phi * state.offset_n[:-1]
-    step = np.broadcast_to(sigma * np.sqrt(1.0 - phi**2), residual.shape)
+    step = np.broadcast_to(sigma * share[:, None] * np.sqrt(1.0 - phi**2), residual.shape)
     left, right, constants = (np.broadcast_to(block, (n, *block.shape[1:])) for block in (left, right, constants))
     steps = Rows("gps_offset", np.arange(n), residual, step, left, right, constants, np.ones(n))
     left, right, constants = empty_jacobians(1, 3)
     left[:, :, OFFSET] = np.eye(3)
-    start = Rows(
-        "gps_offset_start", np.zeros(1, int), state.offset_n[:1], sigma[None], left, right, constants, np.ones(1)
-    )
+    at_first = share[0] * sigma[None]
+    start = Rows("gps_offset_start", np.zeros(1, int), state.offset_n[:1], at_first, left, right, constants, np.ones(1))
     return start, steps
 
 

@@ -122,7 +122,7 @@ def session_rows(
     out = [
         robust(position, d.doubted),
         robust(velocity),
-        *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau),
+        *rw.offset_rows(state, noise.offset_sigma, noise.offset_tau, d.claims, float(prior.constants[0])),
     ]
     bias = np.concatenate([state.accel_bias_s[0], state.gyro_bias_s[0] - prior.gyro_bias_mean])
     sigma = np.repeat([prior.accel_bias, prior.gyro_bias], 3)

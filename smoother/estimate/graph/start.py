@@ -13,6 +13,7 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.graph.at_rest import scale_at_rest
+from smoother.estimate.graph.claims import claims_of
 from smoother.estimate.graph.first_noise import first_noise, receiver_share
 from smoother.estimate.graph.imu import BinnedImu, bin_imu, halved
 from smoother.estimate.graph.inertial_noise import hole_lengths
@@ -254,6 +255,7 @@ def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: B
         doubted=None if doubted is None else doubted[use],
         heights=_heights(session),
         lasting=lasting_at_rest(gnss.t, gnss.velocity_n, standing),
+        claims=claims_of(gnss),
     )
 
 
