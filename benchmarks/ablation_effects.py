@@ -10,6 +10,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
+from smoother.estimate import align
 from smoother.estimate.clock_offset import NO_OFFSET, ClockOffset
 from smoother.estimate.clocks import UNSEEN_DRIFT, ClockDrift
 from smoother.estimate.gnss_offset import OffsetModel
@@ -30,6 +31,7 @@ from smoother.estimate.graph import (
     start,
 )
 from smoother.estimate.graph.chain import ChainSystem
+from smoother.estimate.graph.claims import ALIKE, Claims
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.felt import Felt
 from smoother.estimate.graph.first_noise import DATA_SHEET_ACCEL, DATA_SHEET_GYRO
@@ -42,7 +44,7 @@ from smoother.estimate.graph.normal_equations import add_constants_prior
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
 from smoother.fit.running import gaussian_mean
-from smoother.samples import ImuSamples, Session
+from smoother.samples import GnssFixes, ImuSamples, Session
 from smoother.trajectory import Trajectory
 
 OFF = 1e-6  # a sigma that leaves nothing to find
@@ -134,6 +136,14 @@ def _agrees(_: Session) -> Disagreement:
 
 def _one_pace(*_: Any, **__: Any) -> ClockDrift:
     return UNSEEN_DRIFT
+
+
+def _are_quick(_: Array) -> bool:
+    return False
+
+
+def _one_receiver(_: GnssFixes) -> Claims:
+    return ALIKE
 
 
 def _one_time(*_: Any) -> ClockOffset:
@@ -337,6 +347,8 @@ EFFECTS = (
     Effect("velocities turned against positions", patches=((smoother, "disagreement", _agrees),)),
     Effect("drift of the clocks", patches=((begin, "clock_drift", _one_pace),)),
     Effect("clocks that show different times", patches=((begin, "clock_offset", _one_time),)),
+    Effect("alignment by changes between rare fixes", patches=((align, "are_rare", _are_quick),)),
+    Effect("corrections that come and go", patches=((start, "claims_of", _one_receiver),)),
     Effect("noise of the fixes from driving alone", patches=((components, "_component_of", _all_count),)),
     Effect("rotation-aware averaging", patches=((start, "bin_imu", _plain_bins), (start, "halved", _plain_halves))),
 )

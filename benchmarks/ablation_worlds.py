@@ -13,6 +13,8 @@ from smoother.samples import GnssFixes, Session
 from smoother.sim.motion import Stop
 from smoother.units import DEG
 
+RARELY = 5.0  # s from fix to fix
+CORRECTED_FOR = 30.0  # s that corrections come, and then do not
 COASTS, COASTS_EVERY = 3.0, 30.0  # s that a receiver goes straight on, and how often
 COLD, FADES = 36.0, 15.0  # m off when the first satellites are found, s in which a third of it is left
 COUNTED = 3e-3  # drift of samples that are stamped by counting them: the oscillator of an MPU9250 is good to a per cent
@@ -155,9 +157,35 @@ def _filtered(session: Session, _: int) -> Session:
     return replace(session, gnss=replace(gnss, velocity_n=velocity_n))
 
 
+def _rare(session: Session, _: int) -> Session:
+    """A receiver that is asked once in five seconds."""
+    every = max(1, round(RARELY / float(median(np.diff(session.gnss.t)))))
+    return replace(session, gnss=session.gnss.select(np.arange(0, len(session.gnss), every)))
+
+
+def _corrected(session: Session, seed: int) -> Session:
+    """A receiver that has fixed carrier phases for half a minute, and for half a minute not, and says so."""
+    gnss, rng = session.gnss, np.random.default_rng(9960 + seed)
+    lost = (gnss.t - gnss.t[0]) % (2.0 * CORRECTED_FOR) > CORRECTED_FOR
+    wander_n = np.zeros((len(gnss), 3))
+    for k in range(1, len(gnss)):
+        kept = np.exp(-(gnss.t[k] - gnss.t[k - 1]) / 60.0) if lost[k - 1] else 0.0
+        wander_n[k] = kept * wander_n[k - 1] + np.sqrt(1.0 - kept**2) * rng.normal(size=3) * [1.5, 1.5, 2.5]
+    off_n = lost[:, None] * (wander_n + rng.normal(size=(len(gnss), 3)) * [0.2, 0.2, 0.35])
+    said = np.where(lost, 1.5, 0.02)
+    moved = replace(_moved(session, off_n), sigma_horizontal=said, sigma_up=1.7 * said)
+    return replace(session, gnss=moved)
+
+
 NOISY = {"imu_accel_noise": 0.9, "imu_gyro_noise": 0.04}
 QUICK = {"gnss_rate": 25.0, "gnss_velocity_sigma": 0.05, "gnss_has_vertical_velocity": True}
 FILTERED = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "gnss_velocity_lasting": 0.025, "imu_accel_noise": 0.05}
+CORRECTED = {
+    "gnss_white_horizontal": 0.015,
+    "gnss_white_up": 0.03,
+    "gnss_offset_horizontal": 0.01,
+    "gnss_offset_up": 0.02,
+}
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
 # plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
 # steering wheel whose accelerometer is late; receivers and clocks as they should not be
@@ -192,5 +220,7 @@ WORLDS = {
         "kart", {"gnss_velocity_lasting": 0.075, "motion_standstill": 30.0}
     ),
     "kart, quick receiver that errs for a while": World("kart", {**FILTERED, "motion_standstill": 30.0}),
+    "kart, one fix in five seconds": World("kart", {}, _rare),
+    "kart, corrections that come and go": World("kart", CORRECTED, _corrected),
     "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
 }

@@ -33,6 +33,8 @@ WORLD_OF = {
     "noise that the receiver filtered": "kart, Doppler that is a mean of five",
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
+    "alignment by changes between rare fixes": "kart, one fix in five seconds",
+    "corrections that come and go": "kart, corrections that come and go",
 }
 
 

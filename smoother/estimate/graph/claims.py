@@ -12,8 +12,9 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, median
 from smoother.samples import GnssFixes
 
-# per cent of the fixes, and times by which the others are worse from which on corrections came or went: receivers that
-# settle or lose sight for a while have 1.1 to 3, of fixed and other solutions in turn it is 20 to 100
+# m: an accuracy that only fixed carrier phases have; what others claim leaves their slow error out
+RTK = 0.1
+# per cent of the fixes, and times by which the others are worse from which on corrections came or went
 WORSE, MIXED = 92.0, 6.0
 BESIDE = 5  # fixes before and after, that are as accurate
 
@@ -28,7 +29,7 @@ def claimed_accuracy(fixes: GnssFixes) -> float | None:
     if reported is None or not np.any(np.isfinite(reported)):
         return None
     usual, worse = np.nanpercentile(reported, [50.0, WORSE])
-    return float(worse if worse > MIXED * usual else usual)
+    return float(worse if usual < RTK and worse > MIXED * usual else usual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +60,17 @@ ALIKE = Claims(np.empty((0, 2)), np.ones(1))
 
 
 def claims_of(fixes: GnssFixes) -> Claims:
-    """Cut fixes where from one to the next the claimed accuracy is many times another, and stays so."""
+    """Cut fixes where from one to the next carrier phases are fixed or lost, by what is claimed from then on."""
     reported = fixes.sigma_horizontal
     if reported is None:
         return ALIKE
     known = np.flatnonzero(np.isfinite(reported) & (reported > 0.0))
     claimed, t = np.log(reported[known]), fixes.t[known]
-    cuts = [
-        k
-        for k in (np.flatnonzero(np.abs(np.diff(claimed)) > math.log(MIXED)) + 1).tolist()
-        if abs(median(claimed[k : k + BESIDE]) - median(claimed[max(0, k - BESIDE) : k])) > math.log(MIXED)
-    ]
+    cuts = []
+    for k in (np.flatnonzero(np.abs(np.diff(claimed)) > math.log(MIXED)) + 1).tolist():
+        better, worse = sorted([median(claimed[max(0, k - BESIDE) : k]), median(claimed[k : k + BESIDE])])
+        if better < math.log(RTK) and worse - better > math.log(MIXED):
+            cuts.append(k)
     if not cuts:
         return ALIKE
     usual = np.exp([median(stretch) for stretch in np.split(claimed, cuts)])

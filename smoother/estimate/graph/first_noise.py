@@ -8,7 +8,7 @@ from smoother.arrays import MAD_TO_SIGMA, Array, median
 from smoother.estimate.align import Alignment
 from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.gnss_path import GnssPath
-from smoother.estimate.graph.claims import claimed_accuracy
+from smoother.estimate.graph.claims import RTK, claimed_accuracy
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter
 from smoother.estimate.graph.imu import BinnedImu, tell_of_samples
 from smoother.estimate.graph.inertial_noise import InertialNoise
@@ -21,9 +21,9 @@ DATA_SHEET_ACCEL = 300e-6 * STANDARD_GRAVITY  # m/s^2/sqrt(Hz), MPU9250 product 
 DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
-# m: an accuracy that only fixed carrier phases have, and their scatter and wander beside Doppler at most; of all other
-# receivers these are 0.06 and 0.35 or more, of those 0.02 and 0.13 or less. The least error that is left to them.
-RTK, RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.1, 0.03, 0.25, 0.01
+# m: scatter and wander of fixed carrier phases beside Doppler at most; of all other receivers these are 0.06 and 0.35
+# or more, of those 0.02 and 0.13 or less. The least error that is left to them.
+RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
 # m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])

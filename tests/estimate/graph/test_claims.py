@@ -57,6 +57,7 @@ def test_stretches_are_cut_where_corrections_come_and_go(simulation: Simulation)
     np.testing.assert_array_equal(claims.renewed, [fixes.t[[99, 100]], fixes.t[[199, 200]]])
     np.testing.assert_allclose(claims.share, [1.0, CENTIMETRES / METRES, 1.0])
     assert claims_of(claiming(fixes, np.where(np.arange(n) < 100, METRES, 3.0 * METRES))) is ALIKE
+    assert claims_of(claiming(fixes, np.where(np.arange(n) < 100, METRES, 10.0 * METRES))) is ALIKE  # trees, no phases
     assert claims_of(replace(fixes, sigma_horizontal=None)) is ALIKE
 
 
