@@ -32,6 +32,7 @@ def test_results_appear_together_and_replace_the_old_ones(tmp_path: Path) -> Non
 
 def test_who_stops_the_run_while_results_appear_has_them_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_files(tmp_path, {SEAL: b"old", "a.csv": b"old"})
+    given = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
     replace, before = Path.replace, signal.getsignal(signal.SIGINT)
 
     def interrupted(self: Path, target: Path) -> Path:
@@ -43,6 +44,7 @@ def test_who_stops_the_run_while_results_appear_has_them_whole(tmp_path: Path, m
         write_files(staging, {SEAL: b"new", "a.csv": b"new"})
     assert contents(tmp_path) == {SEAL: b"new", "a.csv": b"new"}
     assert signal.getsignal(signal.SIGINT) is before
+    signal.signal(signal.SIGINT, given)
 
 
 def test_a_failed_run_leaves_the_old_results(tmp_path: Path) -> None:
