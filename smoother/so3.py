@@ -117,3 +117,13 @@ def numerical_jacobian(function: Callable[[Array], Array], x: Array, step: float
         d[i] = step
         columns.append((np.asarray(function(x + d)) - np.asarray(function(x - d))) / (2.0 * step))
     return np.stack(columns, axis=-1)
+
+
+def rotation_to_up(up_s: Array) -> Array:
+    """Return the smallest rotation that takes the unit vector up_s (3,) to (0, 0, 1). Returns (3, 3)."""
+    up = np.array([0.0, 0.0, 1.0])
+    axis = np.cross(up_s, up)
+    sine, cosine = float(np.linalg.norm(axis)), float(up_s @ up)
+    if sine < 1e-9:
+        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
+    return exp(axis / sine * np.arctan2(sine, cosine))

@@ -254,17 +254,7 @@ def _level_only(imu: ImuSamples, at_speed: int) -> Alignment:
         )
         problems = (Problem("heading_unknown", text),)
     gyro_bias_s = np.median(imu.angular_rate_s, axis=0)
-    return Alignment(rotation_to_up(up_s), gyro_bias_s, 0.0, 0.0, True, problems=problems)
-
-
-def rotation_to_up(up_s: Array) -> Array:
-    """Return the smallest rotation that takes the unit vector up_s (3,) to (0, 0, 1). Returns (3, 3)."""
-    up = np.array([0.0, 0.0, 1.0])
-    axis = np.cross(up_s, up)
-    sine, cosine = float(np.linalg.norm(axis)), float(up_s @ up)
-    if sine < 1e-9:
-        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
-    return so3.exp(axis / sine * np.arctan2(sine, cosine))
+    return Alignment(so3.rotation_to_up(up_s), gyro_bias_s, 0.0, 0.0, True, problems=problems)
 
 
 def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Array:

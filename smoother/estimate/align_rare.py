@@ -46,7 +46,8 @@ LEAST_SIZE, MOST_SIZE = 0.6, 1.6  # of kappa; slip and lean of real karts make i
 
 @dataclass(frozen=True, eq=False)
 class RareAlignment:
-    """R_bs (3, 3); gyro_bias_s (3,) rad/s; lag, s, of the fixes; what is left of force and rate, as densities.
+    """R_bs (3, 3); gyro_bias_s (3,) rad/s; lag, s, of the fixes; what is left of force, m/s^2/sqrt(Hz), and rate,
+    rad/s/sqrt(Hz), as densities.
 
     turned, moved: shares of turns and of changes of velocity that are explained, at most 1.
     """
@@ -81,13 +82,14 @@ def align_rare(imu: ImuSamples, path: PathMotion) -> RareAlignment | None:
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Neighbouring fixes (P,): since, until s; course (2, P) rad of both; change (P,) of velocity, north + i west."""
+    """Neighbouring fixes (P,): since, until s; course (2, P) rad of both, anticlockwise from north; change (P,) m/s of
+    velocity, north + i west. steady (P, B): exp(i angle) that each of BIASES has turned by from the one to the next."""
 
     since: Array
     until: Array
     course: Array
     change: Array
-    straightness: float  # mean 1 - cos of the turns about a steady one
+    steady: Array
 
     @classmethod
     def of(cls, imu: ImuSamples, path: PathMotion) -> "_Pairs | None":
@@ -98,11 +100,9 @@ class _Pairs:
         velocity = path.velocity_n[:, 0] + 1j * path.velocity_n[:, 1]
         course = np.stack([path.yaw[rows], path.yaw[rows + 1]])
         since, until = path.t[rows], path.t[rows + 1]
-        steady = np.exp(1j * (course[1] - course[0])) @ np.exp(-1j * (until - since)[:, None] * BIASES)
-        straightness = 1.0 - float(np.max(np.real(steady))) / rows.size
-        if straightness < STRAIGHT:
-            return None
-        return cls(since, until, course, velocity[rows + 1] - velocity[rows], straightness)
+        steady = np.exp(1j * (until - since)[:, None] * BIASES)
+        pairs = cls(since, until, course, velocity[rows + 1] - velocity[rows], steady)
+        return None if pairs.straightness < STRAIGHT else pairs
 
     @property
     def lasts(self) -> Array:
@@ -113,6 +113,15 @@ class _Pairs:
     def turn(self) -> Array:
         """That the course tells, (P,) rad, but for whole turns."""
         return np.asarray(self.course[1] - self.course[0])
+
+    @property
+    def straightness(self) -> float:
+        """Mean 1 - cos of the turns about a steady one: their circular variance."""
+        return 1.0 - float(np.max(self.agreement(np.zeros(len(self.since)))))
+
+    def agreement(self, felt: Array) -> Array:
+        """Mean cosine (B,) of the turns less what was felt, (P,) rad, and what each of BIASES has turned by."""
+        return np.asarray(np.real(np.exp(1j * (self.turn - felt)) @ np.conj(self.steady)) / len(felt))
 
 
 def _at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
@@ -125,16 +134,12 @@ def _at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
 
 def _fitted(imu: ImuSamples, averages: Averages, pairs: _Pairs, up_s: Array) -> RareAlignment:
     """Fit with up at up_s (3,)."""
-    steady = np.exp(-1j * pairs.lasts[:, None] * BIASES)
 
     def turned(lag: float) -> Array:
         return averages.between(pairs.since - lag, pairs.until - lag)[1] @ up_s
 
-    def agreement(lag: float) -> Array:
-        return np.asarray(np.real(np.exp(1j * (pairs.turn - turned(lag))) @ steady) / len(pairs.turn))
-
-    by_turns = peak(LAGS, np.array([np.max(agreement(lag)) for lag in LAGS]))
-    of_biases = agreement(by_turns)
+    by_turns = peak(LAGS, np.array([np.max(pairs.agreement(turned(lag))) for lag in LAGS]))
+    of_biases = pairs.agreement(turned(by_turns))
     level = _Level.of(imu, averages, pairs, up_s)
     biases = -BIASES[_peaks(of_biases)]
     bias = max(biases, key=lambda each: level.turned_with(each).moved(pairs, by_turns).share)
@@ -189,9 +194,7 @@ class _Level:
         """Return it from before the first pair to after the last one."""
         t = np.arange(max(imu.t[0], pairs.since[0] - BESIDE), min(imu.t[-1], pairs.until[-1] + BESIDE), STEP)
         force, rate = averages.around(t, STEP)
-        one = np.cross(up_s, np.eye(3)[np.argmin(np.abs(up_s))])
-        one = one / np.linalg.norm(one)
-        axes = np.stack([one, np.cross(up_s, one)])
+        axes = so3.rotation_to_up(up_s)[:2]
         return cls(t, force @ axes[0] + 1j * (force @ axes[1]), np.cumsum(rate @ up_s) * STEP, axes, up_s)
 
     def turned_with(self, bias: float) -> "_Turned":

@@ -92,7 +92,9 @@ def _rate_scales(imu: RawImu) -> list[Array]:
     So do the level axes of a box that rocks on rubber. But it comes to rest within a rocking or two: what turns on and
     on by as many radians a second is no kart.
     """
-    return [scales for scales in _rates_alike(imu) if np.all(_lasting_rate(imu)[scales < 1.0] > NO_KART)]
+    alike = _rates_alike(imu)
+    turns_on = _lasting_rate(imu) > NO_KART if alike else np.ones(3, dtype=np.bool_)
+    return [scales for scales in alike if np.all(turns_on[scales < 1.0])]
 
 
 def _lasting_rate(imu: RawImu) -> Array:

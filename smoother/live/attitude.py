@@ -4,7 +4,6 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.align import rotation_to_up
 from smoother.estimate.baseline.baseline import UNITY
 from smoother.estimate.baseline.madgwick import BETA, ZETA, run_madgwick
 from smoother.samples import ImuSamples, MagSamples
@@ -62,7 +61,7 @@ class MadgwickTracker:
             return
         up = np.mean(np.concatenate([part.specific_force_s for part in self._first]), axis=0)
         length = np.linalg.norm(up)
-        R_ls = rotation_to_up(up / length) if length > 0.0 else np.eye(3)
+        R_ls = so3.rotation_to_up(up / length) if length > 0.0 else np.eye(3)
         if self._field is not None:  # the filter's x axis is magnetic north
             level = R_ls @ self._field
             R_ls = so3.exp(np.array([0.0, 0.0, -np.arctan2(level[1], level[0])])) @ R_ls

@@ -5,7 +5,7 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment, align, initial_attitude, rotation_to_up
+from smoother.estimate.align import Alignment, align, initial_attitude
 from smoother.estimate.path_motion import PathMotion
 from smoother.frames import euler_from_rotation, rotation_from_euler, wrap_angle
 from smoother.samples import ImuSamples
@@ -181,7 +181,7 @@ class TestRotationToUp:
     def test_it_takes_a_direction_up_by_the_shortest_way(self) -> None:
         directions = np.random.default_rng(0).normal(size=(50, 3))
         for up_s in directions / np.linalg.norm(directions, axis=1, keepdims=True):
-            R = rotation_to_up(up_s)
+            R = so3.rotation_to_up(up_s)
             np.testing.assert_allclose(R @ up_s, [0.0, 0.0, 1.0], atol=1e-12)
             np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
             assert np.linalg.norm(so3.log(R)) == pytest.approx(np.arccos(up_s[2]), abs=1e-7)
@@ -189,7 +189,7 @@ class TestRotationToUp:
     @pytest.mark.parametrize("tiny", [0.0, 1e-12])
     @pytest.mark.parametrize("sign", [1.0, -1.0])
     def test_straight_up_and_straight_down_are_rotations_too(self, tiny: float, sign: float) -> None:
-        R = rotation_to_up(np.array([tiny, 0.0, sign]))
+        R = so3.rotation_to_up(np.array([tiny, 0.0, sign]))
         np.testing.assert_allclose(R @ [0.0, 0.0, sign], [0.0, 0.0, 1.0], atol=1e-9)
         assert np.linalg.det(R) == pytest.approx(1.0)
 
