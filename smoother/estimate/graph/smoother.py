@@ -419,7 +419,8 @@ def _fitted_mounting(session: Session, found: Estimated, noise: Noise, start: St
     mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
     if mounting.is_fitted:
         mean, common = attitude_variance(found, mounting.R_bs, are_made_up(start.fine))
-        mounting = on_its_ground(mounting, state, float(max(mean[0] - common[0], 0.0)), start.fine.missing)
+        own = float(max(mean[0] - common[0], 0.0))
+        mounting = on_its_ground(mounting, state, own, start.fine.missing, start.data.still)
     of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
     if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
         mounting = along_wheels(mounting, state.constants, of_slip + beyond)
