@@ -10,6 +10,9 @@ judges have to agree:
     explains (analysis of variance). Vibration averages out of the means, whatever its strength, so an idling engine
     does not hide a stop; setting off, turning or being lifted does move the means.
 
+A kart that is turned where it stands, by hand after a spin, is steady to both: whatever has other rates at one time of
+a run than at another, or than the gyroscope's bias where that is known, is no standstill from end to end.
+
 Without any GNSS (a box on the bench) the second judge is helped by a third: the scatter is near the quietest of the
 session and below a bound, because there a smooth ride and a rest would look alike.
 """
@@ -33,7 +36,8 @@ class StandstillOptions:
     steadiness: ratio of variances; 1 is white noise, about 3 a sensor behind a low-pass filter, setting off gives 20
     and more. force_floor m/s^2, rate_floor rad/s: scatter of block means that is always steady (quantisation, drift).
     quiet_ratio of scatters and quiet_force, quiet_rate per axis: the third judge. latency: how long after a time fixes
-    are asked.
+    are asked. turning rad/s: beside the usual rate of a run; off_bias rad/s: beside the bias of the session, which
+    warms up by 3 deg/s.
     """
 
     max_speed: float = 0.3
@@ -48,22 +52,31 @@ class StandstillOptions:
     quiet_rate: float = 1.5 * DEG
     latency: float = 0.8
     shortest: float = 1.0
+    turning: float = 1.5 * DEG
+    off_bias: float = 5.0 * DEG
 
 
 MAX_POSITION_SPEED = 1.0  # m/s; limit where only positions are known and these are noisy
 POSITION_WINDOW = 3.0  # s on each side, over which positions are averaged into a speed
 FEWEST_BLOCKS = 4
+TURNED_SIGMAS = 4.0  # of the mean rate of some blocks, by their scatter
 ENOUGH = 1 << 12  # samples, evenly taken, to know the usual value
 
 
-def session_standstill(session: Session, options: StandstillOptions | None = None) -> BoolArray:
-    """Mask (N,) of the inertial samples at which the kart stood still; (0,) without inertial samples."""
+def session_standstill(
+    session: Session, options: StandstillOptions | None = None, gyro_bias: Array | None = None
+) -> BoolArray:
+    """Mask (N,) of the inertial samples at which the kart stood still; (0,) without inertial samples.
+
+    gyro_bias (3,) rad/s, in the axes of the samples, where it is known.
+    """
     options = StandstillOptions() if options is None else options
     if session.imu is None:
         return np.zeros(0, dtype=np.bool_)
     speed, limit = fix_speeds(session.gnss, session.origin, options)
     imu = session.imu
-    return detect_standstill(imu.t, imu.specific_force_s, imu.angular_rate_s, session.gnss.t, speed, limit, options)
+    fixes_t = session.gnss.t
+    return detect_standstill(imu.t, imu.specific_force_s, imu.angular_rate_s, fixes_t, speed, limit, options, gyro_bias)
 
 
 def detect_standstill(
@@ -74,11 +87,13 @@ def detect_standstill(
     fix_speed: Array | None = None,
     speed_limit: Array | float | None = None,
     options: StandstillOptions | None = None,
+    gyro_bias: Array | None = None,
 ) -> BoolArray:
     """Mask (N,) of samples at rest.
 
     t (N,) s; specific_force (N, 3) m/s^2 and angular_rate (N, 3) rad/s in any axes, with any bias; fix_t (M,) s and
-    fix_speed (M,) m/s, NaN unknown, None on the bench; speed_limit (M,) m/s of each fix, `max_speed` if not given.
+    fix_speed (M,) m/s, NaN unknown, None on the bench; speed_limit (M,) m/s of each fix, `max_speed` if not given;
+    gyro_bias (3,) rad/s, where it is known.
     """
     options = StandstillOptions() if options is None else options
     if len(t) == 0:
@@ -94,6 +109,8 @@ def detect_standstill(
         centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
         still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
     still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
+    if fix_t is not None:
+        still = _without_turned_runs(still, rate, gyro_bias, options)
     return np.asarray(still[block])
 
 
@@ -181,9 +198,11 @@ def _is_stopped(centre: Array, fix_t: Array, speed: Array, limit: Array, options
 class _Blocks:
     """Per window of blocks, summed over axes: variance between block means, within blocks; mean count of a block.
 
-    between, within, count, occupied (B,). Blocks without samples (gaps) count for nothing.
+    mean (B, 3), of the block means; between, within, count, occupied (B,). Blocks without samples (gaps) count for
+    nothing.
     """
 
+    mean: Array
     between: Array
     within: Array
     count: Array
@@ -215,7 +234,8 @@ class _Blocks:
         within = _windowed(np.sum(inside, axis=0), options)
         freedom = np.maximum(_windowed(np.maximum(count - 1.0, 0.0), options), 1.0)
         between = np.maximum(between, 0.0) / np.maximum(k - 1.0, 1.0)
-        return _Blocks(between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
+        around = usual + np.stack([_windowed(m, options) for m in mean], axis=1) / np.maximum(k, 1.0)[:, None]
+        return _Blocks(around, between, within / freedom, _windowed(count, options) / np.maximum(k, 1.0), k)
 
 
 def _within(edges: IntArray, part: slice) -> tuple[IntArray, IntArray, IntArray]:
@@ -254,3 +274,17 @@ def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
     edges[first[long]] += 1
     edges[after[long]] -= 1
     return np.asarray(np.cumsum(edges[:-1]) > 0)
+
+
+def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None, options: StandstillOptions) -> BoolArray:
+    """Return the mask (B,) of blocks less the runs in which the kart was turned; bias (3,) rad/s or unknown."""
+    chance = TURNED_SIGMAS * np.sqrt(rate.within / np.maximum(rate.count * rate.occupied, 1.0))
+    out = still.copy()
+    for first, after in zip(*runs_of(still), strict=True):
+        mean, unsure = rate.mean[first:after], chance[first:after]
+        is_turned = np.linalg.norm(mean - np.median(mean, axis=0), axis=1) > options.turning + unsure
+        if bias is not None:
+            is_turned |= np.linalg.norm(mean - bias, axis=1) > options.off_bias + unsure
+        if is_turned.any():
+            out[first:after] = False
+    return out

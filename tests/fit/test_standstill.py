@@ -242,3 +242,29 @@ def test_a_rolling_start_has_no_standstill():
 def test_a_session_without_inertial_samples_has_an_empty_mask():
     simulation = simulate_preset("white", 33, duration=10.0, imu=None)
     assert session_standstill(prepare(simulation.raw)).shape == (0,)
+
+
+def turned_by_hand(drive, begin, end, angle):
+    """Turn the resting kart by `angle` rad between two times, smoothly."""
+    inside = (drive.t > begin) & (drive.t < end)
+    share_of_way = (drive.t[inside] - begin) / (end - begin)
+    drive.rate[inside, 2] += angle / (end - begin) * (1.0 - np.cos(2.0 * np.pi * share_of_way))
+    return drive
+
+
+@pytest.mark.parametrize("angle", [90.0 * DEG, -180.0 * DEG])
+def test_a_kart_that_is_turned_where_it_stands_does_not_stand_still(angle):
+    drive = turned_by_hand(Drive(engine=2.0, gyro_noise=6.0 * DEG), 45.0, 59.0, angle)
+    turning = (drive.t > 46.0) & (drive.t < 58.0)
+    assert share(drive.detect(), turning) == 0.0
+    assert share(drive.detect(), drive.t < 20.0) > 0.9  # the other stop is one
+
+
+def test_a_stop_that_is_nothing_but_turning_is_told_by_the_bias():
+    drive = Drive(engine=2.0, gyro_noise=6.0 * DEG)
+    drive.rate[drive.t > 43.0, 2] += 12.0 * DEG
+    at_the_end = drive.t > 44.0
+    assert share(drive.detect(), at_the_end) > 0.9  # a bias might be as large
+    bias = np.array([10.0, 3.0, -58.0]) * DEG
+    assert share(drive.detect(gyro_bias=bias), at_the_end) == 0.0
+    assert share(drive.detect(gyro_bias=bias), drive.t < 20.0) > 0.9

@@ -114,7 +114,7 @@ def make_start(
         fine,
         binned,
         noise,
-        _data(session, path, t, (driven.t >= begin) & (driven.t <= end), doubted),
+        _data(session, path, t, (driven.t >= begin) & (driven.t <= end), doubted, alignment.gyro_bias_s),
         priors,
         min(receiver_share(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
         session.config.imu,
@@ -159,9 +159,8 @@ def informed(
     R_ns = initial_attitude(t, session.imu, start.driven, start.alignment)
     state = _first_guess(start.path, t, R_ns, constants, biases)
     everything = np.ones(len(gnss), dtype=np.bool_)
-    return replace(
-        start, state=state, fine=fine, binned=binned, data=_data(session, start.path, t, everything, doubted)
-    )
+    data = _data(session, start.path, t, everything, doubted, biases[1])
+    return replace(start, state=state, fine=fine, binned=binned, data=data)
 
 
 def on_path_without(session: Session, start: Start, doubted: BoolArray) -> Start:
@@ -235,12 +234,14 @@ def _bins(
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
-def _data(session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: BoolArray | None) -> Data:
-    """Measurements for the keyframes t (K,), of the fixes `use` (N,)."""
+def _data(
+    session: Session, path: GnssPath, t: Array, use: BoolArray, doubted: BoolArray | None, gyro_bias_s: Array
+) -> Data:
+    """Measurements for the keyframes t (K,), of the fixes `use` (N,); gyro_bias_s (3,) as the alignment has it."""
     gnss = session.gnss
     assert session.imu is not None
     assert gnss.sigma_velocity is not None
-    at_rest = session_standstill(session)
+    at_rest = session_standstill(session, gyro_bias=gyro_bias_s)
     still = np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:]))
     scale = _relative(gnss.sigma_velocity)
     standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
