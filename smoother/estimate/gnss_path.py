@@ -27,6 +27,8 @@ FIRST_ROUNDS = 2  # with noise as it starts where there are outliers, so that th
 SETTLED_SIGMA, SETTLED_JERK, SETTLED_WEIGHT = 0.03, 0.1, 0.1  # changes, the first two relative, that end the rounds
 UNKNOWN_HEIGHT = 100.0  # m, sigma about the origin's height where no fix has one
 RELAXATION = 0.8  # of the constants' steps: lag and acceleration form a product, and full steps swing
+HOLE = 10.0  # s; nodes are closer, but where pieces of a long session meet in a pause
+ROAMING = 10.0, 20.0  # m/s of a vehicle that nobody sees, and s for which it goes one way
 LAG_RANGE, END_MARGIN = (-0.5, 0.5), 0.1  # s: a lag beyond belief, and what nodes reach farther
 
 
@@ -135,13 +137,21 @@ class GnssPath:
     iterations: int
 
     def at(self, t: Array) -> GnssMotion:
-        """The path at times of truth t (N,) s; outside the nodes it goes on at constant velocity."""
+        """The path at times of truth t (N,) s; outside the nodes it goes on at constant velocity.
+
+        Over hours without a fix, where pieces of a long session meet, it is a straight line.
+        """
         t = np.asarray(t, dtype=np.float64)
         inside = np.clip(t, self.t[0], self.t[-1])
         k, fraction, step = self._place(inside)
         left, right = quintic_basis(fraction, step)
         states = np.stack([self.position_n, self.velocity_n, self.acceleration_n], axis=1)
         between = left @ states[k] + right @ states[k + 1]
+        if np.any(is_hole := step > HOLE):
+            k_h, u = k[is_hole], fraction[is_hole, None]
+            way = self.position_n[k_h + 1] - self.position_n[k_h]
+            velocity = way / step[is_hole, None]
+            between[is_hole] = np.stack([self.position_n[k_h] + u * way, velocity, np.zeros_like(way)], axis=1)
         between[:, 0] += (t - inside)[:, None] * between[:, 1]
         u = fraction[:, None]
         return GnssMotion(
@@ -150,12 +160,17 @@ class GnssPath:
 
     def sigma_at(self, t: Array) -> GnssPathSigmas:
         """Standard deviations at times t (N,) s, interpolated between nodes, those of the end nodes outside."""
-        k, fraction, _ = self._place(np.clip(t, self.t[0], self.t[-1]))
+        k, fraction, step = self._place(np.clip(t, self.t[0], self.t[-1]))
         P = self.covariance.transpose(1, 0, 2, 3)
         track = P[..., 0, 0] + 2.0 * P[..., 0, 3] + P[..., 3, 3]
         variance = np.stack([P[..., 0, 0], np.maximum(track, 0.0), P[..., 1, 1]])
         u = fraction[:, None]
-        position, track, velocity = np.sqrt((1.0 - u) * variance[:, k] + u * variance[:, k + 1])
+        variance = (1.0 - u) * variance[:, k] + u * variance[:, k + 1]
+        if np.any(is_hole := step > HOLE):
+            u, step = u[is_hole], step[is_hole, None]
+            strayed = ROAMING[0] ** 2 * ROAMING[1] * step * u * (1.0 - u)
+            variance[:, is_hole] += np.stack([strayed, strayed, np.full_like(strayed, ROAMING[0] ** 2)])
+        position, track, velocity = np.sqrt(variance)
         return GnssPathSigmas(position, track, velocity)
 
     def _place(self, t: Array) -> tuple[IntArray, Array, Array]:

@@ -1,5 +1,6 @@
 """Long sessions hour by hour: the path of the whole, and no seam in it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,3 +52,25 @@ def test_an_hour_without_fixes_goes_with_the_one_before(monkeypatch: pytest.Monk
     path = in_pieces(session, monkeypatch)
     assert np.all(np.diff(path.t) > 0.0)
     assert len(path.position_weight) == len(session.gnss)
+
+
+def test_over_a_pause_of_hours_the_path_stays_where_it_stopped_and_says_that_it_may_be_elsewhere() -> None:
+    session = drive()
+    pause = 3.0 * gnss_pieces.PIECE
+    late = session.gnss.t > 0.5 * LENGTH
+    gnss = replace(session.gnss, t=session.gnss.t + np.where(late, pause, 0.0))
+    path = fit_path(replace(session, gnss=gnss))
+    begin, end = (float(gnss.t[each][i]) for each, i in ((~late, -1), (late, 0)))
+    t = np.linspace(begin + 1.0, end - 1.0, 5000)
+    motion, sigma = path.at(t), path.sigma_at(t)
+    between = np.diff(path.at(np.array([begin, end])).track_n, axis=0)
+    start_n = path.at(np.array([begin])).track_n
+    share = (t[:, None] - begin) / (end - begin)
+    assert np.max(np.abs(motion.track_n - start_n - share * between)[:, :2]) < 30.0
+    assert np.max(np.abs(motion.velocity_n)) < 30.0
+    assert np.min(sigma.track_n[2000:3000, :2]) > 500.0
+    assert np.min(sigma.velocity_n[100:-100, :2]) > 5.0
+    # outside the pause nothing is changed
+    inside = np.arange(session.gnss.t[0] + 5.0, 0.5 * LENGTH - 5.0, 0.5)
+    whole = fit_path(session)
+    np.testing.assert_allclose(path.at(inside).track_n[:, :2], whole.at(inside).track_n[:, :2], atol=0.3)
