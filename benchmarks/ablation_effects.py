@@ -24,6 +24,7 @@ from smoother.estimate.graph import (
     first_noise,
     imu,
     inertial,
+    looks,
     options,
     session_rows,
     smoother,
@@ -144,6 +145,10 @@ def _are_quick(_: Array) -> bool:
 
 def _one_receiver(_: GnssFixes) -> Claims:
     return ALIKE
+
+
+def _no_other(*_: Any) -> None:
+    return None
 
 
 def _one_time(*_: Any) -> ClockOffset:
@@ -347,6 +352,7 @@ EFFECTS = (
     Effect("velocities turned against positions", patches=((smoother, "disagreement", _agrees),)),
     Effect("drift of the clocks", patches=((begin, "clock_drift", _one_pace),)),
     Effect("clocks that show different times", patches=((begin, "clock_offset", _one_time),)),
+    Effect("course later than speed", patches=((looks, "for_late_course", _no_other),)),
     Effect("alignment by changes between rare fixes", patches=((align, "are_rare", _are_quick),)),
     Effect("corrections that come and go", patches=((start, "claims_of", _one_receiver),)),
     Effect("noise of the fixes from driving alone", patches=((components, "_component_of", _all_count),)),

@@ -13,6 +13,7 @@ from smoother.samples import GnssFixes, Session
 from smoother.sim.motion import Stop
 from smoother.units import DEG
 
+COURSE_LATE = 0.1  # s behind the speed
 RARELY = 5.0  # s from fix to fix
 CORRECTED_FOR = 30.0  # s that corrections come, and then do not
 COASTS, COASTS_EVERY = 3.0, 30.0  # s that a receiver goes straight on, and how often
@@ -157,6 +158,18 @@ def _filtered(session: Session, _: int) -> Session:
     return replace(session, gnss=replace(gnss, velocity_n=velocity_n))
 
 
+def _late_course(session: Session, _: int) -> Session:
+    """A logger that smooths the course and not the speed."""
+    gnss = session.gnss
+    known = np.isfinite(gnss.velocity_n[:, 0])
+    of_speed = np.hypot(*gnss.velocity_n[known, :2].T)
+    course = np.unwrap(np.arctan2(gnss.velocity_n[known, 1], gnss.velocity_n[known, 0]))
+    late = np.interp(gnss.t[known] - COURSE_LATE, gnss.t[known], course)
+    velocity_n = gnss.velocity_n.copy()
+    velocity_n[known, :2] = of_speed[:, None] * np.stack([np.cos(late), np.sin(late)], axis=1)
+    return replace(session, gnss=replace(gnss, velocity_n=velocity_n))
+
+
 def _rare(session: Session, _: int) -> Session:
     """A receiver that is asked once in five seconds."""
     every = max(1, round(RARELY / float(median(np.diff(session.gnss.t)))))
@@ -220,6 +233,7 @@ WORLDS = {
         "kart", {"gnss_velocity_lasting": 0.075, "motion_standstill": 30.0}
     ),
     "kart, quick receiver that errs for a while": World("kart", {**FILTERED, "motion_standstill": 30.0}),
+    "kart, course later than speed": World("kart", {"gnss_rate": 10.0}, _late_course),
     "kart, one fix in five seconds": World("kart", {}, _rare),
     "kart, corrections that come and go": World("kart", CORRECTED, _corrected),
     "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),

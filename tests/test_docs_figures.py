@@ -13,7 +13,7 @@ from smoother.live.navigator import IDENTIFY_AFTER
 from smoother.units import DEG, KMH
 
 ROOT = Path(__file__).resolve().parent.parent
-IN_WORDS = {"four": 4.0, "five": 5.0, "twenty-seven": 27.0, "a fifth": 0.2}
+IN_WORDS = {"four": 4.0, "five": 5.0, "twenty-eight": 28.0, "a fifth": 0.2}
 
 
 def text_of(name: str) -> str:

@@ -13,6 +13,7 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph import batch as batch_module
+from smoother.estimate.graph.arm import course
 from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
@@ -199,7 +200,13 @@ def test_doppler_velocity(last: Linearized) -> None:
         y, z = level(last, low_passed(x, dt, tau), t + tau), level(last, evened(x, dt, tau), t)
         rounded = (1.0 - c.evenness) * y + c.evenness * z - level(last, x, t)
         beta = beta + u**2 * (3.0 - 2.0 * u) * (rounded - beta)
-    want = between(state, t).velocity_n + swing + beta + c.doppler_bias_n - data.velocity_n[use]
+    arm = path.R_ns @ c.lever_arm_s
+    u = felt.slow.velocity_n[:, :2] + felt.slow.turn_rate[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])
+    psi = course(u)
+    angle = np.interp(t - c.course_delay, path.t, psi) - np.interp(t, path.t, psi)
+    assert np.max(np.abs(angle)) > 1e-5
+    antenna = (between(state, t).velocity_n + swing)[:, :2] @ [1.0, 1.0j] * np.exp(1.0j * angle)
+    want = np.column_stack([antenna.real, antenna.imag, 0.0 * t]) + beta + c.doppler_bias_n - data.velocity_n[use]
     np.testing.assert_allclose(last.rows["gps_velocity"].residual[use, :2], want[:, :2], atol=1e-9)
 
 
@@ -272,7 +279,7 @@ def test_priors(last: Linearized) -> None:
 
 def _sizes() -> Iterator[int]:
     """How many numbers the table of constants has in each of its rows."""
-    table = TEXT.partition("And 30 constants")[2].partition("## What is solved")[0]
+    table = TEXT.partition("And 31 constants")[2].partition("## What is solved")[0]
     for row in re.findall(r"^\| \$.*$", table, re.MULTILINE):
         symbol, code = (cell.strip() for cell in row.split("|")[1:3])
         size = re.search(r"\((\d)(?: × (\d))?\)", f"{symbol} {code}")

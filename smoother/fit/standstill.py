@@ -108,9 +108,9 @@ def detect_standstill(
         limit = np.broadcast_to(options.max_speed if speed_limit is None else speed_limit, fix_t.shape)
         centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
         still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
-    still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
     if fix_t is not None:
         still = _without_turned_runs(still, rate, gyro_bias, options)
+    still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
     return np.asarray(still[block])
 
 
@@ -277,14 +277,20 @@ def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:
 
 
 def _without_turned_runs(still: BoolArray, rate: _Blocks, bias: Array | None, options: StandstillOptions) -> BoolArray:
-    """Return the mask (B,) of blocks less the runs in which the kart was turned; bias (3,) rad/s or unknown."""
+    """Return the mask (B,) of blocks less the runs in which the kart was turned; bias (3,) rad/s or unknown.
+
+    Of one that is turned at an end alone, when it sets off for one, the rest stays.
+    """
     chance = TURNED_SIGMAS * np.sqrt(rate.within / np.maximum(rate.count * rate.occupied, 1.0))
-    out = still.copy()
+    out = np.zeros_like(still)
     for first, after in zip(*runs_of(still), strict=True):
         mean, unsure = rate.mean[first:after], chance[first:after]
-        is_turned = np.linalg.norm(mean - np.median(mean, axis=0), axis=1) > options.turning + unsure
-        if bias is not None:
-            is_turned |= np.linalg.norm(mean - bias, axis=1) > options.off_bias + unsure
-        if is_turned.any():
-            out[first:after] = False
+        at_rest = np.linalg.norm(mean - np.median(mean, axis=0), axis=1) <= options.turning + unsure
+        if bias is not None and np.any(
+            np.linalg.norm(mean - bias, axis=1)[at_rest] > (options.off_bias + unsure)[at_rest]
+        ):
+            continue
+        begins, ends = runs_of(at_rest)
+        if len(begins) == 1:
+            out[first + begins[0] : first + ends[0]] = True
     return out

@@ -35,6 +35,7 @@ WORLD_OF = {
     "clocks that show different times": "kart, clocks 7 s apart",
     "alignment by changes between rare fixes": "kart, one fix in five seconds",
     "corrections that come and go": "kart, corrections that come and go",
+    "course later than speed": "kart, course later than speed",
 }
 
 

@@ -146,7 +146,7 @@ class Batch:
         """One Gauss-Newton step with its covariance; residuals as :class:`Solved` says.
 
         relaxation: what the steps before tell of how far to go; None goes all the way.
-        held (30, 30) is the covariance of constants that are to stay where they are, all but those that are free.
+        held (31, 31) is the covariance of constants that are to stay where they are, all but those that are free.
         was_without_wheels: `state` was found without wheels, which `noise` asks for.
         """
         linear = self.linear(graph, state, noise, was_without_wheels=was_without_wheels)
@@ -186,7 +186,7 @@ class Batch:
     def roll(self, linear: Linear, motion: DrivenMotion, gone: Array, slip_noise: SlipNoise, held: Array) -> Solved:
         """Solve what was linearised without wheels once more with them. motion: that of its state.
 
-        All constants but those of slip go on by gone (30,), as they would without wheels; held (30, 30) is their
+        All constants but those of slip go on by gone (31,), as they would without wheels; held (31, 31) is their
         covariance.
         """
         slip = self._slip(linear.state, motion)

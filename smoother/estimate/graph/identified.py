@@ -9,8 +9,16 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
+from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
-from smoother.estimate.graph.state import ACCEL_ERROR, LEVER_ARM, RECTIFICATION, VELOCITY_RESPONSE, Constants
+from smoother.estimate.graph.state import (
+    ACCEL_ERROR,
+    COURSE_DELAY,
+    LEVER_ARM,
+    RECTIFICATION,
+    VELOCITY_RESPONSE,
+    Constants,
+)
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
@@ -68,7 +76,7 @@ def identified_values(
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
-    covariance (30, 30) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
+    covariance (31, 31) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
     of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
     sampling: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
     of UNSTEADY_DELAY and UNSTEADY_ARM.
@@ -88,7 +96,7 @@ def identified_values(
 def _of_the_receiver(
     constants: Constants, sigma: Array, priors: Priors, config: SessionConfig, moment: float
 ) -> dict[str, Identified]:
-    """Its delays, and what it answers to a change of acceleration; sigma (30,) of all constants.
+    """Its delays, and what it answers to a change of acceleration; sigma (31,) of all constants.
 
     moment: see :func:`unsure_moment`.
     """
@@ -109,6 +117,11 @@ def _of_the_receiver(
         # the arm keeps to the course, the antenna to the nose: beside it by the slip, which goes with the acceleration
         own = math.hypot(own, SLIP_PRIOR[1] * float(np.linalg.norm(constants.lever_arm_s)))
     out["gps_velocity_response"] = _value(values[response], own, "s^2", observable, False)
+    course, beforehand = COURSE_DELAY.start, priors.constants_sigma[COURSE_DELAY.start]
+    sought = bool(beforehand > GraphOptions.course_delay_sigma)  # else it stands for nothing
+    out["gps_course_delay"] = _value(
+        values[course], sigma[course], "s", sought and bool(sigma[course] < OBSERVABLE * beforehand), False
+    )
     return out
 
 
@@ -120,7 +133,7 @@ def _lever_arm(
     config: SessionConfig,
     unsteady: float,
 ) -> Identified:
-    """The arm from the box to the antenna, in b; covariance (30, 30) of all constants.
+    """The arm from the box to the antenna, in b; covariance (31, 31) of all constants.
 
     unsteady: see :func:`unsure_moment`.
     """
@@ -155,7 +168,7 @@ def _mounting(noise: Noise, mounting: FittedMounting, config: SessionConfig, com
 
 
 def _rectification(constants: Constants, sigma: Array, noise: Noise) -> dict[str, Identified]:
-    """What vibration pushes; sigma (30,) of all constants."""
+    """What vibration pushes; sigma (31,) of all constants."""
     out: dict[str, Identified] = {}
     pushed, sigmas = constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
     beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]

@@ -77,7 +77,7 @@ def solve_as_stream(
 
     The step removes what the stream leaves: old measurements are linear in the axes of poses that have turned since, by
     which absolute position is off by up to half a sigma. The covariances contain how unsure the constants are: as the
-    step finds, or held (30, 30) where they are known from elsewhere.
+    step finds, or held (31, 31) where they are known from elsewhere.
     """
     state = solve_incrementally(data, binned, priors, noise, start, constants)
     return batch.step(batch.graph(state, noise), state, noise, held=held)

@@ -87,7 +87,7 @@ class Priors:
     """What is known beforehand.
 
     accel_bias m/s^2, gyro_bias rad/s: sigmas of the biases, whose means are zero and gyro_bias_mean (3,) rad/s.
-    constants, constants_sigma (30,): mean and sigma of the constants of the session, in the order of state.py.
+    constants, constants_sigma (31,): mean and sigma of the constants of the session, in the order of state.py.
     holds_height: the lever arm's height stays at its mean. A kart leans by few degrees, and how far is hardly better
         known than that: a height fitted to it is drawn to zero and seems to be known.
     has_height: some fix has a height.
@@ -137,7 +137,7 @@ class Data:
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:
-    """Prior sigma (30,) of all constants."""
+    """Prior sigma (31,) of all constants."""
     sigma = priors.constants_sigma.copy()
     for part, spread in zip(SENSOR_ERRORS, noise.sensor_error, strict=True):
         sigma[part] = spread

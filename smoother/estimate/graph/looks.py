@@ -21,9 +21,11 @@ from smoother.estimate.graph.parts import is_partly_sampled
 from smoother.estimate.graph.solve import Say, Solution, identify, solve_whole
 from smoother.estimate.graph.start import (
     Start,
+    for_late_course,
     for_slow_receiver,
     held_by_size,
     informed,
+    is_late_course,
     make_start,
     on_path_without,
     with_louder_force,
@@ -139,6 +141,10 @@ def _identify_and_solve(
     if (slow := for_slow_receiver(start, constants)) is not None:
         start = slow
         constants, biases, noise = identify(start, options, say)
+    if (late := for_late_course(start, constants)) is not None:
+        told = identify(late, options, say)
+        if is_late_course(constants.course_delay, told[0].course_delay, options.course_delay_sigma):
+            start, (constants, biases, noise) = late, told
     start = informed(session, start, options, constants, biases, doubted)
     again = _jumped(session, start, noise, options)  # in all of it, and with its noise
     if np.any(again != doubted):

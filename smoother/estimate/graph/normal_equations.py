@@ -22,7 +22,7 @@ _CONSTANTS, _OWN = slice(_RIGHT.stop, _RESIDUAL), slice(0, ROW_CONSTANTS_SIZE)
 
 
 def add_constants_prior(system: ChainSystem, residual: Array, sigma: Array) -> None:
-    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (30,)."""
+    """Add a prior on all constants to the system, in place. residual (value minus mean), sigma (31,)."""
     np.einsum("ii->i", system.corner)[...] += 1.0 / sigma**2
     system.rhs_constants[...] -= residual / sigma**2
 

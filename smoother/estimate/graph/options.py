@@ -28,6 +28,7 @@ class GraphOptions:
     doppler_bias_sigma: 0.01-0.05 m/s on real kart logs.
     velocity_response_sigma s^2: a low-pass of 0.1 s has 5e-3, an antenna half a metre up that leans by 1.5 mrad to a
         m/s^2 -0.8e-3, recordings -6e-3 to 13e-3.
+    course_delay_sigma: receivers make course and speed of one velocity; more shows, and is then sought (start.py).
     evenness_sigma: receivers filter as a low-pass of first order, or their velocity is the mean of some, or between.
     sensor_error_sigma: scale and misalignment; the data sheet's 3 % is the limit, not the spread.
     rectification_sigma m/s^2: of vibration, to begin with.
@@ -51,6 +52,7 @@ class GraphOptions:
     doppler_bias_sigma: float = 0.03
     velocity_response_sigma: float = 5e-3
     evenness_sigma: float = 0.5
+    course_delay_sigma: float = 1.5e-3
     sensor_error_sigma: float = 0.01
     rectification_sigma: float = 0.1
     latency_sigma: float = 0.25

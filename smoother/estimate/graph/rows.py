@@ -12,13 +12,14 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray
-from smoother.estimate.graph.arm import arm_axes, arm_axes_at
+from smoother.estimate.graph.arm import arm_axes, arm_axes_at, course
 from smoother.estimate.graph.claims import ALIKE, Claims
 from smoother.estimate.graph.expected import ExpectedMotion, Motion
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.response import response_of
 from smoother.estimate.graph.state import (
+    COURSE_DELAY,
     DOPPLER_BIAS,
     EVENNESS,
     GYRO_BIAS,
@@ -34,6 +35,7 @@ from smoother.estimate.graph.state import (
     VELOCITY_LATENCY,
     VELOCITY_RESPONSE,
     ChainState,
+    Constants,
 )
 from smoother.frames import UP_N, wrap_angle
 
@@ -42,7 +44,7 @@ from smoother.frames import UP_N, wrap_angle
 class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
-    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 15). A component that
+    residual, sigma (N, r); left, right (N, r, 18) Jacobians by the keyframes; constants (N, r, 16). A component that
     was not measured has infinite sigma. `name` labels statistics; weight (N,) is the robust weight, 1 where none is.
     """
 
@@ -140,7 +142,7 @@ def position_rows(
 def antenna_jacobian(state: ChainState, t: Array) -> tuple[IntArray, Array, Array, Array]:
     """How the antenna's position in n at times t (N,) depends on the keyframes around them and on the constants.
 
-    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 15) by the row constants.
+    Returns interval (N,), and Jacobians (N, 3, 18) by its left and right keyframe and (N, 3, 16) by the row constants.
     """
     b = bracket(state, t)
     R_left, R_right = state.R_ns[b.interval], state.R_ns[b.interval + 1]
@@ -173,7 +175,12 @@ def velocity_rows(
     rate_n, arm_n = _about_up(path, felt, at), np.einsum("nij,j->ni", R_arm, session.lever_arm_s)
     swing_n, answer = np.cross(rate_n, arm_n), response_of(path, felt, session, at)
     weights = hermite_velocity(b)
-    seen_n = _on_curve(state, b, weights) + swing_n + answer.beyond_n + session.doppler_bias_n
+    acceleration_n = _along(state, path, felt, b, weights)
+    slow_n = _about_up(path, felt.slow, at)
+    swinging_n = np.cross(slow_n, np.cross(slow_n, arm_n))
+    antenna_n = _on_curve(state, b, weights) + swing_n
+    shown_n, by_course_n = _with_late_course(session, path, felt.slow, at, antenna_n)
+    seen_n = shown_n + answer.beyond_n + session.doppler_bias_n
     left, right, constants = empty_jacobians(len(t), 3)
     _put_curve(left, right, state, b, weights)
     if not session.is_steered:  # else neither the arm nor its turning is of the box
@@ -183,14 +190,30 @@ def velocity_rows(
         # the rate is measured minus bias, and the swing is minus [l]x times it
         left[:, :, GYRO_BIAS] = np.cross(arm_n, UP_N)[:, :, None] * R_ns[:, None, 2, :]
     constants[:, :, DOPPLER_BIAS] = np.eye(3)
-    acceleration_n = _along(state, path, felt, b, weights)
-    slow_n = _about_up(path, felt.slow, at)
-    swinging_n = np.cross(slow_n, np.cross(slow_n, arm_n))
     constants[:, :2, VELOCITY_LATENCY] = -(acceleration_n + swinging_n)[:, :2, None]
     constants[:, :, LEVER_ARM] = so3.skew(slow_n) @ R_arm
     constants[:, :, VELOCITY_RESPONSE] = answer.slope_n[:, :, None]
     constants[:, :, EVENNESS] = answer.by_evenness_n[:, :, None]
+    constants[:, :, COURSE_DELAY] = by_course_n[:, :, None]
     return _rows("gps_velocity", b, seen_n - measured_n, sigma, left, right, constants)
+
+
+def _with_late_course(
+    session: Constants, path: DensePath, motion: Motion, at: Array, antenna_n: Array
+) -> tuple[Array, Array]:
+    """Return velocities (N, 3) of the antenna at times `at` (N,) with the course of course_delay before, and their
+    slope by it (N, 3). The course is that of `motion`, at the edges of the path: the keyframes' own would shake.
+    """
+    arm_n = arm_axes_at(path, session, path.t, path.R_ns) @ session.lever_arm_s
+    turning = np.stack([-arm_n[:, 1], arm_n[:, 0]], axis=1) * motion.turn_rate[:, None]
+    headed = course(motion.velocity_n[:, :2] + turning)
+    then = at - session.course_delay
+    angle = np.interp(then, path.t, headed) - np.interp(at, path.t, headed)
+    rate = np.interp(then, path.t, np.gradient(headed, path.t[1] - path.t[0]))
+    cos, sin, (x, y, z) = np.cos(angle), np.sin(angle), antenna_n.T
+    shown_n = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
+    left_n = np.stack([-shown_n[:, 1], shown_n[:, 0], np.zeros(len(at))], axis=1)
+    return shown_n, -rate[:, None] * left_n
 
 
 def heading_rows(state: ChainState, heading: Heading) -> Rows:
@@ -264,7 +287,7 @@ def prior_row(name: str, residual: Array, sigma: Array, part: slice) -> Rows:
 
 
 def after_step(rows: Rows, step: Array, constants_step: Array) -> Rows:
-    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (30,)."""
+    """Return the rows with the residual that the linear model predicts after a step (K, 18) and (31,)."""
     k = rows.interval
     moved = np.einsum("nri,ni->nr", rows.left, step[k]) + np.einsum("nri,ni->nr", rows.right, step[k + 1])
     return replace(rows, residual=rows.residual + moved + rows.constants @ constants_step[:ROW_CONSTANTS_SIZE])

@@ -144,7 +144,7 @@ def slip_of(state: ChainState, path: DensePath, felt: ExpectedMotion, told: Bool
 
 
 def slip_after_step(slip: Slip, step: Array, constants_step: Array) -> Slip:
-    """Return the slip that the linear model predicts after a step (K, 18) and (30,)."""
+    """Return the slip that the linear model predicts after a step (K, 18) and (31,)."""
     moved = np.einsum("ki,ki->k", slip.by_keyframe, step) + slip.by_constants @ constants_step[SLIP]
     return replace(slip, value=slip.value + moved)
 

@@ -215,6 +215,18 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
     return (Problem("gps_early", text),)
 
 
+def _course_late(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
+    """Say so where course and speed of the fixes are of different moments."""
+    delay = identified["gps_course_delay"]
+    if not delay.observable or not isinstance(delay.value, float):
+        return ()
+    text = (
+        f"the course of the fixes is {abs(delay.value):.2f} s {'later' if delay.value > 0.0 else 'earlier'} than their "
+        "speed, as where a logger smooths one of both; taken out, and `gps_velocity_latency` is that of the speed"
+    )
+    return (Problem("gps_course_delay", text),)
+
+
 def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
     """Say so where velocities come before they are true while positions come after: no clock does that.
 
@@ -383,6 +395,7 @@ def _completed_report(
             *_blamed(begun, solution.noise),
             *_early(told.identified),
             *_velocities_early(told.identified),
+            *_course_late(told.identified),
             *leaning_problems(trajectory),
             *offset_problems(begun.offset),
             *begun.problems,

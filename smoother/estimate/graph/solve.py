@@ -194,7 +194,7 @@ def finish(
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """What a step was taken from: the linearised graph and its motion; gone (30,), by how much the constants went."""
+    """What a step was taken from: the linearised graph and its motion; gone (31,), by how much the constants went."""
 
     linear: Linear
     motion: DrivenMotion
@@ -203,7 +203,7 @@ class Taken:
 
 @dataclass(frozen=True, eq=False)
 class LastStep:
-    """The last step without wheels: the state after it, and the covariance (30, 30) of the constants.
+    """The last step without wheels: the state after it, and the covariance (31, 31) of the constants.
 
     taken: what it was taken from, where that is at hand.
     """

@@ -26,6 +26,7 @@ from smoother.estimate.graph.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
+    COURSE_DELAY,
     DOPPLER_BIAS,
     EVENNESS,
     SLIP,
@@ -46,6 +47,8 @@ MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 # s^2; a low-pass of 0.8 s has 0.32. And sigmas of the usual prior beyond which a receiver is one of those: recordings
 # have up to 2.6
 SLOW_RESPONSE, SLOW_SIGMAS = 0.1, 3.0
+LATE_COURSE, COURSE_SIGMAS = 0.3, 0.6  # s; loggers smooth speed or course, not both, by some tenths
+LEAST_COURSE_DELAY, SURE_COURSE = 0.025, 4.5  # s between course and speed, and sigmas of it, that are one
 # rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
 # karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
 DOUBTED_RATES = 2.0 * DEG
@@ -182,6 +185,31 @@ def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
     return replace(start, priors=replace(start.priors, constants_sigma=sigma))
 
 
+def for_late_course(start: Start, constants: Constants) -> Start | None:
+    """Return `start` with a wide prior for how much later a velocity's direction is than its size; None where the usual
+    one holds.
+
+    constants: what was found with the usual one. Such a course is to the velocities an antenna as far ahead as the kart
+    drives in that time, and the usual prior is narrow because of that: it shows all the same, as speeds differ.
+    """
+    usual = start.priors.constants_sigma[COURSE_DELAY]
+    if abs(constants.course_delay) < COURSE_SIGMAS * usual or usual >= LATE_COURSE:
+        return None
+    sigma = start.priors.constants_sigma.copy()
+    sigma[COURSE_DELAY] = LATE_COURSE
+    return replace(start, priors=replace(start.priors, constants_sigma=sigma))
+
+
+def is_late_course(held: float, free: float, prior: float) -> bool:
+    """Whether the delay of the course that was found `free`, s, is one; `held`, s: with the sigma `prior` beforehand.
+
+    What is left of it where it is held says what it is unsure by: prior^2 / (prior^2 + sigma^2) of it.
+    """
+    share = np.clip(held / free, 1e-6, 1.0) if free != 0.0 else 1.0
+    sigma = prior * np.sqrt(1.0 / share - 1.0)
+    return bool(abs(free) > max(LEAST_COURSE_DELAY, SURE_COURSE * sigma))
+
+
 def on_the_wheel(start: Start) -> Start:
     """Return `start` of a box that turns with the steering wheel."""
     constants = replace(start.state.constants, is_steered=True)
@@ -297,7 +325,7 @@ def _priors(
     sigma[:6] = [options.latency_sigma] * 2 + [options.lever_arm_sigma] * 3 + [np.pi / 4.0]
     sigma[SLIP] = SLIP_PRIOR
     sigma[DOPPLER_BIAS], sigma[EVENNESS] = options.doppler_bias_sigma, options.evenness_sigma
-    sigma[VELOCITY_RESPONSE] = options.velocity_response_sigma
+    sigma[VELOCITY_RESPONSE], sigma[COURSE_DELAY] = options.velocity_response_sigma, options.course_delay_sigma
     for i, stated in enumerate((timing.position_latency, timing.velocity_latency)):
         if stated is not None:
             mean[i], sigma[i] = stated, 1e-6

@@ -15,12 +15,13 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 KEYFRAME_SIZE = 18
 
-# Constants of the session. The first fifteen enter the rows of rows.py, the sensor errors only the inertial factors.
+# Constants of the session. The first sixteen enter the rows of rows.py, the sensor errors only the inertial factors.
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, HEADING_OFFSET = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 6)
 DOPPLER_BIAS, VELOCITY_RESPONSE, EVENNESS, SLIP = slice(6, 9), slice(9, 10), slice(10, 11), slice(11, 15)
-ROW_CONSTANTS_SIZE = 15
-ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(15, 21), slice(21, 24), slice(24, 30)
-CONSTANTS_SIZE = 30
+COURSE_DELAY = slice(15, 16)
+ROW_CONSTANTS_SIZE = 16
+ACCEL_ERROR, GYRO_ERROR, RECTIFICATION = slice(16, 22), slice(22, 25), slice(25, 31)
+CONSTANTS_SIZE = 31
 
 
 def _no_bias() -> Array:
@@ -50,11 +51,12 @@ class Constants:
     receiver's velocity; velocity_response s^2, by which that velocity contains the second derivative of the true one,
     beyond what its latency does: a low-pass of first order has half the square of its time constant, an antenna that
     leans outwards in bends less than nothing; evenness, 0 of such a low-pass, 1 of a mean over as much before its delay
-    as after it, whose response is as large; slip (4,), where the path points beside level_axes_s: rad, always; rad
-    per m/s^2 of lateral acceleration, and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box
-    is ahead of the rear axle; accel_error (3, 2), scale and misalignment: by which the measured force grows per force
-    along each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3, 2) m/s^2, by
-    which force grows where the vibration of force or of rate has twice its usual power.
+    as after it, whose response is as large; slip (4,), where the path points beside level_axes_s: rad, always; rad per
+    m/s^2 of lateral acceleration, and per m/s^3 of its rate; rad per 1/m of curvature, which is how far, m, the box is
+    ahead of the rear axle; course_delay s, by which the direction of the receiver's velocity is later than its size:
+    loggers smooth the one and not the other; accel_error (3, 2), scale and misalignment: by which the measured force
+    grows per force along each of the two level axes; gyro_error (3,), likewise of the rate about up; rectification (3,
+    2) m/s^2, by which force grows where the vibration of force or of rate has twice its usual power.
 
     level_axes_s (3, 3), not estimated: rows are those axes in s, two level ones and up. A scale multiplies what is felt
     across gravity and turned about it. Along gravity it is a bias; a kart's rates of roll and pitch are mostly noise,
@@ -71,6 +73,7 @@ class Constants:
     velocity_response: float = 0.0
     evenness: float = 0.0
     slip: Array = field(default_factory=_no_slip)
+    course_delay: float = 0.0
     accel_error: Array = field(default_factory=_no_accel_error)
     gyro_error: Array = field(default_factory=_no_bias)
     rectification: Array = field(default_factory=_no_rectification)
@@ -91,7 +94,7 @@ class Constants:
         """All constants in the order of the tangent, (CONSTANTS_SIZE,)."""
         latencies, heading = [self.position_latency, self.velocity_latency], [self.heading_offset]
         receiver = [self.doppler_bias_n, [self.velocity_response], [self.evenness]]
-        of_rows = [latencies, self.lever_arm_s, heading, *receiver, self.slip]
+        of_rows = [latencies, self.lever_arm_s, heading, *receiver, self.slip, [self.course_delay]]
         errors = [self.accel_error.ravel(), self.gyro_error, self.rectification.ravel()]
         return np.concatenate([*of_rows, *errors])
 
@@ -107,6 +110,7 @@ class Constants:
             float(x[VELOCITY_RESPONSE.start]),
             float(x[EVENNESS.start]),
             np.array(x[SLIP]),
+            float(x[COURSE_DELAY.start]),
             x[ACCEL_ERROR].reshape(3, 2),
             np.array(x[GYRO_ERROR]),
             x[RECTIFICATION].reshape(3, 2),

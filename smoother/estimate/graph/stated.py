@@ -44,14 +44,14 @@ REMEDY = "Correct it in session.toml, or leave it out to have it found"
 
 @dataclass(frozen=True, eq=False)
 class Loosened:
-    """Constants (30,) that a session would find, were none of them stated, by one step; their covariance (30, 30)."""
+    """Constants (31,) that a session would find, were none of them stated, by one step; their covariance (31, 31)."""
 
     value: Array
     covariance: Array
 
 
 def loosened(found: Estimated, priors: Priors, noise: Noise, loose: Array) -> Loosened:
-    """Take the step from what was `found`, with the prior sigmas `loose` (30,) where those were narrower."""
+    """Take the step from what was `found`, with the prior sigmas `loose` (31,) where those were narrower."""
     sigma, value = constants_sigma(priors, noise), found.state.constants.as_vector()
     wider = np.maximum(sigma, loose)
     own = np.sqrt(np.diag(found.constants_covariance))

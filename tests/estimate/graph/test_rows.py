@@ -28,6 +28,7 @@ from smoother.estimate.graph.rows import (
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,
     CONSTANTS_SIZE,
+    COURSE_DELAY,
     EVENNESS,
     GYRO_BIAS,
     KEYFRAME_SIZE,
@@ -399,6 +400,30 @@ class TestResiduals:
             missed.append(np.max(np.abs(rows.residual)))
         assert missed[1] < 0.1
         assert missed[0] > 2.0 * missed[1]
+
+    @pytest.mark.parametrize("late", [0.1, -0.1])
+    def test_a_course_that_is_late_turns_velocities_back_and_leaves_their_size(self, late: float) -> None:
+        """On the chicane beside 12 m/s ahead, by the motion of a moment before."""
+        ahead_n = np.array([12.0, 0.0, 0.0])
+
+        def rows(course_delay: float) -> tuple[Rows, np.ndarray, np.ndarray]:
+            constants = Constants(0.0, 0.0, np.zeros(3), course_delay=course_delay)
+            state, path, felt, swing = swinging(constants)
+            t = state.t[1:-1]
+            moved = replace(state, velocity_n=state.velocity_n + ahead_n)
+            moved = replace(moved, position_n=state.position_n + (state.t - START)[:, None] * ahead_n)
+            felt, shape = replace(felt, velocity_n=felt.velocity_n + ahead_n), (len(t), 3)
+            made = velocity_rows(moved, path, felt, t, np.zeros(shape), np.ones(shape))
+            return made, swing(t, 1) + ahead_n, swing(t - course_delay, 1) + ahead_n
+
+        (made, now_n, then_n), (without, _, _) = rows(late), rows(0.0)
+        size, of_then = (np.linalg.norm(each, axis=1, keepdims=True) for each in (now_n, then_n))
+        want = then_n / of_then * size - now_n
+        assert np.max(np.abs(want)) > 1.0
+        np.testing.assert_allclose(made.residual - without.residual, want, atol=0.005)
+        step = 1e-4
+        slope = (rows(late + step)[0].residual - rows(late - step)[0].residual) / (2.0 * step)
+        np.testing.assert_allclose(made.constants[:, :, COURSE_DELAY.start], slope, atol=0.01 * np.max(np.abs(slope)))
 
     @pytest.mark.parametrize("response", [-0.002, 0.0, 0.002, 0.005])
     def test_the_slope_by_evenness_is_what_it_does_to_velocities(self, response: float) -> None:

@@ -30,7 +30,7 @@ def random_constants() -> Constants:
             st.ROW_CONSTANTS_SIZE,
             (
                 *(st.POSITION_LATENCY, st.VELOCITY_LATENCY, st.LEVER_ARM, st.HEADING_OFFSET),
-                *(st.DOPPLER_BIAS, st.VELOCITY_RESPONSE, st.EVENNESS, st.SLIP),
+                *(st.DOPPLER_BIAS, st.VELOCITY_RESPONSE, st.EVENNESS, st.SLIP, st.COURSE_DELAY),
             ),
         ),
         (st.CONSTANTS_SIZE, (slice(0, st.ROW_CONSTANTS_SIZE), st.ACCEL_ERROR, st.GYRO_ERROR, st.RECTIFICATION)),
@@ -52,6 +52,7 @@ def test_each_constant_sits_where_its_name_says() -> None:
     assert constants.velocity_response == vector[st.VELOCITY_RESPONSE]
     assert constants.evenness == vector[st.EVENNESS]
     np.testing.assert_array_equal(constants.slip, vector[st.SLIP])
+    assert constants.course_delay == vector[st.COURSE_DELAY]
     np.testing.assert_array_equal(constants.accel_error.ravel(), vector[st.ACCEL_ERROR])
     np.testing.assert_array_equal(constants.gyro_error.ravel(), vector[st.GYRO_ERROR])
     np.testing.assert_array_equal(constants.rectification.ravel(), vector[st.RECTIFICATION])
