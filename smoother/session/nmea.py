@@ -24,6 +24,8 @@ from smoother.session.encoding import in_utf8
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.rows import over_midnight
+from smoother.session.sentence_days import on_their_days
+from smoother.session.sentence_leaps import clock_set_by
 from smoother.session.time_unit import in_seconds, unit_by_utc
 from smoother.units import DAY, KMH, KNOT
 from smoother.words import counted
@@ -66,6 +68,19 @@ class _Sentences:
     def is_of(self, kind: str) -> BoolArray:
         """Mask (N,) of the sentences of one kind."""
         return np.asarray(self.kind == _PRECEDENCE.index(kind))
+
+    @property
+    def stream(self) -> IntArray:
+        """Kind and talker (N,) of each as one number."""
+        return self.kind.astype(np.int64) * _TALKER_CODES + self.talker
+
+    def column(self, name: str) -> Array:
+        """The value (N,) of that name in each sentence, NaN in those of kinds without it."""
+        values = np.full(self.kind.size, np.nan)
+        for kind in _PRECEDENCE:
+            if name in _COLUMNS_OF[kind]:
+                values[self.is_of(kind)] = self.values[kind][:, _COLUMNS_OF[kind].index(name)]
+        return values
 
 
 @dataclass
@@ -127,12 +142,15 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     if not np.any(timed):
         flaws = "; ".join(problem.text for problem in tally.problems(file))
         raise SessionError(f"{file}: no NMEA sentence with a time (RMC, GGA, GNS){f'; {flaws}' if flaws else ''}")
-    utc = over_midnight(sentences.time_of_day[timed])
+    utc = on_their_days(over_midnight(sentences.time_of_day[timed]), _days(sentences)[timed])
     unit = unit_by_utc(sentences.received[timed], utc)
     received_s, said = in_seconds(sentences.received, unit, "gps", file)
     utc, said_of_seconds = _spread_whole_seconds(sentences, timed, utc, tally, file)
     said += said_of_seconds
-    columns, has_receive_times = _merge(replace(sentences, received=received_s), timed, utc, tally)
+    sentences = replace(sentences, received=received_s)
+    ahead, said_of_steps = _utc_ahead(sentences, timed, utc, file)
+    said += said_of_steps
+    columns, has_receive_times = _merge(sentences, timed, utc - ahead, ahead, tally)
     gnss, problems = screen_fixes(columns, file)
     return NmeaReading(gnss, [*said, *tally.problems(file), *problems], has_receive_times)
 
@@ -303,7 +321,7 @@ def _spread_whole_seconds(
     """
     if np.any(utc != np.floor(utc)):
         return utc, []
-    stream = sentences.kind[timed].astype(np.int64) * _TALKER_CODES + sentences.talker[timed]
+    stream = sentences.stream[timed]
     names, sizes = np.unique(stream, return_counts=True)
     main = np.flatnonzero(stream == names[np.argmax(sizes)])
     group, size = _of_one_second(utc[main])[:2]
@@ -337,8 +355,33 @@ def _of_one_second(utc: Array) -> tuple[IntArray, IntArray, IntArray]:
     return group, np.diff(np.append(first, utc.size)), np.arange(utc.size) - first[group]
 
 
-def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, tally: _Tally) -> tuple[FixColumns, bool]:
-    """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it."""
+def _days(sentences: _Sentences) -> Array:
+    """Dates (N,), days since 1970, that the RMC of fixes tell, or else ZDA, which do not say whether there is one."""
+    days, is_date = sentences.column("day"), sentences.is_of("ZDA")
+    with np.errstate(invalid="ignore"):
+        of_fixes = sentences.is_of("RMC") & (sentences.column("fix") > 0.0) & np.isfinite(days)
+    return np.where(of_fixes if of_fixes.any() else is_date, days, np.nan)
+
+
+def _utc_ahead(sentences: _Sentences, timed: BoolArray, utc: Array, file: str) -> tuple[Array, list[Problem]]:
+    """By how much UTC (N,) s of the timed sentences is ahead (N,) s of how it began, and what to say of it.
+
+    That UTC was set is said where fixes are put on one clock; here only how it is known, if stamps do not tell.
+    """
+    places = np.stack([sentences.column("lat_deg"), sentences.column("lon_deg")], axis=1)[timed]
+    ahead, by_motion = clock_set_by(utc, sentences.stream[timed], places, sentences.received[timed])
+    if not by_motion:
+        return ahead, []
+    steps = f"its UTC steps by whole seconds in {counted(by_motion, 'place')} where the positions go on"
+    text = f"{file}: {steps}; fixes stay in the order of the file, as often as they come"
+    return ahead, [Problem("gps_utc_against_places", text, by_motion)]
+
+
+def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, ahead: Array, tally: _Tally) -> tuple[FixColumns, bool]:
+    """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it.
+
+    ahead (N,) s : by how much what is written is ahead of `utc` (N,) s, which goes on where the clock was set.
+    """
     owner = _owners(sentences, timed)
     ticks = np.round(utc / _TIME_QUANTUM).astype(np.int64)
     epochs, row_of_timed = np.unique(ticks, return_inverse=True)
@@ -349,9 +392,12 @@ def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, tally: _Tally) -
     received = np.full(epochs.size, np.inf)
     np.fmin.at(received, row_of_timed, sentences.received[timed])
     seconds = np.asarray(epochs * _TIME_QUANTUM, dtype=np.float64)
-    since_first = np.asarray((epochs - ticks[0]) * _TIME_QUANTUM, dtype=np.float64)
+    is_other_day = (ticks[0] - epochs[0]) * _TIME_QUANTUM > 0.5 * DAY  # damaged times of day are nearer
+    since_first = np.asarray((epochs - (epochs[0] if is_other_day else ticks[0])) * _TIME_QUANTUM, dtype=np.float64)
     t, has_receive_times = _row_times(received, since_first)
-    unix = seconds + _midnight(values["day"], seconds)
+    written = seconds.copy()
+    written[row_of_timed[::-1]] += ahead[::-1]  # of several the first
+    unix = written + _midnight(values["day"], written)
     position_missing = ~np.isfinite(values["lat_deg"])
     columns = {name: values[name] for name in _COLUMNS if name != "day"}
     unknown = np.full(epochs.size, np.nan)
