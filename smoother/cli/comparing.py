@@ -13,6 +13,7 @@ from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
 from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
 from smoother.cli.output import number, open_page, plain, progress_on_terminal, say, say_json, warn
+from smoother.cli.overwriting import require_no_recording
 from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
@@ -59,6 +60,8 @@ def compare(
     require_sessions(sessions, "smooth compare")
     if len(sessions) < 2:
         raise UsageError("compare what with what? `smooth compare A B` needs two sessions or more")
+    if out is not None:
+        require_no_recording(out, sessions)
     wanted = None if line is None else tracks_from(line)
     with progress_on_terminal() as progress:
         found = [results_of(path, progress) for path in sessions]

@@ -10,6 +10,7 @@ import click
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, recording_option, require_sessions
 from smoother.cli.card import one
 from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
+from smoother.cli.overwriting import require_no_recording
 from smoother.cli.pipeline import unwritable
 from smoother.cli.results import results_of
 from smoother.errors import UsageError
@@ -52,16 +53,21 @@ def export(
         raise UsageError("--rate nan: name a number of rows a second")
     if form not in FORMAT_NAMES:
         raise UsageError(f"{form!r} is no format; there are {', '.join(FORMAT_NAMES)}")
+    if out is not None:
+        require_no_recording(out, (session,))
     with progress_on_terminal() as progress:
         results, passed = results_of(one(session, recording), progress)
         progress("exporting", 0.0)
-        written = write(results, form, out, rate)
+        written = write(results, form, out, rate, session)
     say(str(written))
     return EXIT_DONE if passed else EXIT_QUALITY
 
 
-def write(results: Path, form: str, out: Path | None, rate: float | None) -> Path:
-    """Write the results in a directory as one format and return the file. Raises UsageError where it cannot be."""
+def write(results: Path, form: str, out: Path | None, rate: float | None, session: Path) -> Path:
+    """Write the results of a session, in a directory, as one format and return the file.
+
+    Raises UsageError where it cannot be written, or would be written over a recording or over results.
+    """
     from smoother.export.formats import BY_NAME
     from smoother.export.source import open_source
 
@@ -70,6 +76,7 @@ def write(results: Path, form: str, out: Path | None, rate: float | None) -> Pat
     path = results / f"{source.file_name}{chosen.ending}" if out is None else out
     if path.is_dir():
         path = path / f"{source.file_name}{chosen.ending}"
+    require_no_recording(path, (session,))  # the name of the file in a folder is known only now
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         chosen.write(source, path)

@@ -227,12 +227,12 @@ def _kind(entry: Path) -> str:
 def _holds_sentences(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return _shows_sentences(file.read(SENTENCE_BYTES))
+            return shows_sentences(file.read(SENTENCE_BYTES))
     except OSError:
         return False  # it is not what anybody asked for
 
 
-def _shows_sentences(start: bytes) -> bool:
+def shows_sentences(start: bytes) -> bool:
     """Whether the start of a file has that of a sentence, further on a whole one: in much data two bytes say little."""
     head = start[:HEAD_BYTES]
     return b"$G" in head or b"$\0G\0" in head or b"\0$\0G" in head or SENTENCE.search(start) is not None
@@ -303,7 +303,7 @@ def _role(path: Path) -> Role | None:
         return "log"
     if name == OUT_NAME or head.startswith(b"YY"):
         return "out"
-    if _shows_sentences(head):
+    if shows_sentences(head):
         return "sentences"
     if is_packed(path):
         raise SessionError(f"{path}: packed; unpack it first, then name what was in it")
