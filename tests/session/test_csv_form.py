@@ -590,3 +590,19 @@ def test_infinite_values_of_optional_columns_are_said(tmp_path: Path) -> None:
     (tmp_path / "gps.csv").write_text("\n".join(["t_s,lat_deg,lon_deg,alt_m", *rows]) + "\n")
     _, problems = read_fixes(tmp_path / "gps.csv")
     assert "gps.csv: alt_m of 6 rows is no number; not used" in [problem.text for problem in problems]
+
+
+@pytest.mark.parametrize("said", ["sep=;", "SEP=;\r", '"sep=;"', "\ufeffsep=;"])
+def test_a_line_that_tells_a_spreadsheet_the_separator_is_no_header(tmp_path: Path, said: str) -> None:
+    rows = [row.replace(",", ";").replace(".", ",") for row in gps_rows(30)]
+    text = "\n".join([said, GPS_HEADER.replace(",", ";"), *rows]) + "\n"
+    fixes, problems = read_fixes(save(tmp_path, text, "gps.csv"))
+    assert problems == [] and len(fixes) == 30
+    np.testing.assert_allclose(fixes.alt_m, 8.5)
+    wide, _ = read_fixes(save(tmp_path, text.encode("utf-16"), "gps.csv"))
+    np.testing.assert_array_equal(wide.lat_deg, fixes.lat_deg)
+
+
+def test_a_separator_that_only_such_a_line_tells_is_used(tmp_path: Path) -> None:
+    imu, problems = read_imu(save(tmp_path, "sep=|\n" + imu_table(imu_rows(300)).replace(",", "|"), "imu.csv"))
+    assert problems == [] and imu.t.size == 300
