@@ -17,6 +17,7 @@ from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
 from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
+from smoother.session.text_order import in_order_of_numbers
 from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
@@ -53,7 +54,7 @@ def read_imu_and_unit(
     is_slow : times are in seconds, however far apart they are.
     shifts (K,) s : to be added to the times of each part between restarts of the clock, NaN for parts left out.
     """
-    table = read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS))
+    table = in_order_of_numbers(read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS)))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
     problems = list(_of_table(table, "imu"))
     _require_numbers(path, "t_s", t)
@@ -91,7 +92,7 @@ def read_mag(
     restarts : of the clock of samples and fixes beside it, which may have been set_back, too. Raises SessionError if
     its own has parts that are none of theirs.
     """
-    table = read_table(path, ("t_s", *FIELD_COLUMNS))
+    table = in_order_of_numbers(read_table(path, ("t_s", *FIELD_COLUMNS)))
     field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
     _require_clock(path, t)
     unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
@@ -124,7 +125,8 @@ def find_restarts(imu_table: Path, fix_table: Path, imu_unit: str | None) -> Res
 
     imu_unit : unit of the times in imu.csv, where it is not seconds.
     """
-    samples, fixes = read_table(imu_table, ("t_s",)), read_table(fix_table, ("t_s",), UTC_COLUMNS, iso_times=("utc",))
+    samples = in_order_of_numbers(read_table(imu_table, ("t_s",)))
+    fixes = in_order_of_numbers(read_table(fix_table, ("t_s",), UTC_COLUMNS, iso_times=("utc",)))
     samples_t, _ = in_seconds(samples.column("t_s"), imu_unit, "imu", imu_table.name)
     t, (unix_s, _) = fixes.column("t_s"), _unix_seconds(fixes)
     fixes_t, _ = in_seconds(t, unit_of_fixes(fix_table.name, t, unix_s, imu_unit), "gps", fix_table.name)
@@ -137,7 +139,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. shifts (K,) s : see
     `read_imu_and_unit`.
     """
-    table = read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",))
+    table = in_order_of_numbers(read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",)))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
@@ -241,6 +243,11 @@ def _of_table(table: Table, prefix: str) -> Iterator[Problem]:
             f"line {table.changed[0]}: a header line with other columns than before{more}; what follows is read by it"
         )
         yield Problem(f"{prefix}_header_changed", f"{table.file}: {text}. Were files joined?", len(table.changed))
+    if count := table.sorted_as_text:
+        text = (
+            f"rows sorted by t_s as text (0.1, 10.3, 11.1, 2.2); put in order by number, {counted(count, 'row')} moved"
+        )
+        yield Problem(f"{prefix}_sorted_as_text", f"{table.file}: {text}", count)
     if table.headers:
         lines = counted(table.headers, "header line")
         text = f"{table.file}: {lines} once more between the rows; left out. Were files joined?"

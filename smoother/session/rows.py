@@ -312,7 +312,7 @@ def _resolve_disorder(
     if back >= (1.0 - GLITCH_SHARE) * (t.size - 1):
         rows.say("blocks_moved", "rows written from the newest to the oldest; sorted by time", back)
         return index[order], t[order]
-    if back > RESTLESS * t.size and _is_even(t[order]):
+    if back > RESTLESS * t.size and is_even(t[order]):
         rows.say("reordered", f"{counted(t.size, 'row')} in no order; sorted by time", t.size)
         return index[order], t[order]
     calm = _is_calm(t)
@@ -335,7 +335,7 @@ def _resolve_disorder(
     return _longest_piece(rows, index, t)
 
 
-def _is_even(t: Array) -> bool:
+def is_even(t: Array) -> bool:
     """Whether times (N,) s, sorted, mostly go on by one step, as those of one recording do and of two mixed do not."""
     step = np.diff(t)
     usual = float(np.median(step))
