@@ -38,6 +38,7 @@ WANTED: dict[Role, str] = {  # every kind of recording there is a reader for, as
     "ubx": "*.ubx",
     "table": "a .csv with latitude, longitude and time",
 }
+SENTENCE_LINE = re.compile(rb"\s*(?:[-+0-9.eE]+[ \t]*,[ \t]*)?\$[GP][A-Z]{3,5},")  # maybe with the time it came
 UBX_SYNC = b"\xb5\x62"
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
 LARGE = 1 << 30  # bytes of a file, of which at least
@@ -103,6 +104,8 @@ class SessionFiles:
         own = self.find("gps.csv", "gps.csv.gz")
         if self._chosen_as("fixes") is None and own is not None and self._is_of_another(own):
             return None
+        if self._chosen_as("fixes") is None and own is not None and is_of_sentences(own):
+            return None
         return self._chosen_as("fixes") or own
 
     def _is_of_another(self, table: Path) -> bool:
@@ -110,12 +113,14 @@ class SessionFiles:
         return self.find(*IMU_NAMES) is None and foreign_kind(table) is not None
 
     def sentence_logs(self) -> list[Path]:
-        """The logs of NMEA sentences, largest first; only the one that was named, if any."""
+        """The logs of NMEA sentences, largest first, a gps.csv of them too; only the one that was named, if any."""
         if (log := self._chosen_as("sentences")) is not None:
             return [log]
         if self._is_foreign:
             return []
         logs = [self.directory / name for name in self.names if name.lower().endswith(".nmea")]
+        if (own := self.find("gps.csv")) is not None and is_of_sentences(own):
+            logs.append(own)
         return sorted(logs, key=lambda log: (-log.stat().st_size, log.name))
 
     def foreign_files(self) -> list[tuple[Foreign, Path]]:
@@ -272,6 +277,16 @@ def foreign_kind(path: Path) -> Foreign | None:
     return "racechrono" if is_racechrono else None
 
 
+def is_of_sentences(path: Path) -> bool:
+    """Whether a file that is called a table has NMEA sentences for lines, below one that is cut or names no columns."""
+    try:
+        with path.open("rb") as file:
+            lines = [line for line in in_utf8(file.read(HEAD_BYTES)).splitlines() if line.strip()][:2]
+    except OSError:
+        return False  # whoever needs the file will say so
+    return any(SENTENCE_LINE.match(line) for line in lines) and b"lat" not in lines[0].lower()
+
+
 def _shows_messages(path: Path) -> bool:
     """Whether a file of a u-blox receiver has its own messages, and no sentences beside them, which are read."""
     try:
@@ -317,6 +332,8 @@ def _table_role(path: Path) -> Role | None:
     if path.name.lower().startswith("truth.csv"):
         folder = shlex.quote(str(path.parent))
         raise SessionError(f"{path}: the truth is no recording; name its folder: smooth evaluate {folder}")
+    if is_of_sentences(path):
+        return "sentences"
     header = read_header(path)
     if "lat_deg" in header or path.name.lower().startswith("gps.csv"):
         return "fixes"

@@ -162,6 +162,8 @@ def _read_any_fixes(
     log = logs[0]
     reading = read_nmea(log)
     problems = list(reading.problems)
+    if log.name.lower().endswith(".csv"):
+        problems.append(Problem("gps_sentences", f"{log.name}: NMEA sentences, and no table; read as such"))
     if len(logs) > 1:
         text = preferred(f"{log.name}, the largest log,", logs[1:])
         problems.append(Problem("gps_other_logs", text, len(logs) - 1))

@@ -349,3 +349,32 @@ def test_missing_truth_is_one_clear_line(folder: Folder) -> None:
     folder.write(truth__csv="t_s,lat_deg\n0,1\n")
     with pytest.raises(SessionError, match=r"^truth.csv: no usable row"):
         load_truth(folder.path, Origin(0, 0, 0))
+
+
+SENTENCES = "".join(nmea_epochs(100))
+RECEIVED = "".join(f"{0.2 * k + 3.0:.2f},{sentence}" for k, sentence in enumerate(nmea_epochs(100)))
+
+
+@pytest.mark.parametrize(
+    "text", [SENTENCES, SENTENCES[30:], "t_s,sentence\n" + RECEIVED, "\n$PUBX,00*33\r\n" + SENTENCES]
+)
+def test_sentences_in_a_file_called_gps_csv_are_read_as_such(folder: Folder, text: str) -> None:
+    session = folder.write(gps__csv=text).load()
+    assert len(session.gnss) >= 99 and session.inputs == ("gps.csv",)
+    assert codes(session)["gps_sentences"] == 1
+    assert len(folder.load("gps.csv").gnss) == len(session.gnss)
+
+
+def test_sentences_in_gps_csv_have_the_clock_of_the_samples_beside_them(folder: Folder) -> None:
+    session = folder.write(gps__csv=RECEIVED, imu__csv=imu_csv(2500)).load()
+    assert session.imu is not None and session.inputs == ("imu.csv", "gps.csv")
+    assert session.gnss.t[0] - session.imu.t[0] == pytest.approx(3.0, abs=0.05)
+    assert "gps_clock_assumed" not in codes(session)
+
+
+def test_sentences_in_a_column_of_a_table_of_fixes_leave_it_one(folder: Folder) -> None:
+    header, *rows = gps_csv(50).splitlines()
+    sentences = [sentence.strip().replace(",", " ") for sentence in nmea_epochs(50)]
+    table = "\n".join([f"{header},raw", *(f"{row},{raw}" for row, raw in zip(rows, sentences, strict=True))]) + "\n"
+    session = folder.write(gps__csv=table).load()
+    assert len(session.gnss) == 50 and "gps_sentences" not in codes(session)
