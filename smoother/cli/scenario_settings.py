@@ -4,6 +4,7 @@ The scenario's own dataclasses say which figures exist and of which type they ar
 """
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -97,6 +98,8 @@ def _expected(kind: Any) -> str:
 def _items(text: str, item: type) -> Iterator[Any]:
     for part in text.split(","):
         numbers = [float(number) for number in part.split(":")]
+        if any(math.isnan(number) for number in numbers):
+            raise ValueError(part)
         if item is float and len(numbers) == 1:
             yield numbers[0]
         elif item is Jump and len(numbers) == 5:

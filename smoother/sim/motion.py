@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline, CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from smoother.arrays import Array
+from smoother.sim.figures import require_figures
 from smoother.sim.track import Track
 from smoother.sim.truth import Clock, Truth
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -85,6 +86,12 @@ class Motion:
     kerb_rate: float = 0.7  # of the apexes that are hit
     rpm_low: float = 6000.0  # at walking pace
     rpm_high: float = 16000.0  # at top speed
+
+    def __post_init__(self) -> None:
+        lengths = ("line_length", "grip_length", "lapse_length", "slip_length", "roughness_length", "kerb_length")
+        sigmas = ("line_sigma", "grip_sigma", "slip_sigma", "steering", "roughness", "lapse_rate", "standstill")
+        limits = ("grip_g", "braking_g", "traction_g", "power", "top_speed", "steering_length")
+        require_figures(self, "motion", sigmas, (*lengths, *limits))
 
 
 def drive(track: Track, motion: Motion, duration: float, rng: np.random.Generator, clock: Clock | None = None) -> Truth:

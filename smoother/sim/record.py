@@ -15,6 +15,7 @@ from smoother.errors import UsageError
 from smoother.frames import wrap_angle
 from smoother.samples import GnssFixes, RawImu, RawMag
 from smoother.session import thesis
+from smoother.session.csv_form import FIX_COLUMNS
 from smoother.sim.simulation import Simulation
 from smoother.units import DEG, KNOT, MILLISECOND
 
@@ -134,7 +135,10 @@ def mag_table(mag: RawMag) -> pl.DataFrame:
 
 
 def fix_table(fixes: GnssFixes) -> pl.DataFrame:
-    """Columns of gps.csv that the fixes know; components of velocity only where the receiver sent Up."""
+    """Columns of gps.csv that the fixes know; components of velocity only where the receiver sent Up.
+
+    Time and place are there without a fix too: a table without a header line would be none.
+    """
     columns = {
         "t_s": np.round(fixes.t, _TIME_DECIMALS),
         "unix_s": _rounded(fixes.unix_s, 3),
@@ -153,7 +157,8 @@ def fix_table(fixes: GnssFixes) -> pl.DataFrame:
     if np.any(np.isfinite(fixes.velocity_n[:, 2])):
         for name, axis, sign in (("vel_n_mps", 0, 1.0), ("vel_e_mps", 1, -1.0), ("vel_u_mps", 2, 1.0)):
             columns[name] = np.round(sign * fixes.velocity_n[:, axis], 6)
-    known = {name: values for name, values in columns.items() if values is not None and not np.all(np.isnan(values))}
+    told = {name: values for name, values in columns.items() if values is not None}
+    known = {name: values for name, values in told.items() if name in FIX_COLUMNS or not np.all(np.isnan(values))}
     return pl.DataFrame(known).fill_nan(None)
 
 

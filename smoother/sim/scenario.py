@@ -14,6 +14,7 @@ import numpy as np
 
 from smoother.arrays import Array, frozen
 from smoother.errors import UsageError
+from smoother.sim.figures import require_figures
 from smoother.sim.motion import Motion
 from smoother.sim.track import TRACKS
 
@@ -96,6 +97,8 @@ class ImuErrors:
 
     def __post_init__(self) -> None:
         _check(self, accel_bias=(3,), gyro_bias=(3,), accel_matrix=(3, 3), gyro_matrix=(3, 3))
+        noises = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk", "accel_tone", "gyro_tone", "jitter")
+        require_figures(self, "imu", noises, ("accel_range", "gyro_range", "anti_alias_hz"))
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,16 @@ class GnssErrors:
 
     def __post_init__(self) -> None:
         _check(self)
+        sigmas = (
+            "white_horizontal",
+            "white_up",
+            "offset_horizontal",
+            "offset_up",
+            "velocity_sigma",
+            "velocity_lasting",
+        )
+        others = ("receive_jitter", "hacc_factor", "sacc_factor")
+        require_figures(self, "gnss", (*sigmas, *others), ("offset_tau", "velocity_tau"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +178,7 @@ class MagErrors:
         _check(self, hard_iron_s=(3,), soft_iron=(3, 3), engine_direction_s=(3,))
         if self.field_n is not None:
             _check(self, field_n=(3,))
+        require_figures(self, "mag", ("noise", "calibration_points"), ("resolution",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,6 +202,7 @@ class Scenario:
         if not self.duration > 0.0:
             raise UsageError(f"a session of {self.duration} s cannot be simulated; ask for more than 0 s")
         _check(self, R_bs=(3, 3), lever_arm_b=(3,))
+        require_figures(self, "")
 
 
 _GROUPS = ("motion", "imu", "gnss", "mag")

@@ -74,3 +74,9 @@ def test_every_listed_figure_can_be_set_to_what_is_listed() -> None:
         assert {"gnss.offset_tau", "imu.gyro_noise", "mag.soft_iron", "motion.power", "lever_arm_b"} <= set(rows)
         again = parsed([f"{name}={value}" for name, value in rows.items()])
         assert dict(listed(preset, 8, again)) == rows
+
+
+@pytest.mark.parametrize("setting", ["gnss.outages=nan:5", "motion.stops=20:nan", "imu.harmonics=1,nan"])
+def test_a_list_with_what_is_no_number_is_refused(setting: str) -> None:
+    with pytest.raises(UsageError, match=f"^--set {setting}: a list .* expected$"):
+        parsed([setting])

@@ -95,3 +95,15 @@ def test_a_recording_put_beside_a_simulation_keeps_the_next_one_out(simulation: 
     with pytest.raises(UsageError, match=r"heat\.vbo"):
         write(simulation, tmp_path, "csv")
     assert (tmp_path / "LOG00002.KLG").exists()
+
+
+@pytest.mark.parametrize("value", ["nan", "-0.5"])
+def test_a_sigma_that_is_none_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: str
+) -> None:
+    target = tmp_path / "new"
+    assert run(["simulate", str(target), "--duration", "20", "--set", f"gnss.white_horizontal={value}"]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1
+    assert said.err.startswith(f"smooth: gnss.white_horizontal is {value}; it has to be a number of 0 or more")
+    assert not target.exists()

@@ -4,7 +4,7 @@ import pynmea2
 import pytest
 
 from smoother.calibration import load_calibration
-from smoother.errors import UsageError
+from smoother.errors import SessionError, UsageError
 from smoother.frames import geodetic_to_nwu, rotation_from_euler
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.load import load_raw
@@ -12,6 +12,7 @@ from smoother.session.nmea import read_nmea
 from smoother.session.settings import load_settings
 from smoother.session.thesis import read_magcalib, read_out
 from smoother.sim.record import nmea_sentences, write_csv, write_settings, write_thesis
+from smoother.sim.scenario import Interval
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
 
@@ -223,3 +224,10 @@ def test_session_the_thesis_format_cannot_hold_is_refused(tmp_path):
     for changes in ({"imu": None}, {"imu_rate": 2000.0}):
         with pytest.raises(UsageError, match="thesis' format"):
             write_thesis(simulate_preset("white", 1, duration=5.0, **changes), tmp_path)
+
+
+def test_a_receiver_that_never_has_a_fix_writes_a_header_line(tmp_path):
+    write_csv(simulate_preset("white", 4, duration=10.0, **{"gnss.outages": (Interval(-9.0, 99.0),)}), tmp_path)
+    assert (tmp_path / "gps.csv").read_text().startswith("t_s,lat_deg,lon_deg")
+    with pytest.raises(SessionError, match=r"^gps.csv: a header line, but no rows"):
+        load_raw(tmp_path)

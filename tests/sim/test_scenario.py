@@ -49,3 +49,31 @@ def test_vectors_are_checked_and_read_only():
         ImuErrors(accel_bias=np.zeros(2))
     errors = ImuErrors(accel_bias=[0.1, 0.2, 0.3])
     assert errors.accel_bias.dtype == np.float64 and not errors.accel_bias.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("figure", "value"),
+    [
+        ("gnss.white_horizontal", float("nan")),
+        ("gnss.white_horizontal", -0.3),
+        ("gnss.velocity_sigma", float("inf")),
+        ("gnss.offset_tau", 0.0),
+        ("gnss.hacc_factor", -1.0),
+        ("imu.gyro_noise", -1e-3),
+        ("imu.accel_range", 0.0),
+        ("imu.clock_offset", float("nan")),
+        ("mag.noise", -1.0),
+        ("mag.resolution", -0.15),
+        ("motion.line_sigma", -1.0),
+        ("motion.top_speed", float("nan")),
+        ("motion.slip_length", 0.0),
+    ],
+)
+def test_a_figure_that_no_sensor_and_no_driver_has_is_refused(figure: str, value: float) -> None:
+    with pytest.raises(UsageError, match=rf"^{figure} is {value:g}; it has to be a number"):
+        with_changes(Scenario(), {figure: value})
+
+
+def test_a_start_that_is_no_number_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"^start_unix is nan; it has to be a number$"):
+        with_changes(Scenario(), {"start_unix": float("nan")})
