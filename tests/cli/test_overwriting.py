@@ -1,5 +1,6 @@
 """`--out FILE` of export and compare never writes over what was recorded, and does over an earlier export."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -20,10 +21,11 @@ def tables_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def smoothed(simulated: Path) -> Path:
-    """The simulated session with its results, never written to by a test."""
-    assert run([str(simulated), "--no-figures", "--no-baseline"]) == 0
-    return simulated
+def smoothed(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the simulated session with its results."""
+    directory = Path(shutil.copytree(simulated, tmp_path_factory.mktemp("smoothed") / "monday"))
+    assert run([str(directory), "--no-figures", "--no-baseline"]) == 0
+    return directory
 
 
 def assert_refused(arguments: list[str], out: Path, captured: Captured) -> None:
