@@ -223,7 +223,7 @@ def _as_given(_: Any, sigma: Array, *__: Any) -> Array:
     return sigma
 
 
-def _never_still(session: Session) -> Array:
+def _never_still(session: Session, **_: Any) -> Array:
     assert session.imu is not None
     return np.zeros(len(session.imu.t), dtype=bool)
 
