@@ -81,10 +81,17 @@ def measured_rows(t: Array, channels: Sequence[Array]) -> IntArray | None:
     """Rows (K,) nearest to where the channels (N,) were measured, by the bends of lines between; None if all were.
 
     t (N,) s, increasing. The bends come as often as the receiver measures, most of them seen and the rest filled in.
+    Clear ones tell first: rounding adds some between, by which the receiver would seem to measure more often.
     """
     off = off_chord(t, channels)
     beside = np.maximum(np.append(off[1:], 0.0), np.append(0.0, off[:-1]))
     off[off < SLIGHT * beside] = 0.0
+    clear = _rows_at_bends(t, np.where(off > CLEARLY, off, 0.0))
+    return _rows_at_bends(t, off) if clear is None else clear
+
+
+def _rows_at_bends(t: Array, off: Array) -> IntArray | None:
+    """Rows (K,) of t (N,) s at bends that come regularly; off (N,): by how much rows bend, most of them clearly."""
     first, end = runs_of(off > 0.0)
     if first.size < FEWEST_KNOTS or np.mean(end - first > LONGEST_RUN) > FEW_RUNS:
         return None

@@ -50,6 +50,15 @@ def test_every_second_row_is_left_out_where_rows_come_twice_as_often() -> None:
     assert rows is not None and np.all(np.diff(rows) == 2)
 
 
+@pytest.mark.parametrize(("rate", "row_rate"), [(1, 5), (1, 10), (2, 10)])
+def test_stamps_in_tenths_of_milliseconds_add_no_fixes(rate: float, row_rate: float) -> None:
+    """They bend the lines a little at rows that are none, by which fixes seemed to come twice as often."""
+    t, channels = exported(rate, row_rate)
+    rows = measured_rows(np.round(t * (1.0 + 37e-6), 4), channels[:3])
+    assert rows is not None
+    np.testing.assert_array_equal(np.mod(rows, round(row_rate / rate)), 0)
+
+
 def road(rate: float, duration: float = 600.0) -> tuple[Array, list[Array]]:
     """Fixes on a road that leads north-east, so that no latitude comes near another."""
     t = np.arange(0.0, duration, 1.0 / rate)
