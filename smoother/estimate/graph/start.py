@@ -49,6 +49,7 @@ MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 SLOW_RESPONSE, SLOW_SIGMAS = 0.1, 3.0
 LATE_COURSE, COURSE_SIGMAS = 0.3, 0.6  # s; loggers smooth speed or course, not both, by some tenths
 LEAST_COURSE_DELAY, SURE_COURSE = 0.025, 4.5  # s between course and speed, and sigmas of it, that are one
+MOST_COURSE_DELAY = (-0.15, 0.25)  # s
 # rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
 # karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
 DOUBTED_RATES = 2.0 * DEG
@@ -203,11 +204,13 @@ def for_late_course(start: Start, constants: Constants) -> Start | None:
 def is_late_course(held: float, free: float, prior: float) -> bool:
     """Whether the delay of the course that was found `free`, s, is one; `held`, s: with the sigma `prior` beforehand.
 
-    What is left of it where it is held says what it is unsure by: prior^2 / (prior^2 + sigma^2) of it.
+    What is left of it where it is held says what it is unsure by: prior^2 / (prior^2 + sigma^2) of it. A speed that is
+    later by more is an average, which no delay makes right.
     """
     share = np.clip(held / free, 1e-6, 1.0) if free != 0.0 else 1.0
     sigma = prior * np.sqrt(1.0 / share - 1.0)
-    return bool(abs(free) > max(LEAST_COURSE_DELAY, SURE_COURSE * sigma))
+    is_sure = abs(free) > max(LEAST_COURSE_DELAY, SURE_COURSE * sigma)
+    return bool(is_sure and MOST_COURSE_DELAY[0] < free < MOST_COURSE_DELAY[1])
 
 
 def on_the_wheel(start: Start) -> Start:

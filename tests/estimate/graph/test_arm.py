@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph.arm import arm_axes, arm_axes_along, arm_axes_at, course, turning_arm
 from smoother.estimate.graph.imu import DensePath
-from smoother.estimate.graph.state import ChainState, Constants
+from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.frames import rotation_from_euler
 
 AXES = so3.exp(np.array([0.3, -0.4, 2.0]))  # forward, left and up in s, while the wheel is straight
@@ -60,6 +60,6 @@ def test_the_course_of_a_kart_that_stands_is_between_those_before_and_after() ->
 @pytest.mark.parametrize("is_steered", [True, False])
 def test_constants_stay_on_the_wheel_when_they_move(is_steered: bool) -> None:
     state = steered(is_steered=is_steered)
-    moved = state.retract(np.zeros((len(T), 18)), np.full(30, 0.1))
+    moved = state.retract(np.zeros((len(T), 18)), np.full(CONSTANTS_SIZE, 0.1))
     assert moved.constants.is_steered is is_steered
     np.testing.assert_allclose(moved.constants.lever_arm_s, state.constants.lever_arm_s + 0.1)
