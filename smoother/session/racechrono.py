@@ -28,6 +28,7 @@ from smoother.session.foreign import (
 )
 from smoother.session.interpolated import FEW_BETWEEN, between_samples, rows_at_knots
 from smoother.session.records import head_of, read_records
+from smoother.session.table_header import is_number
 from smoother.words import listed
 
 WHAT = "RaceChrono CSV of version 3"
@@ -137,7 +138,7 @@ def _header(path: Path) -> tuple[_Columns, int]:
 
     lines, offset = head_of(path, is_last, WHAT)
     names, units, sources = (_cells(line) for line in lines[-3:])
-    if _is_number(units[0]):
+    if is_number(units[0]):
         raise SessionError(f"{path.name}: no units below the names of its columns; export it as version 3")
     padded = [(row + [""] * len(names))[: len(names)] for row in (units, sources)]
     return _Columns(names, padded[0], padded[1]), offset
@@ -149,14 +150,6 @@ def _require_version(file: str, cells: Sequence[str]) -> None:
         raise SessionError(f"{file}: a RaceChrono CSV of version {listed(cells[1:2])}; export it as version 3")
     if OLD_TIMESTAMP in cells:
         raise SessionError(f"{file}: a RaceChrono CSV of version 1 or 2; export it as version 3")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _cells(line: str) -> list[str]:

@@ -57,14 +57,15 @@ def parts_by_header(table: bytes, required: Sequence[str]) -> list[tuple[int, by
     for found in re.finditer(re.escape(required[0].encode()), table, re.IGNORECASE):
         start, text = _line_at(table, found.start())
         others = header_of(text)
-        if start > begin and others != names and set(required) <= set(others) and not any(map(_is_number, others)):
+        if start > begin and others != names and set(required) <= set(others) and not any(map(is_number, others)):
             parts.append((line, table[begin:start]))
             line += table.count(b"\n", begin, start)
             begin, names = start, others
     return [*parts, (line, table[begin:])]
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table is a number."""
     try:
         float(cell)
     except ValueError:

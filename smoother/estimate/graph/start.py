@@ -181,9 +181,7 @@ def for_slow_receiver(start: Start, constants: Constants) -> Start | None:
     usual = start.priors.constants_sigma[VELOCITY_RESPONSE]
     if abs(constants.velocity_response) < SLOW_SIGMAS * usual or usual >= SLOW_RESPONSE:
         return None
-    sigma = start.priors.constants_sigma.copy()
-    sigma[VELOCITY_RESPONSE] = SLOW_RESPONSE
-    return replace(start, priors=replace(start.priors, constants_sigma=sigma))
+    return _with_prior(start, VELOCITY_RESPONSE, SLOW_RESPONSE)
 
 
 def for_late_course(start: Start, constants: Constants) -> Start | None:
@@ -196,16 +194,21 @@ def for_late_course(start: Start, constants: Constants) -> Start | None:
     usual = start.priors.constants_sigma[COURSE_DELAY]
     if abs(constants.course_delay) < COURSE_SIGMAS * usual or usual >= LATE_COURSE:
         return None
-    sigma = start.priors.constants_sigma.copy()
-    sigma[COURSE_DELAY] = LATE_COURSE
-    return replace(start, priors=replace(start.priors, constants_sigma=sigma))
+    return _with_prior(start, COURSE_DELAY, LATE_COURSE)
+
+
+def _with_prior(start: Start, part: slice, sigma: float) -> Start:
+    """Return `start` with another prior sigma of a part of the constants, in their units."""
+    sigmas = start.priors.constants_sigma.copy()
+    sigmas[part] = sigma
+    return replace(start, priors=replace(start.priors, constants_sigma=sigmas))
 
 
 def is_late_course(held: float, free: float, prior: float) -> bool:
     """Whether the delay of the course that was found `free`, s, is one; `held`, s: with the sigma `prior` beforehand.
 
     What is left of it where it is held says what it is unsure by: prior^2 / (prior^2 + sigma^2) of it. A speed that is
-    later by more is an average, which no delay makes right.
+    later than MOST_COURSE_DELAY allows is an average, which no delay makes right.
     """
     share = np.clip(held / free, 1e-6, 1.0) if free != 0.0 else 1.0
     sigma = prior * np.sqrt(1.0 / share - 1.0)
