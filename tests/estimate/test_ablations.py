@@ -13,7 +13,7 @@ from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import Trajectory
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-SEED, DURATION, LONGER = 9, 50.0, 130.0  # s; clocks and receivers show late what they are like
+SEED, DURATION, LONGER = 9, 50.0, 100.0  # s; clocks and receivers show late what they are like
 COMPARED = ("position_n", "velocity_n", "R_nb")
 # what effects are for that leave a usual kart as it is
 WORLD_OF = {
