@@ -10,6 +10,7 @@ from typing import Any
 from smoother.cli.output import number, say, say_pairs
 from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
 from smoother.units import KMH, MPH
+from smoother.utc_clock import UtcClock
 from smoother.words import SLOWER_WHERE, counted, loss_digits
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
@@ -24,15 +25,15 @@ SIGMA_SOURCES = {
 def show_laps(
     laps: list[dict[str, Any]],
     analysis: dict[str, Any],
-    unix_at_zero: float | None,
+    clock: UtcClock | None,
     units: str = "km/h",
     title: str = "laps",
 ) -> None:
     """Print a row for every lap, and best, theoretical and rolling best, consistency, official times."""
     if laps:
-        if unix_at_zero is not None:
-            title += f", times of day in {local_zone(unix_at_zero + lap['start_s'] for lap in laps)}"
-        say_columns(title, *lap_table(laps, analysis, unix_at_zero, units))
+        if clock is not None:
+            title += f", times of day in {local_zone(clock.at(lap['start_s']) for lap in laps)}"
+        say_columns(title, *lap_table(laps, analysis, clock, units))
     odd = [("laps" if i == 0 else "", problem["text"]) for i, problem in enumerate(analysis["problems"])]
     if pairs := [*figures(analysis), *_sectors(laps), *odd]:
         say_pairs("", pairs)
@@ -48,13 +49,13 @@ def say_columns(title: str, header: list[str], rows: list[list[str]]) -> None:
 
 
 def lap_table(
-    laps: list[dict[str, Any]], analysis: dict[str, Any], unix_at_zero: float | None, units: str
+    laps: list[dict[str, Any]], analysis: dict[str, Any], clock: UtcClock | None, units: str
 ) -> tuple[list[str], list[list[str]]]:
     """Return the header and the rows of the table of laps."""
     sectors = sum(1 for name in laps[0] if name.startswith("sector") and name.endswith("_s") and "sigma" not in name)
     official = {one["lap"]: one for one in analysis["official"] if one["lap"] is not None}
     header = ["lap", "started", "time", "±", "gap", *(f"S{i + 1}" for i in range(sectors)), f"top {units}"]
-    if unix_at_zero is None:
+    if clock is None:
         header.remove("started")
     header += ["official", "ours -"] if official else []
     best = (analysis["statistics"] or {}).get("best_s")
@@ -64,7 +65,7 @@ def lap_table(
         gap = None if best is None or is_best or not lap["valid"] else lap["lap_time_s"] - best
         row = [
             str(lap["lap"]),
-            *([] if unix_at_zero is None else [local_time(unix_at_zero + lap["start_s"])]),
+            *([] if clock is None else [local_time(clock.at(lap["start_s"]))]),
             lap_clock(lap["lap_time_s"]),
             number(lap["lap_time_sigma_s"], 3),
             "-" if gap is None else f"{round(gap, 3) + 0.0:+.3f}",

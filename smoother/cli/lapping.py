@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from smoother.frames import Origin
     from smoother.laps.results import LapAnalysis
     from smoother.laps.stored import Stored
+    from smoother.utc_clock import UtcClock
 
 Document = dict[str, Any]
 
@@ -92,7 +92,7 @@ def laps(
 
 def laps_of(
     path: Path, line: str | None, official: Path | None, progress: Progress
-) -> tuple[Document, float | None, bool]:
+) -> tuple[Document, UtcClock | None, bool]:
     """Return laps and analysis as summary.json would hold them, UTC at t = 0, and whether the session passed."""
     wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
     with naming(path):
@@ -101,26 +101,23 @@ def laps_of(
 
 def _laps_on(
     path: Path, wanted: tuple[Any, ...] | None, official: Path | None, progress: Progress
-) -> tuple[Document, float | None, bool]:
+) -> tuple[Document, UtcClock | None, bool]:
     from smoother.laps.stored import read_stored
+    from smoother.utc_clock import UtcClock
 
     directory, passed = results_of(path, progress)
     progress("laps", 0.0)
     document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
     if wanted is None and official is None and "lap_analysis" in document and not _is_older(path, directory):
-        return {key: document[key] for key in ("laps", "lap_analysis")}, _unix_at_zero(document), passed
+        return (
+            {key: document[key] for key in ("laps", "lap_analysis")},
+            UtcClock.of_summary(document["session"]),
+            passed,
+        )
     stored = read_stored(directory)
     said = told(path, wanted, official)
     analysis = analysed(path, stored, said)
-    return documents_of(analysis, stored.origin), stored.unix_at_zero, passed
-
-
-def _unix_at_zero(document: Document) -> float | None:
-    """UTC at t = 0 as a summary tells it."""
-    about = document["session"]
-    if about["start_utc"] is None:
-        return None
-    return dt.datetime.fromisoformat(about["start_utc"]).timestamp() - float(about["start_s"])
+    return documents_of(analysis, stored.origin), stored.clock, passed
 
 
 def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> Stated:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from smoother.laps.results import LapAnalysis
     from smoother.samples import RawSession, Session
     from smoother.trajectory import Trajectory
+    from smoother.utc_clock import UtcClock
 
 OUTPUT_DIRECTORY = "smoothed"
 TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
@@ -102,7 +103,7 @@ class Result:
     quality: Quality
     directory: Path
     main_file: Path
-    unix_at_zero: float | None = None
+    clock: UtcClock | None = None
 
 
 @contextmanager
@@ -322,20 +323,21 @@ def write(
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
     from smoother.disc import settle
-    from smoother.estimate.true_time import unix_at_start, unix_at_zero
+    from smoother.estimate.true_time import utc_clock
     from smoother.laps.document import lap_table
     from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
 
     session, smoothed, baseline = estimates.session, estimates.written, estimates.baseline
+    clock = utc_clock(session, smoothed)
     progress("writing", 0.0)
     with watch.stage("writing"):
         laps = lap_columns(estimates.laps, estimates.smoothed, smoothed.t)
-        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, unix_at_zero(session, smoothed.report), laps)
+        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, clock, laps)
         if estimates.laps is not None:
             write_csv(directory / LAPS, lap_table(estimates.laps))
         write_fixes(directory / FIXES, session, smoothed.report.fixes)
         if baseline is not None:
-            write_trajectory(directory / BASELINE, baseline, session.origin, unix_at_zero(session, smoothed.report))
+            write_trajectory(directory / BASELINE, baseline, session.origin, clock)
         else:
             (directory / BASELINE).unlink(missing_ok=True)
     settle(smoothed, baseline)
@@ -348,9 +350,7 @@ def write(
     settle(smoothed, baseline)
     document = _summary(estimates, options, watch)
     write_json(directory / SUMMARY, document)
-    start = unix_at_start(session, smoothed)
-    zero = None if start is None else start - float(smoothed.t[0])
-    return Result(document, estimates.quality, directory, main_file, zero)
+    return Result(document, estimates.quality, directory, main_file, clock)
 
 
 def _write_figures(shown: Estimates | None, title: str, directory: Path, options: Options, progress: Progress) -> None:

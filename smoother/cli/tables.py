@@ -62,7 +62,7 @@ def show_result(result: Result, path: Path | None = None) -> None:
     else:
         say_pairs(f"{path}: {title}" if title else str(path), pairs)
     if "lap_analysis" in document:
-        show_laps(document["laps"], document["lap_analysis"], result.unix_at_zero)
+        show_laps(document["laps"], document["lap_analysis"], result.clock)
     say(str(result.main_file))
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.retimed import Retimed, with_samples_at
-from smoother.samples import Problem, Session
-from smoother.trajectory import EstimateReport, Trajectory
+from smoother.samples import GnssFixes, Problem, Session
+from smoother.trajectory import Trajectory
+from smoother.utc_clock import UtcClock
 
 CRYSTAL = 2e-3  # more is not the drift of a crystal, which is small enough to be left alone
 BEYOND_BELIEF = 0.1  # more is not a clock
@@ -28,28 +29,35 @@ def clock_scale(session: Session) -> float:
     return slope if CRYSTAL < abs(slope - 1.0) < BEYOND_BELIEF else 1.0
 
 
-def unix_at_zero(session: Session, report: EstimateReport) -> float | None:
-    """UTC, seconds since 1970, at t = 0 of the motion; None where the receiver never told it.
+def utc_clock(session: Session, smoothed: Trajectory) -> UtcClock | None:
+    """UTC of the motion, from the first row on, which is to the millisecond as results store it.
 
-    A receiver says when a fix was true, and the clock of the session stamps it when it comes: later by the delay, where
-    the session tells that.
+    None where nothing tells it. Wherever a time of day is shown it is reckoned from here, so that it is the same in all
+    places. A receiver says when a fix was true, and the clock of the session stamps it when it comes: later by the
+    delay, where the session tells that.
     """
-    by_stamps = session.gnss.unix_at_zero
-    if by_stamps is None:
-        return session.unix_at_zero
-    latency = report.identified.get("gps_position_latency")
-    if latency is None or not latency.observable or not isinstance(latency.value, float):
-        return by_stamps
-    return by_stamps + latency.value
+    if (stamped := clock_of_fixes(session)) is None:
+        return None
+    start, late = float(smoothed.t[0]), 0.0
+    latency = smoothed.report.identified.get("gps_position_latency")
+    if latency is not None and latency.observable and isinstance(latency.value, float) and _is_told(session.gnss):
+        late = latency.value
+    return UtcClock(start, round(stamped.at(start) + late, 3), stamped.rate)
 
 
-def unix_at_start(session: Session, smoothed: Trajectory) -> float | None:
-    """UTC, seconds since 1970, of the first row, to the millisecond as results store it; None where nothing tells it.
+def clock_of_fixes(session: Session) -> UtcClock | None:
+    """UTC at which fixes were true, by their stamps; None where nothing tells it."""
+    unix_s, t = session.gnss.unix_s, session.gnss.t
+    if unix_s is None or not _is_told(session.gnss):
+        return None if session.unix_at_zero is None else UtcClock(0.0, session.unix_at_zero)
+    slope, _ = _against_utc(session)
+    rate = 1.0 / slope if abs(slope - 1.0) < BEYOND_BELIEF else 1.0
+    return UtcClock(float(t[0]), float(np.nanmedian(unix_s - rate * (t - t[0]))), rate)
 
-    Wherever a time of day is shown it is reckoned from here, so that it is the same in all places.
-    """
-    at_zero = unix_at_zero(session, smoothed.report)
-    return None if at_zero is None else round(at_zero + float(smoothed.t[0]), 3)
+
+def _is_told(fixes: GnssFixes) -> bool:
+    """Whether fixes say when they were true."""
+    return fixes.unix_s is not None and bool(np.isfinite(fixes.unix_s).any())
 
 
 def clock_problems(session: Session) -> tuple[Problem, ...]:
@@ -67,7 +75,8 @@ def clock_problems(session: Session) -> tuple[Problem, ...]:
 def _against_utc(session: Session) -> tuple[float, float]:
     """Seconds of the session in one of UTC, and how many of UTC it lasts; (1, infinite) where nothing tells."""
     unix_s, t = session.gnss.unix_s, session.gnss.t
-    assert unix_s is not None
+    if unix_s is None:
+        return 1.0, np.inf
     known = np.flatnonzero(np.isfinite(unix_s))
     if known.size < FEWEST_FIXES or abs(unix_s[known[-1]] - unix_s[known[0]]) < SHORTEST:
         return 1.0, np.inf

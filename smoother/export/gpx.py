@@ -34,7 +34,7 @@ def write(source: Source, path: Path) -> None:
     template = f"{POINT}{custom}</extensions></trkpt>\n"
     title = xml(source.text("title", source.name))
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        start = iso_times(np.array([source.start + source.unix_at_zero]))[0]
+        start = iso_times(np.array([source.clock.at(source.start)]))[0]
         file.write(f"{HEAD}<metadata><name>{title}</name><time>{start}</time></metadata>\n")
         _write_crossings(file, source)
         file.write(f"<trk><name>{title}</name><trkseg>\n")

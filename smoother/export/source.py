@@ -14,8 +14,9 @@ import polars as pl
 
 from smoother.arrays import Array
 from smoother.errors import SessionError
-from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, read_rows, resampled, tables, with_motion
+from smoother.export.rows import NUMBERS, REQUIRED, Rows, header_of, read_rows, resampled, with_motion
 from smoother.frames import Origin
+from smoother.utc_clock import UtcClock
 
 TRAJECTORY, LAPS, SUMMARY = "trajectory.csv", "laps.csv", "summary.json"
 MOST_ROWS = 30_000_000  # eight hours at 1000 Hz; beyond, the times of the file are damaged
@@ -52,13 +53,12 @@ class BestLap:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, UTC at t = 0, complete columns."""
+    """What one pass over trajectory.csv tells: rows, first and last time s, rate Hz, complete columns."""
 
     count: int
     start: float
     end: float
     rate: float
-    unix_at_zero: float | None
     complete: frozenset[str]
 
 
@@ -66,8 +66,8 @@ class Survey:
 class Source:
     """A smoothed session in `directory`, to be written at `rate` Hz; None: as it is stored.
 
-    name and the texts about it are data from files. unix_at_zero: UTC at t = 0, 0.0 where the receiver never told it
-    (`has_utc`): times then count from the start of 1970.
+    name and the texts about it are data from files. told_clock: of the time of day, None where the receiver never told
+    it (`has_utc`): times then count from the start of 1970.
     """
 
     directory: Path
@@ -75,6 +75,7 @@ class Source:
     about: dict[str, str]
     origin: Origin
     survey: Survey
+    told_clock: UtcClock | None = None
     laps: tuple[LapRow, ...] = ()
     rate: float | None = None
 
@@ -86,13 +87,12 @@ class Source:
     @property
     def has_utc(self) -> bool:
         """Whether the time of day is known."""
-        return self.survey.unix_at_zero is not None
+        return self.told_clock is not None
 
     @property
-    def unix_at_zero(self) -> float:
-        """UTC at t = 0, s since 1970; counts from the first row where the time of day is unknown."""
-        known = self.survey.unix_at_zero
-        return -self.survey.start if known is None else known
+    def clock(self) -> UtcClock:
+        """Of the time of day; counts from the first row on where that is unknown."""
+        return self.told_clock or UtcClock(self.start, 0.0)
 
     @property
     def row_rate(self) -> float:
@@ -161,7 +161,7 @@ class Source:
             reached = np.interp(rows["lap_distance_m"], self.best.distance, self.best.elapsed)
             delta = since - reached
         return rows.with_columns(
-            elapsed_s=t - self.start, unix_s=t + self.unix_at_zero, lap=number, lap_time_s=since, delta_s=delta
+            elapsed_s=t - self.start, unix_s=self.clock.at(t), lap=number, lap_time_s=since, delta_s=delta
         )
 
 
@@ -171,9 +171,9 @@ def open_source(directory: Path, rate: float | None = None) -> Source:
     survey = _survey(path)
     if rate is not None and (survey.end - survey.start) * rate > MOST_ROWS:
         raise SessionError(f"{path}: {(survey.end - survey.start) * rate:.0f} rows at {rate:g} Hz; ask for fewer")
-    about, origin = _about(directory / SUMMARY)
+    about, origin, clock = _about(directory / SUMMARY)
     name = one_line(about.get("name", "")) or one_line(directory.resolve().parent.name) or "session"
-    return Source(directory, name, about, origin, survey, read_laps(directory / LAPS), rate)
+    return Source(directory, name, about, origin, survey, clock, read_laps(directory / LAPS), rate)
 
 
 def one_line(text: str) -> str:
@@ -181,51 +181,41 @@ def one_line(text: str) -> str:
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
-def _about(path: Path) -> tuple[dict[str, str], Origin]:
+def _about(path: Path) -> tuple[dict[str, str], Origin, UtcClock | None]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         told, place = document["session"], document["origin"]
         origin = Origin(float(place["lat_deg"]), float(place["lon_deg"]), float(place["alt_m"]))
+        clock = UtcClock.of_summary(told)
     except OSError as error:
         raise SessionError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (ValueError, KeyError, TypeError) as error:
         raise SessionError(f"{path}: damaged; smooth the session again") from error
-    return {key: value for key, value in told.items() if isinstance(value, str)}, origin
+    return {key: value for key, value in told.items() if isinstance(value, str)}, origin, clock
 
 
 def _survey(path: Path) -> Survey:
     """Pass over trajectory.csv once, holding one block."""
     names = header_of(path)
-    count, start, end, rate, unix = 0, np.nan, np.nan, np.nan, None
+    count, start, end, rate = 0, np.nan, np.nan, np.nan
     whole = {name for name in NUMBERS if name in names}
     for rows in read_rows(path):
         t = rows["t_s"]
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0) or (count and t[0] <= end):
             raise SessionError(f"{path}: its times do not increase; smooth the session again")
         if count == 0:
-            start, rate, unix = float(t[0]), _rate(t), _unix_at_zero(path, names)
+            start, rate = float(t[0]), _rate(t)
         whole = {name for name in whole if np.all(np.isfinite(rows[name]))}
         count, end = count + len(rows), float(t[-1])
     if count == 0:
         raise SessionError(f"{path}: no rows; smooth the session again")
     if missing := [name for name in REQUIRED if name not in whole]:
         raise SessionError(f"{path}: {missing[0]} is not a number in every row; smooth the session again")
-    return Survey(count, start, end, rate, unix, frozenset(whole))
+    return Survey(count, start, end, rate, frozenset(whole))
 
 
 def _rate(t: Array) -> float:
     return 1.0 / float(np.median(np.diff(t))) if t.size > 1 else 1.0
-
-
-def _unix_at_zero(path: Path, names: list[str]) -> float | None:
-    """UTC at t = 0 from the first block of `utc`, which is rounded to the millisecond; None where it is empty."""
-    if "utc" not in names:
-        return None
-    frame = next(tables(path, ("t_s", "utc")))
-    stamps = frame["utc"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.fZ", strict=False, time_unit="ms")
-    difference = stamps.dt.epoch("ms").cast(pl.Float64).fill_null(np.nan).to_numpy() / 1e3 - frame["t_s"].to_numpy()
-    known = difference[np.isfinite(difference)]
-    return float(np.median(known)) if known.size else None
 
 
 def read_laps(path: Path) -> tuple[LapRow, ...]:

@@ -28,7 +28,7 @@ def iso_times(unix_s: Array) -> list[str]:
 
 def start_stamp(source: Source) -> np.datetime64:
     """UTC of the first row, to the second."""
-    return np.datetime64(int(np.floor(source.start + source.unix_at_zero + 5e-4)), "s")
+    return np.datetime64(int(np.floor(source.clock.at(source.start) + 5e-4)), "s")
 
 
 def date_and_time(source: Source) -> tuple[str, str]:

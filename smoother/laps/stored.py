@@ -16,6 +16,7 @@ from smoother.laps.sigma import Drift
 from smoother.samples import Problem
 from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 from smoother.units import DEG
+from smoother.utc_clock import UtcClock
 
 AXES = ("north", "west", "up")
 
@@ -24,14 +25,14 @@ AXES = ("north", "west", "up")
 class Stored:
     """The results of one session: trajectory and fixes in the n of `origin`, drift of the position error if stored.
 
-    document: summary.json. unix_at_zero: UTC at t = 0, None where unknown.
+    document: summary.json. clock: of the time of day, None where unknown.
     """
 
     trajectory: Trajectory
     fixes: FixPath
     origin: Origin
     drift: Drift | None
-    unix_at_zero: float | None
+    clock: UtcClock | None
     document: dict[str, Any]
 
     @property
@@ -48,14 +49,12 @@ def read_stored(directory: Path, origin: Origin | None = None) -> Stored:
         place = document["origin"]
         own = Origin(float(place["lat_deg"]), float(place["lon_deg"]), float(place["alt_m"]))
         rows, fixes = (_columns(directory / name) for name in ("trajectory.csv", "gps.csv"))
-        with (directory / "trajectory.csv").open("rb") as file:
-            head = file.readline() + file.readline()
-        utc = pl.read_csv(head, columns=["t_s", "utc"], schema_overrides={"utc": pl.String})
         trajectory = _trajectory(rows, document, own, origin or own)
         path = _fixes(fixes, origin or own)
+        clock = UtcClock.of_summary(document["session"])
     except (OSError, ValueError, KeyError, TypeError, pl.exceptions.PolarsError) as error:
         raise SessionError(f"{directory}: damaged results ({error}); smooth the session again") from error
-    return Stored(trajectory, path, origin or own, stored_drift(document), _unix_at_zero(utc), document)
+    return Stored(trajectory, path, origin or own, stored_drift(document), clock, document)
 
 
 def stored_drift(document: dict[str, Any]) -> Drift | None:
@@ -119,10 +118,3 @@ def _fixes(rows: dict[str, Array], origin: Origin) -> FixPath:
     position = geodetic_to_nwu(rows["lat_deg"], rows["lon_deg"], np.full(len(rows["t_s"]), origin.alt_m), origin)
     known = np.isfinite(position[:, :2]).all(axis=1)
     return FixPath(rows["t_s"][known], position[known, :2])
-
-
-def _unix_at_zero(first: pl.DataFrame) -> float | None:
-    stamp = first["utc"].str.to_datetime("%Y-%m-%dT%H:%M:%S%.fZ", strict=False, time_unit="ms").dt.epoch("ms")
-    if len(stamp) == 0 or stamp[0] is None:
-        return None
-    return float(stamp[0]) / 1e3 - float(first["t_s"][0])

@@ -71,8 +71,8 @@ class Compared:
     @property
     def start(self) -> float | None:
         """UTC of the first row, s since 1970; None where unknown."""
-        unix = self.stored.unix_at_zero
-        return None if unix is None else unix + float(self.stored.trajectory.t[0])
+        clock = self.stored.clock
+        return None if clock is None else clock.at(float(self.stored.trajectory.t[0]))
 
 
 def write_comparison(path: Path, compared: Sequence[Compared]) -> None:

@@ -17,10 +17,12 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.disc import pieces, release
 from smoother.documents import replacing as replacing
+from smoother.estimate.true_time import clock_of_fixes
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
 from smoother.units import DEG
+from smoother.utc_clock import UtcClock
 
 TIME_DIGITS = 6
 ANGLE_DIGITS = 9  # of latitude and longitude: 0.1 mm on the ground
@@ -35,13 +37,13 @@ LapColumns = tuple[pl.Series, Array]
 
 
 def write_trajectory(
-    path: Path, trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
+    path: Path, trajectory: Trajectory, origin: Origin, clock: UtcClock | None, laps: LapColumns | None = None
 ) -> None:
     """Write a trajectory, smoothed or baseline, with the columns of :func:`trajectory_table`; large ones in parts."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         for part in [*pieces(len(trajectory), TOGETHER)] or [slice(0)]:
             of_part = None if laps is None else (laps[0][part], laps[1][part])
-            table = trajectory_table(trajectory.rows(part), origin, unix_at_zero, of_part)
+            table = trajectory_table(trajectory.rows(part), origin, clock, of_part)
             table.write_csv(file, include_header=part.start in (None, 0))
             release(trajectory)
 
@@ -63,7 +65,7 @@ def to_json(document: object) -> str:
 
 
 def trajectory_table(
-    trajectory: Trajectory, origin: Origin, unix_at_zero: float | None, laps: LapColumns | None = None
+    trajectory: Trajectory, origin: Origin, clock: UtcClock | None, laps: LapColumns | None = None
 ) -> pl.DataFrame:
     """Return one row per time of the trajectory; units are in the column names, NaN where there is no estimate."""
     lat_deg, lon_deg, alt_m = nwu_to_geodetic(_at_height(trajectory.position_n), origin)
@@ -84,7 +86,7 @@ def trajectory_table(
         **motion,
         **_sigma_columns(sigmas),
     }
-    table = _table(trajectory.t, unix_at_zero, lat_deg, lon_deg, columns)
+    table = _table(trajectory.t, clock, lat_deg, lon_deg, columns)
     if laps is None:
         n = len(trajectory)
         laps = pl.Series("lap", [None] * n, dtype=pl.Int64), np.full(n, np.nan)
@@ -123,15 +125,15 @@ def fixes_table(session: Session, residuals: FixResiduals | None) -> pl.DataFram
         **_columns("residual_{}_m", ("north", "west", "up"), residual_n),
         "weight": weight,
     }
-    return _table(fixes.t, session.unix_at_zero, fixes.lat_deg, fixes.lon_deg, columns)
+    return _table(fixes.t, clock_of_fixes(session), fixes.lat_deg, fixes.lon_deg, columns)
 
 
-def _table(t: Array, unix_at_zero: float | None, lat_deg: Array, lon_deg: Array, columns: Columns) -> pl.DataFrame:
+def _table(t: Array, clock: UtcClock | None, lat_deg: Array, lon_deg: Array, columns: Columns) -> pl.DataFrame:
     rounded = {name: _rounded(value, DIGITS) for name, value in columns.items()}
     return pl.DataFrame(
         {
             "t_s": _rounded(t, TIME_DIGITS),
-            "utc": _utc(t, unix_at_zero),
+            "utc": _utc(t, clock),
             "lat_deg": _rounded(lat_deg, ANGLE_DIGITS),
             "lon_deg": _rounded(lon_deg, ANGLE_DIGITS),
             **rounded,
@@ -143,11 +145,11 @@ def _rounded(value: Array, digits: int) -> Array:
     return np.asarray(np.round(value, digits) + 0.0)  # + 0.0 turns -0.0 into 0.0
 
 
-def _utc(t: Array, unix_at_zero: float | None) -> pl.Series:
+def _utc(t: Array, clock: UtcClock | None) -> pl.Series:
     """ISO 8601 to the millisecond, empty where the receiver never told the time."""
-    if unix_at_zero is None:
+    if clock is None:
         return pl.Series("utc", [None] * len(t), dtype=pl.String)
-    milliseconds = np.round((unix_at_zero + np.asarray(t)) * 1e3).astype(np.int64)
+    milliseconds = np.round(clock.at(t) * 1e3).astype(np.int64)
     return pl.Series("utc", milliseconds).cast(pl.Datetime("ms")).dt.strftime("%Y-%m-%dT%H:%M:%S%.3fZ")
 
 

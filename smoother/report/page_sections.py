@@ -9,7 +9,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import unix_at_start
+from smoother.estimate.true_time import utc_clock
 from smoother.laps.clock import local_day, local_time, local_zone, luck_said, spread_said
 from smoother.laps.lost import Loss, largest_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
@@ -22,6 +22,7 @@ from smoother.report.summary import distance_driven
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, KMH
+from smoother.utc_clock import UtcClock
 from smoother.words import SLOWER_WHERE, counted, duration, loss_digits
 
 SIGMA_SOURCES = {
@@ -53,9 +54,9 @@ class Told:
         return said if said is not None and said.counted else None
 
     @property
-    def started(self) -> float | None:
-        """UTC of the first row, seconds since 1970; None where the receiver never told it."""
-        return unix_at_start(self.session, self.smoothed)
+    def clock(self) -> UtcClock | None:
+        """Of the time of day; None where the receiver never told it."""
+        return utc_clock(self.session, self.smoothed)
 
     @property
     def title(self) -> str:
@@ -83,11 +84,11 @@ def speed_unit() -> Element:
 
 def header(told: Told) -> Element:
     """Title, who and where, the verdict in a line, and the settings."""
-    config, started = told.session.config, told.started
+    config, clock = told.session.config, told.clock
     track = told.laps.track if told.laps is not None and told.laps.track else config.track
     pairs = [("driver", config.driver), ("kart", config.kart), ("track", track)]
     said = [f"{name}: {value}" for name, value in pairs if value]
-    said.append(local_day(started) if started is not None else config.date or "")
+    said.append(local_day(clock.start_unix) if clock is not None else config.date or "")
     words = [element("h1", told.title), element("p", " · ".join(text for text in said if text))]
     if config.notes:
         words.append(element("p", config.notes, class_="soft"))
@@ -218,9 +219,9 @@ def lap_section(told: Told) -> list[Element]:
 
 def _starts(told: Told) -> list[float]:
     """UTC at the start of each lap, s since 1970; none where the receiver never told it."""
-    if told.laps is None or told.started is None:
+    if told.laps is None or told.clock is None:
         return []
-    return [told.started + lap.start - float(told.smoothed.t[0]) for lap in told.laps.laps]
+    return [told.clock.at(lap.start) for lap in told.laps.laps]
 
 
 def _sector(lap: Lap, k: int) -> tuple[float, float]:

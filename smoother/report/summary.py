@@ -1,6 +1,5 @@
 """summary.json: everything a session's smoothing found out, as one document of plain values."""
 
-import datetime as dt
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,7 +8,7 @@ import smoother
 from smoother.arrays import are_near, median
 from smoother.estimate.clock_offset import CLOCK_OFFSET
 from smoother.estimate.quality import Quality
-from smoother.estimate.true_time import unix_at_start
+from smoother.estimate.true_time import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian
 from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
 from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES, Problem, Session
@@ -119,25 +118,18 @@ def fastest_row(estimate: Trajectory) -> int:
 
 
 def _about(session: Session, estimate: Trajectory) -> Document:
-    config, top = session.config, top_speed(estimate)
+    config, top, clock = session.config, top_speed(estimate), utc_clock(session, estimate)
     names = {"title": config.title, "driver": config.driver, "kart": config.kart, "track": config.track}
     return {
         "name": session.name,
         **{key: value for key, value in names.items() if value is not None},
-        "start_utc": _iso(unix_at_start(session, estimate)),
         "start_s": float(estimate.t[0]),
+        **({"start_utc": None} if clock is None else clock.as_summary()),
         "duration_s": float(estimate.t[-1] - estimate.t[0]),
         "distance_m": distance_driven(estimate),
         "top_speed_mps": top.speed,
         "top_speed_sigma_mps": top.sigma,
     }
-
-
-def _iso(unix: float | None) -> str | None:
-    if unix is None:
-        return None
-    moment = dt.datetime(1970, 1, 1) + dt.timedelta(milliseconds=round(1e3 * unix))
-    return moment.isoformat(timespec="milliseconds") + "Z"
 
 
 def _counts(session: Session, estimate: Trajectory) -> Document:

@@ -8,17 +8,18 @@ import pytest
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.true_time import (
+    clock_of_fixes,
     clock_problems,
     clock_scale,
     in_session_time,
     in_true_time,
-    unix_at_start,
-    unix_at_zero,
+    utc_clock,
 )
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import EstimateReport, Identified, Trajectory
+from smoother.utc_clock import UtcClock
 
 
 def drive(drift: float) -> Simulation:
@@ -94,22 +95,39 @@ def test_a_clock_that_is_off_costs_no_accuracy() -> None:
     assert errors[1] < 1.1 * errors[0]  # the same noise on the same drive; 2 % of 15 m/s would be 0.3 m/s
 
 
+def rows(n: int, told: EstimateReport | None = None) -> Trajectory:
+    """A trajectory of n rows a second apart, from 0.4 ms on."""
+    zero = np.zeros((n, 3))
+    moving = Trajectory(0.0004 + np.arange(n), zero, zero, np.zeros((n, 3, 3)), zero, zero)
+    return moving if told is None else replace(moving, report=told)
+
+
 @pytest.mark.parametrize(("observable", "later"), [(True, 0.15), (False, 0.0)])
 def test_utc_is_that_of_the_motion_and_not_of_stamps_that_come_late(observable: bool, later: float) -> None:
     given = session(0.0)
     late = replace(given, gnss=replace(given.gnss, unix_s=1.7e9 + given.gnss.t - 0.15))
     latency = Identified(0.15, 0.01, "s", observable, "identified" if observable else "default")
-    told = EstimateReport(identified={"gps_position_latency": latency})
-    assert unix_at_zero(late, told) == pytest.approx(1.7e9 - 0.15 + later, abs=1e-3)
-    without = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=5.0)
-    assert unix_at_zero(without, told) == 5.0
+    told = rows(3, EstimateReport(identified={"gps_position_latency": latency}))
+    clock = utc_clock(late, told)
+    assert clock is not None and clock.at(0.0) == pytest.approx(1.7e9 - 0.15 + later, abs=1e-3)
+    fixes = clock_of_fixes(late)
+    assert fixes is not None and fixes.at(0.0) == pytest.approx(1.7e9 - 0.15, abs=1e-3)
+    without = utc_clock(replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=5.0), told)
+    assert without is not None and without.at(0.0) == pytest.approx(5.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("drift", [0.02, 5e-4, -2e-4])
+def test_utc_goes_on_at_its_own_rate_where_the_clock_of_the_session_does_not(drift: float) -> None:
+    given = session(drift)
+    t = given.gnss.t
+    late = replace(given, gnss=replace(given.gnss, unix_s=1.7e9 + t / (1.0 + drift)))
+    clock = utc_clock(late, rows(3))
+    assert clock is not None and clock.start_s == 0.0004
+    np.testing.assert_allclose(clock.at(t), 1.7e9 + t / (1.0 + drift), rtol=0.0, atol=1e-3)
 
 
 def test_the_start_is_told_to_the_millisecond_as_results_store_it() -> None:
-    n = 3
-    rows = np.zeros((n, 3))
-    smoothed = Trajectory(0.0004 + np.arange(n), rows, rows, np.zeros((n, 3, 3)), rows, rows)
     given = session(0.0)
     known = replace(given, gnss=replace(given.gnss, unix_s=None), unix_at_zero=1.7e9 + 0.1)
-    assert unix_at_start(known, smoothed) == 1.7e9 + 0.1
-    assert unix_at_start(replace(known, unix_at_zero=None), smoothed) is None
+    assert utc_clock(known, rows(3)) == UtcClock(0.0004, 1.7e9 + 0.1)
+    assert utc_clock(replace(known, unix_at_zero=None), rows(3)) is None

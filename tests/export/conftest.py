@@ -12,6 +12,7 @@ import pytest
 from smoother.frames import Origin, rotation_from_euler, wrap_angle
 from smoother.report.files import write_trajectory
 from smoother.trajectory import Sigmas, Trajectory
+from smoother.utc_clock import UtcClock
 
 LAP_HEADER = (
     "lap,start_s,end_s,lap_time_s,lap_time_sigma_s,valid,reason,sector1_s,sector1_sigma_s,sector2_s,sector2_sigma_s"
@@ -78,8 +79,10 @@ def write_results(scene: Scene, directory: Path) -> Path:
     out = directory / "smoothed"
     out.mkdir(parents=True, exist_ok=True)
     origin = Origin(scene.lat_deg, scene.lon_deg, scene.alt_m)
-    write_trajectory(out / "trajectory.csv", scene.trajectory(), origin, scene.unix_at_zero)
+    clock = None if scene.unix_at_zero is None else UtcClock(scene.start, round(scene.unix_at_zero + scene.start, 3))
+    write_trajectory(out / "trajectory.csv", scene.trajectory(), origin, clock)
     about = {"name": "monday", "title": scene.title, "driver": scene.driver, "kart": "KZ2", "track": "Circle"}
+    about |= {} if clock is None else {"start_s": scene.start, **clock.as_summary()}
     document = {
         "session": about,
         "origin": {"lat_deg": origin.lat_deg, "lon_deg": origin.lon_deg, "alt_m": origin.alt_m},

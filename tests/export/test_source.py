@@ -184,7 +184,7 @@ def test_a_rate_that_makes_too_many_rows_is_refused(results: Factory, scene: Any
 
 def test_time_of_day_comes_from_utc_and_counts_from_1970_without(results: Factory, scene: Any, tmp_path: Path) -> None:
     known = open_source(results(scene(), tmp_path / "a"))
-    assert known.has_utc and known.unix_at_zero == pytest.approx(scene().unix_at_zero, abs=6e-4)
+    assert known.has_utc and known.clock.at(0.0) == pytest.approx(scene().unix_at_zero, abs=6e-4)
     unknown = open_source(results(replace(scene(), unix_at_zero=None), tmp_path / "b"))
     assert not unknown.has_utc
     assert whole(unknown)["unix_s"][0] == 0.0

@@ -25,6 +25,7 @@ from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
 from smoother.samples import Problem
 from smoother.trajectory import BOX_ON_WHEEL, EstimateReport, Sigmas, Trajectory
+from smoother.utc_clock import UtcClock
 
 Made = Callable[..., Trajectory]
 Fixes = Callable[..., FixPath]
@@ -349,18 +350,27 @@ def test_lap_columns_fit_any_rate_of_rows(driven: Trajectory, fixes: Fixes) -> N
 
 def test_results_read_back_give_the_same_laps(tmp_path: Path, driven: Trajectory, fixes: Fixes) -> None:
     analysis = analyse(driven, fixes(driven))
-    write_trajectory(tmp_path / "trajectory.csv", driven, ORIGIN, 1.7e9)
+    write_trajectory(tmp_path / "trajectory.csv", driven, ORIGIN, UtcClock(0.0, 1.7e9))
     t, position = fixes(driven).t, fixes(driven).position_n
     rows = Trajectory(**{**vars(driven.every(10))})
-    write_trajectory(tmp_path / "gps.csv", rows, ORIGIN, 1.7e9)  # has the columns that are read
+    write_trajectory(tmp_path / "gps.csv", rows, ORIGIN, UtcClock(0.0, 1.7e9))  # has the columns that are read
     place = {"lat_deg": ORIGIN.lat_deg, "lon_deg": ORIGIN.lon_deg, "alt_m": ORIGIN.alt_m}
-    (tmp_path / "summary.json").write_text(to_json({"origin": place, "mode": "full", "identified": {}}))
+    (tmp_path / "summary.json").write_text(
+        to_json(
+            {
+                "origin": place,
+                "mode": "full",
+                "identified": {},
+                "session": UtcClock(0.0, 1.7e9).as_summary() | {"start_s": 0.0},
+            }
+        )
+    )
     stored = read_stored(tmp_path)
     again = analyse(analysed_rows(stored.trajectory), stored.fixes, LapOptions(drift=stored.drift))
     assert [lap.time for lap in again.laps[1:-1]] == pytest.approx([lap.time for lap in analysis.laps[1:-1]], abs=2e-4)
     np.testing.assert_allclose(stored.fixes.position_n, position, atol=1e-3)
     np.testing.assert_allclose(stored.fixes.t, t, atol=1e-6)
-    assert stored.unix_at_zero == pytest.approx(1.7e9, abs=1e-3)
+    assert stored.clock == UtcClock(0.0, 1.7e9)
 
 
 def test_a_lap_compared_with_itself_loses_nothing(driven: Trajectory, fixes: Fixes) -> None:
