@@ -16,6 +16,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "disc",
     "units",
     "words",
+    "utc_clock",
     "so3",
     "frames",
     "config",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from smoother.cli.output import number, say, say_pairs
 from smoother.laps.clock import lap_clock, local_time, local_zone, luck_said, spread_said
 from smoother.units import KMH, MPH
-from smoother.utc_clock import UtcClock
 from smoother.words import SLOWER_WHERE, counted, loss_digits
+
+if TYPE_CHECKING:
+    from smoother.utc_clock import UtcClock
 
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
