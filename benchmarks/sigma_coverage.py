@@ -179,12 +179,12 @@ def mean_nees(sessions: Sequence[SessionErrors]) -> list[MeanNees]:
     ]
 
 
-def run(case: Case, estimator: Estimator | None = None, *, states_delay: bool = False) -> SessionErrors:
-    """Simulate, smooth, and compare with the truth. states_delay: settings say that no filter delays the samples."""
+def run(case: Case, estimator: Estimator | None = None, *, untold_delay: bool = False) -> SessionErrors:
+    """Simulate, smooth, and compare with the truth. untold_delay: as if nobody said what the low-pass delays."""
     simulation = case.simulate()
     session = recorded(simulation)
-    if states_delay:
-        session = replace(session, config=replace(session.config, imu_delay=0.0))
+    if untold_delay:
+        session = replace(session, config=replace(session.config, imu_delay=None))
     since = time.process_time()
     estimate = (GraphSmoother() if estimator is None else estimator).estimate(session)
     seconds = time.process_time() - since
@@ -239,13 +239,13 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--duration", type=float, default=600.0, help="s")
     parser.add_argument(
-        "--state-delay",
+        "--untold-delay",
         action="store_true",
-        help="settings say that no filter delays the samples, as it is here; else that is unsure by 2 ms",
+        help="as if nobody said what the low-pass before the sampling delays, which is then unsure by 2 ms",
     )
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    one = partial(run, states_delay=arguments.state_delay)
+    one = partial(run, untold_delay=arguments.untold_delay)
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     for preset in arguments.preset or ["white", "kart"]:
         wanted, found = cases(preset, seeds, arguments.duration), []

@@ -73,8 +73,11 @@ def write_truth(simulation: Simulation, directory: Path, rate: float = 50.0) -> 
     write_table(lap_table(simulation), directory / "truth_laps.csv")
 
 
-def write_settings(simulation: Simulation, path: Path) -> None:
-    """Write a session.toml that states the true mounting, noise and latencies, for a smoother told everything."""
+def write_settings(simulation: Simulation, path: Path, *, states_delay: bool = False) -> None:
+    """Write a session.toml that states the true mounting, noise and latencies, for a smoother told everything.
+
+    states_delay: see :func:`write_title`.
+    """
     scenario = simulation.scenario
     date = datetime.fromtimestamp(scenario.start_unix, UTC).date().isoformat()
     lines = [
@@ -87,12 +90,24 @@ def write_settings(simulation: Simulation, path: Path) -> None:
     if scenario.imu is not None:
         names = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
         lines += ["[imu]", *(f"{name} = {float(getattr(scenario.imu, name))!r}" for name in names)]
+    if states_delay:
+        lines += _filter_delay(simulation)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def write_title(simulation: Simulation, path: Path) -> None:
-    """Write a session.toml that says that this was simulated, so that no report of it passes for a drive."""
-    path.write_text(f"[session]\n{_title(simulation)}\n", encoding="utf-8")
+def write_title(simulation: Simulation, path: Path, *, states_delay: bool = False) -> None:
+    """Write a session.toml that says that this was simulated, so that no report of it passes for a drive.
+
+    states_delay: also what the low-pass of the samples holds them back by, which tables have no place for.
+    """
+    delay = _filter_delay(simulation) if states_delay else []
+    lines = ["[session]", _title(simulation), *(["[imu]", *delay] if delay else [])]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _filter_delay(simulation: Simulation) -> list[str]:
+    delay = simulation.raw.config.imu_delay
+    return [] if delay is None else [f"delay = {delay!r}"]
 
 
 def _title(simulation: Simulation) -> str:

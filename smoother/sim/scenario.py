@@ -100,6 +100,14 @@ class ImuErrors:
         noises = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk", "accel_tone", "gyro_tone", "jitter")
         require_figures(self, "imu", noises, ("accel_range", "gyro_range", "anti_alias_hz"))
 
+    @property
+    def filter_delay(self) -> float | None:
+        """Delay s that the logger knows its low-pass to have: half a sample's; None where samples are late beyond it.
+
+        That is for a smoother to find, as of a logger that tells nothing.
+        """
+        return 0.5 / self.rate if self.latency == self.accel_delay == 0.0 else None
+
 
 @dataclass(frozen=True)
 class NmeaRounding:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from smoother.arrays import Array
+from smoother.config import SessionConfig
 from smoother.frames import to_left
 from smoother.samples import RawSession
 from smoother.sim.motion import MARGIN, Motion, drive, wander
@@ -83,6 +84,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
         imu=None if imu is None else imu.raw,
         mag=mag,
         mag_calibration_field=calibration,
+        config=SessionConfig(imu_delay=None if imu_errors is None else imu_errors.filter_delay),
         inputs=("simulation",),
         unix_at_zero=scenario.start_unix - clock.offset,
     )
