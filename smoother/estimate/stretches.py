@@ -110,12 +110,24 @@ def stretches_of(felt: Felt, path: PathMotion, use: IntArray) -> Stretches | Non
         return None
     ends, least = np.array([(t[rows[0]], t[rows[-1]]) for rows in parts]), LEAST if every <= QUICK else LEAST_OF_FEW
     usual = np.median([np.std(told[rows], axis=0) for rows in parts], axis=0)
-    roughly = Stretches(ends[:, 0], ends[:, 1], *_roughly_said(felt, t, told, parts, usual), least)
+    delays, by_axis = _roughly_said(felt, t, told, parts, usual)
+    roughly = Stretches(ends[:, 0], ends[:, 1], delays, _of_axes_that_tell(by_axis), least)
     if roughly.is_quiet:
         return roughly
     said_of = [_said_of(felt, t[rows], told[rows], usual) for rows in parts]
-    delays, likeness = (np.array(values) for values in zip(*said_of, strict=True))
-    return Stretches(ends[:, 0], ends[:, 1], delays, likeness, least)
+    delays, by_axis = (np.array(values) for values in zip(*said_of, strict=True))
+    return Stretches(ends[:, 0], ends[:, 1], delays, _of_axes_that_tell(by_axis), least)
+
+
+def _of_axes_that_tell(by_axis: Array) -> Array:
+    """The largest correlation (B,) of an axis, of by_axis (B, 3), NaN where nothing goes on.
+
+    An axis that is noise in most stretches, as forward force at an even speed, does not tell by being so in one more.
+    """
+    known = np.isfinite(by_axis)
+    tells = [bool(here.any()) and median(values[here]) > TELLS for values, here in zip(by_axis.T, known.T, strict=True)]
+    most = np.max(np.where(known & tells if any(tells) else known, by_axis, -np.inf), axis=1)
+    return np.where(most > -np.inf, most, np.nan)
 
 
 def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses) -> tuple[Problem, ...]:
@@ -188,7 +200,7 @@ def _problems_of_stretches(found: Stretches | None, pauses: Pauses, begun: float
 
 
 def _roughly_said(felt: Felt, t: Array, told: Array, parts: list[IntArray], usual: Array) -> tuple[Array, Array]:
-    """What :func:`_said_of` says of each of the parts (B,), by one step of least squares: (B, 3) s, and (B,)."""
+    """What :func:`_said_of` says of each of the parts (B,), by one step of least squares: both (B, 3)."""
     rows, count = np.concatenate(parts), np.array([len(part) for part in parts])
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
 
@@ -209,13 +221,12 @@ def _roughly_said(felt: Felt, t: Array, told: Array, parts: list[IntArray], usua
         off = np.where((gain != 0.0) & (determinant > 0.0), shifted / gain, np.inf)
         likeness = pull[:, 0] / np.sqrt(normal[:, 0, 0] * square)
     lively = (square / count > (LIVELY * usual[:, None]) ** 2) & np.isfinite(likeness)
-    most = np.max(np.where(lively, likeness, -np.inf), axis=0)
-    return felt.alignment.lag + off.T, np.where(lively.any(axis=0), most, np.nan)
+    return felt.alignment.lag + off.T, np.where(lively, likeness, np.nan).T
 
 
-def _said_of(felt: Felt, t: Array, told: Array, usual: Array) -> tuple[Array, float]:
-    """Delay (3,) s by each axis of fixes at t (N,) s, told (N, 3), and the largest correlation of one with what was
-    felt; usual (3,): how much axes usually scatter."""
+def _said_of(felt: Felt, t: Array, told: Array, usual: Array) -> tuple[Array, Array]:
+    """Delay (3,) s by each axis of fixes at t (N,) s, told (N, 3), and its correlation with what was felt, NaN where it
+    is not lively; usual (3,): how much axes usually scatter."""
     late = felt.alignment.lag
     for _ in range(MOVES):
         here, change = felt.with_change(t - late)
@@ -225,10 +236,8 @@ def _said_of(felt: Felt, t: Array, told: Array, usual: Array) -> tuple[Array, fl
         if abs(step) < SETTLED:
             break
         late += step
-    lively = np.flatnonzero((np.std(told, axis=0) > LIVELY * usual) & (np.std(here, axis=1) > 0.0))
-    if not lively.size:
-        return np.asarray(delays), np.nan
-    return np.asarray(delays), max(_correlation(told[:, i], here[i]) for i in lively)
+    lively = (np.std(told, axis=0) > LIVELY * usual) & (np.std(here, axis=1) > 0.0)
+    return np.asarray(delays), np.array([_correlation(told[:, i], here[i]) if lively[i] else np.nan for i in range(3)])
 
 
 def _correlation(one: Array, other: Array) -> float:

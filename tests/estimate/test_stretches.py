@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array, IntArray
+from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.pauses import pauses_of
@@ -16,6 +17,7 @@ from smoother.prepare import prepare
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import DELAY_CHANGES, MOTION_UNLIKE
+from smoother.units import DEG
 
 AT = 130.0
 
@@ -137,3 +139,24 @@ def test_what_is_too_short_or_too_slow_tells_nothing(session: Session) -> None:
     slow = session.gnss.select(np.arange(len(session.gnss)) % 10 == 0)
     for gnss in (short, slow):
         assert told(swinging(replace(session, gnss=gnss))) == []
+
+
+@pytest.mark.parametrize("top_speed", [4.0, 8.0])
+def test_a_kart_whose_speed_is_limited_drives(top_speed: float) -> None:
+    """At an even speed the force ahead is noise in most stretches, and at a slow one what bends pull is little."""
+    simulation = simulate_preset("kart", 2, duration=300.0, motion_top_speed=top_speed)
+    session = prepare(simulation.raw)
+    trajectory = GraphSmoother().estimate(session)
+    assert assess(session, trajectory).passed
+    assert not [problem for problem in trajectory.report.problems if problem.code == MOTION_UNLIKE]
+    sigmas = trajectory.sigmas
+    assert sigmas is not None and np.median(sigmas.attitude) < 2.0 * DEG
+    t = trajectory.t[(trajectory.t > simulation.truth.first + 20.0) & (trajectory.t < simulation.truth.last)]
+    truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, origin=session.origin)
+    found = evaluate(trajectory, truth)
+    assert max(found.roll_rms_deg, found.pitch_rms_deg, found.yaw_rms_deg) < 1.5  # 2.2 and 3.2 with a rough mounting
+
+
+def test_samples_of_another_drive_are_of_another_motion_at_any_speed() -> None:
+    session = prepare(simulate_preset("kart", 2, duration=300.0, motion_top_speed=4.0).raw)
+    assert "motion_unlike" in [problem.code for problem in told(antenna_off(session))]

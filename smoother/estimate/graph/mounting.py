@@ -26,6 +26,7 @@ from smoother.units import ANY_ANGLE, DEG, STANDARD_GRAVITY
 
 MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
 ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fitted
+SLOWEST = 2.5  # m/s, where nothing was quicker
 MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
 SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
 SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
@@ -71,7 +72,9 @@ class FittedMounting:
 
 def are_driven(state: ChainState) -> BoolArray:
     """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
-    return np.asarray(np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > 1.5 * MIN_SPEED)
+    level = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+    driven = level > 1.5 * MIN_SPEED
+    return np.asarray(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else level > SLOWEST)
 
 
 def fit_mounting(
