@@ -32,6 +32,9 @@ LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
 PRICE = 2.0  # logarithm of likelihood that an offset's two values, which always fit a little better, have to be worth
 NONE = 0.005  # of the usual offset, where there is none: a centimetre
 UNTOLD = 0.2  # of it, for unfiltered fixes without Doppler, to begin with: the graph finds it if there is more
+# of it, north, west and up, for filtered fixes too rare to tell: real ones walk by some decimetres in a minute, and the
+# graph has to find which part of what they are off by is white. From the whole of it, too much would pass for a walk.
+RARE = np.array([0.5, 0.5, 1.0])
 TIMES = 10.0  # taus that a session has to last to tell them
 KNOWN_TAU = 0.3  # sigma of a logarithm, half of what receivers' 30 to 100 s leave open beforehand
 # s, of receivers. What is forgotten sooner are reflections, which a lap brings back again and again. They are most of
@@ -96,7 +99,10 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
     if not tells_offset(fixes_t, seen, path):
-        return usual if is_filtered else OffsetModel(usual.sigma * UNTOLD, usual.tau)
+        if not is_filtered:
+            return OffsetModel(usual.sigma * UNTOLD, usual.tau)
+        is_rare = has_doppler(path) and follows_positions(fixes_t, path)
+        return OffsetModel(usual.sigma * RARE, usual.tau) if is_rare else usual
     if is_filtered and lasts <= TIMES * max(usual.tau, LONGEST):
         return _walked(seen, usual)
     fit = fit_offset(seen)

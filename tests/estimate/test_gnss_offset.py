@@ -171,4 +171,5 @@ def test_a_path_that_follows_its_fixes_is_no_judge_of_them(fits: Callable[..., M
     sparse, dense = (fits(seed=1, duration=300.0, rate=rate) for rate in (1.0, 5.0))
     assert follows_positions(*sparse) and not follows_positions(*dense)
     assert not tells(*sparse)
-    assert offset_model(*sparse, USUAL, is_filtered=True) is USUAL
+    # what they walk by is for the graph to find, from half of the usual on
+    np.testing.assert_allclose(offset_model(*sparse, USUAL, is_filtered=True).sigma, USUAL.sigma * [0.5, 0.5, 1.0])
