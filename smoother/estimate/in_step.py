@@ -21,9 +21,11 @@ def in_step(session: Session) -> tuple[Session, ForceDelay]:
     assert session.imu is not None
     imu = session.imu
     found = force_delay(imu.t, imu.specific_force_s, imu.angular_rate_s)
-    if not found.is_found:
-        return session, found
-    return replace(session, imu=advanced(imu, found.delay)), found
+    if found.is_found:
+        imu = advanced(imu, found.delay)
+    if found.unsure > 0.0:
+        imu = replace(imu, stamp_sigma=math.hypot(imu.stamp_sigma, found.unsure))
+    return session if imu is session.imu else replace(session, imu=imu), found
 
 
 def advanced(imu: ImuSamples, delay: float) -> ImuSamples:

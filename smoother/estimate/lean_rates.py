@@ -131,7 +131,7 @@ def wrong_naming(rates: LeanRates, R_bs: Array) -> Naming | None:
 
     R_bs (3, 3): the mounting by forces, which right axes of the gyroscope share.
     """
-    if unexplained(rates, R_bs) < UNEXPLAINED:
+    if unexplained(rates, R_bs, ASKEW) < UNEXPLAINED:
         return None
     left, best = min((unexplained(rates, R_bs @ one.true), i) for i, one in enumerate(NAMINGS))
     found = NAMINGS[best]
@@ -160,9 +160,9 @@ def both_turned_round(rates: LeanRates, R_bs: Array) -> str | None:
     return min((rates.off_upright(R_bs @ one.true), one.words) for one in NAMINGS if one.is_turned_round)[1]
 
 
-def unexplained(rates: LeanRates, R_bs: Array) -> float:
+def unexplained(rates: LeanRates, R_bs: Array, upright: float = UPRIGHT) -> float:
     """Share, 0 to 1, of what the level rates do with the push that no vehicle does; 1 where up is elsewhere."""
-    if not rates.off_upright(R_bs) < UPRIGHT:
+    if not rates.off_upright(R_bs) < upright:
         return 1.0
     leaning = rates.leaning(R_bs)
     return leaning.rest / max(leaning.power, 1e-30)

@@ -4,7 +4,7 @@ The gate is meant to catch results that are wrong, not results that are poor: an
 wide sigmas passes. Its limits are options, and the measures behind each verdict are handed back with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,6 +78,8 @@ class QualityLimits:
     clearly: float = 3.0
     lean_step: float = 2.5 * DEG
     lean_significance: float = 8.0
+    far_lean_step: float = 6.0 * DEG  # likewise with far_lean_seconds on either side
+    far_lean_seconds: float = 20.0  # s
     lean_creep: float = 5.0 * DEG
     unsure: float = 2.5 * DEG  # sigma of roll and pitch beyond which they say nothing about the mounting
     lean_seconds: float = 60.0  # s
@@ -244,6 +246,9 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     usual = sigma < max(limits.unsure, 1.5 * float(np.median(sigma)))  # a box that creeps makes the mounting unsure
     step = float(np.median(np.diff(t)))
     steps = [_largest_step(angles[sure, i], step, limits) for i in range(3)]
+    short = replace(limits, lean_seconds=limits.far_lean_seconds)
+    far = max(_largest_step(angles[sure, i], step, short) for i in range(3))
+    steps += [far] if far > limits.far_lean_step else []
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
         "overturned_rad": _off_level(angles[:, :2]),

@@ -30,7 +30,7 @@ SIZES = (0.7, 1.4)
 # sigmas by which the size is within SIZES, and bands where it is: one can be so by chance. Of 308 simulated karts with
 # the box on the frame none has two such bands; at 1.5 sigmas one has
 CERTAIN, FEWEST_BANDS = 2.5, 2
-SIGNIFICANT = 5.0  # sigmas
+SIGNIFICANT, LIKELY = 5.0, 2.5  # sigmas
 AT_ODDS = 3.0  # rms of the bands' deviations, in their sigmas, from which on they do not say the same
 FLOOR = 1e-6  # of the power of the force, that is noise at least: sensors round
 _SOLUTIONS = 3  # of delay, size and noise, in turns
@@ -48,6 +48,14 @@ class ForceDelay:
     def is_found(self) -> bool:
         """Whether there is a delay to be taken out."""
         return self.is_seen and abs(self.delay) > max(SMALLEST, SIGNIFICANT * self.sigma)
+
+    @property
+    def unsure(self) -> float:
+        """By how much, s, times are unsure because of it: what is left of one taken out, all of one that is likely."""
+        if self.is_found:
+            return self.sigma
+        is_likely = self.is_seen and abs(self.delay) > LIKELY * self.sigma
+        return math.sqrt(self.delay**2 - self.sigma**2) if is_likely else 0.0
 
 
 UNSEEN = ForceDelay(0.0, math.inf, False)

@@ -176,6 +176,18 @@ def test_a_box_that_slips_by_four_degrees_about_any_axis_is_seen(axis: int) -> N
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("degrees", "passes"), [(10.0, False), (3.0, True)])
+def test_a_box_that_is_knocked_in_the_last_minute_is_seen_if_it_went_far(
+    axis: int, degrees: float, passes: bool
+) -> None:
+    t = estimate().t
+    knocked = np.where(t > t[-1] - 40.0, np.radians(degrees), 0.0)
+    quality = assess(session(), leaning(*[knocked if i == axis else 0.0 for i in range(3)]))
+    assert quality.passed == passes
+    assert passes or "askew" in quality.reasons[0]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_box_that_slips_little_by_little_is_seen(axis: int) -> None:
     creep = np.radians(12.0) * np.linspace(0.0, 1.0, len(estimate()))
     quality = assess(session(), leaning(*[creep if i == axis else 0.0 for i in range(3)]))

@@ -5,7 +5,7 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.fit.force_delay import BANDS, FEWEST_BLOCKS, band_delays, force_delay
+from smoother.fit.force_delay import BANDS, FEWEST_BLOCKS, ForceDelay, band_delays, force_delay
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
@@ -187,3 +187,14 @@ def test_on_the_wheel_of_a_simulated_kart_it_is_found(preset: str, delay: float)
     assert found.is_seen
     assert found.is_found == (delay > 0.0)
     assert found.delay == pytest.approx(delay, abs=8e-3)  # the kart's own jerk goes along with some of the turning
+
+
+@pytest.mark.parametrize(
+    ("delay", "sigma", "unsure"),
+    [(0.02, 0.002, 0.002), (0.013, 0.004, 0.01237), (0.004, 0.002, 0.0), (0.0, 0.003, 0.0)],
+)
+def test_times_are_unsure_by_a_delay_that_is_likely_and_by_what_is_left_of_one(
+    delay: float, sigma: float, unsure: float
+) -> None:
+    assert ForceDelay(delay, sigma, True).unsure == pytest.approx(unsure, abs=1e-5)
+    assert ForceDelay(0.0, np.inf, False).unsure == 0.0

@@ -28,11 +28,20 @@ RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
 
+# Receivers claim half to twice what their fixes are off by, of both axes; and no more than that is believed.
+WORSE, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
+
 
 def receiver_share(session: Session, options: GraphOptions) -> float:
-    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so."""
+    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so.
+
+    One that claims to be far worse is believed as well: nobody else tells of a wander slower than the session is long.
+    """
     claimed = claimed_accuracy(session.gnss)
-    return 1.0 if claimed is None else float(np.clip(claimed / options.offset_sigma[0], 0.1, 1.0))
+    if claimed is None:
+        return 1.0
+    share = claimed / options.offset_sigma[0]
+    return float(np.clip(share, 0.1, np.clip(share / WORSE, 1.0, MOST_WORSE)))
 
 
 def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
