@@ -136,6 +136,10 @@ class SessionFiles:
         paths = (self.directory / name for name in self.names if name.lower().endswith(UNNAMED_SUFFIXES))
         return next((path for path in paths if _holds_sentences(path)), None)
 
+    def unnamed_fixes(self) -> Path | None:
+        """A table with columns of gps.csv that is not called so, and is read only if a person names it."""
+        return next((path for path in self._fix_tables() if not RESULTS.issubset(self.names)), None)
+
     def unknown_table(self) -> Path | None:
         """A table with places that no reader knows."""
         return next((path for name in self.names if holds_places(path := self.directory / name)), None)

@@ -1,5 +1,7 @@
 """Columns of fixes, from whatever file, to GnssFixes: choose the usable rows, normalise the values, count the rest."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, is_increasing
@@ -17,6 +19,13 @@ ABSURD_CLIMB = 50.0  # m/s
 ABSURD_SATELLITES = 100
 ABSURD_HEIGHT = (-1000.0, 20000.0)  # m
 UNUSABLE_SIGMA = 1000.0  # m; a receiver that says this of itself has no fix
+# What no receiver is unsure by in most of its fixes, by the columns of gps.csv; a thousandth is usual.
+MOST_USUAL = (
+    ("sigma_horizontal", "hacc_m", "m", 200.0),
+    ("sigma_up", "vacc_m", "m", 300.0),
+    ("sigma_velocity", "sacc_mps", "m/s", 20.0),
+)
+EVEN = 20.0  # times; places by the masts of a network are as unsure as they say, and leap from one to the next
 FEW_BAD_VALUES = 0.1  # above this share it is the column that is wrong, not the rows
 NEARLY_STILL = 0.15  # m/s; noise of a receiver's speed at rest: its direction means nothing
 MOVING = 1.0  # m/s; faster than this a position does not repeat exactly
@@ -41,6 +50,7 @@ def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = Fal
     has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
     """
     rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
+    columns = _accuracies_in_metres(rows, columns)
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)
     time, index = put_in_time_order(rows, columns.t, columns.lat_deg, columns.lon_deg)
@@ -98,8 +108,31 @@ def _drawn_note(file: str, count: int) -> list[Problem]:
 
 def interpolated_note(file: str, count: int) -> list[Problem]:
     """Say that a file has rows between its fixes."""
-    text = f"{file}: positions between fixes were interpolated by the exporter; {counted(count, 'row')} left out"
+    made_up = "positions between fixes were made up along straight lines, by exporter or receiver"
+    text = f"{file}: {made_up}; {counted(count, 'row')} left out"
     return [Problem("gps_interpolated", text, count)] if count else []
+
+
+def _accuracies_in_metres(rows: RowFilter, c: FixColumns) -> FixColumns:
+    """The columns with accuracies in metres that were stated in millimetres, as u-blox receivers send them."""
+    with np.errstate(invalid="ignore"):
+        has_fix = ~((c.fix < 1.0) | c.is_blank) & (np.abs(c.lat_deg) <= 90.0) & (np.abs(c.lon_deg) <= 360.0)
+    changed, bends = {}, _bends(c.take(np.flatnonzero(has_fix)))
+    for name, called, unit, most in MOST_USUAL:
+        values = getattr(c, name)
+        known = values[has_fix & np.isfinite(values)]
+        if known.size and max(most, EVEN * bends) < float(np.median(known)) < 1000.0 * most:
+            changed[name] = 1e-3 * values
+            text = f"{called} is {np.median(known):.0f} in the middle, as if in m{unit}; taken as such"
+            rows.say("accuracy_unit", text, int(known.size))
+    return replace(c, **changed)
+
+
+def _bends(c: FixColumns) -> float:
+    """By how much, m, the way from place to place typically differs from the one before; 0 where there are too few."""
+    moved = np.flatnonzero((np.diff(c.lat_deg) != 0.0) | (np.diff(c.lon_deg) != 0.0)) + 1
+    ways = metres(c.take(moved))
+    return float(np.median(np.hypot(*np.diff(ways, 2)))) if moved.size > MANY_PLACES else 0.0
 
 
 def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:

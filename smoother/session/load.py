@@ -57,6 +57,11 @@ def load_raw(path: Path) -> RawSession:
             f"{path}: no recording found in it, but in folders of it ({below.relative_to(path)}); "
             f"for all of them: smooth batch {shlex.quote(str(path))}"
         )
+    if (own := files.unnamed_fixes()) is not None:
+        raise SessionError(
+            f"{path}: no recording found, but {own.name}, which has columns of gps.csv; "
+            f"name the file, smooth {shlex.quote(str(own))}, or call it gps.csv"
+        )
     if (table := files.unknown_table()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
     raise SessionError(f"{path}: no recording found; wanted {wanted()}")

@@ -35,7 +35,7 @@ from smoother.session.racechrono import measured_by_bearing, sampled_rows
 from smoother.session.records import Records, head_of, read_records
 from smoother.session.table_layout import COMMENT, MOST_LINES, Layout, layout_of
 from smoother.session.time_unit import UNITS, in_seconds, unit_by_utc
-from smoother.words import listed
+from smoother.words import counted, listed
 
 WHAT = "table with latitude, longitude and time"
 FORCES, RATES = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -85,11 +85,24 @@ def read_named_table(path: Path) -> ForeignReading:
     course_deg, course_said = _course(path.name, raw)
     known = {name: getattr(raw, name) for name in _KNOWN} | {"course_deg": course_deg}
     gnss, problems = fixes_from(path.name, raw.t, raw.lat_deg, raw.lon_deg, has_rows_between=bool(between), **known)
-    if "speed" in columns:
+    said = [*said, *_without_numbers(table)]
+    if "speed" in columns and np.isfinite(known["speed"]).any():
         said = [*said, *speed_unit_note(path.name, table.unit("speed"), _usual_speed(table))]
     imu, of_imu = _imu(table, t)
     problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *between, *course_said, *problems]
     return ForeignReading(gnss, problems, imu)
+
+
+def _without_numbers(table: _Table) -> list[Problem]:
+    """Say which columns that are called after a quantity hold something else, as 81.2 km/h, and are not used."""
+    said = []
+    for quantity in ("speed", "course", "altitude", "ax", "ay", "az", "gx", "gy", "gz"):
+        places = table.layout.columns.get(quantity, [])
+        if places and (count := table.records.words.get(table.layout.keys[places[0]], 0)):
+            name = table.layout.names[places[0]]
+            text = f"{table.file}: {name} is no number in {counted(count, 'row')}; write numbers alone. Not used there"
+            said.append(Problem("gps_unread", text, count))
+    return said
 
 
 def _layout(path: Path) -> tuple[Layout, int]:

@@ -40,6 +40,7 @@ class Records:
     found: int  # cells in the first row that does not fit
     texts: dict[str, pl.Series] = field(default_factory=dict)
     unread: dict[str, int] = field(default_factory=dict)  # cells of columns of numbers that hold something else
+    words: dict[str, int] = field(default_factory=dict)  # the same of columns that hold hardly any number
 
     def column(self, name: str) -> Array:
         """Column (N,), NaN throughout if the file has no such column."""
@@ -138,7 +139,8 @@ def read_records(
     unread = {name: int(table[_as_unread(name)].sum()) for name in wanted}
     of_numbers = {name: n for name, n in unread.items() if 0 < n <= np.count_nonzero(np.isfinite(columns[name]))}
     as_text = {name: table[_as_text(name)] for name in texts}
-    return Records(columns, length, misfits, len(names), found, as_text, of_numbers)
+    words = {name: n for name, n in unread.items() if n and name not in of_numbers}
+    return Records(columns, length, misfits, len(names), found, as_text, of_numbers, words)
 
 
 def _line_blocks(path: Path, offset: int, what: str) -> Iterator[list[bytes]]:

@@ -433,7 +433,8 @@ def _below_headers(parts: Sequence[tuple[int, bytes]], wanted: _Wanted) -> _Cell
 def _scan(source: Path | bytes, wanted: _Wanted, numbers: Sequence[str] = ()) -> pl.LazyFrame:
     """The file with the columns `numbers` as numbers, null where a cell is none; the others as text."""
     return pl.scan_csv(
-        source,
+        source.absolute() if isinstance(source, Path) else source,  # else ~ at its start is a home folder
+        glob=False,  # a name may hold brackets, stars and question marks
         separator=wanted.separator,
         infer_schema=False,
         schema_overrides=dict.fromkeys(numbers, pl.Float64),

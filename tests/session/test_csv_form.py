@@ -409,8 +409,27 @@ def test_a_last_row_without_end_that_is_whole_is_kept(tmp_path: Path) -> None:
         assert len(fixes) == 100 and problems == []
 
 
-def test_an_accuracy_that_is_in_millimetres_is_named_and_not_the_sky(tmp_path: Path) -> None:
-    rows = [row.replace(",1.5,9,3", ",1500,9,3") for row in gps_rows(100)]
+@pytest.mark.parametrize("millimetres", ["1500", "700"])
+def test_an_accuracy_that_is_in_millimetres_is_taken_as_such_and_said(tmp_path: Path, millimetres: str) -> None:
+    rows = [row.replace(",1.5,9,3", f",{millimetres},9,3") for row in gps_rows(100)]
+    fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
+    assert len(fixes) == 100 and codes(problems) == {"gps_accuracy_unit": 100}
+    assert f"hacc_m is {millimetres} in the middle, as if in mm" in problems[0].text
+    np.testing.assert_allclose(fixes.sigma_horizontal, 1e-3 * float(millimetres))
+
+
+def test_places_by_the_masts_of_a_network_are_as_unsure_as_they_say(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = [row.replace(",1.5,9,3", ",700,9,3").split(",") for row in gps_rows(100)]
+    for row in rows:
+        row[1] = f"{float(row[1]) + 0.005 * rng.standard_normal():.7f}"
+    fixes, problems = read_fixes(save(tmp_path, gps_table([",".join(row) for row in rows]), "gps.csv"))
+    assert "gps_accuracy_unit" not in codes(problems)
+    assert fixes.sigma_horizontal is None or not np.any(fixes.sigma_horizontal < 100.0)
+
+
+def test_an_accuracy_of_kilometres_is_named_and_not_the_sky(tmp_path: Path) -> None:
+    rows = [row.replace(",1.5,9,3", ",1500000,9,3") for row in gps_rows(100)]
     fixes, problems = read_fixes(save(tmp_path, gps_table(rows), "gps.csv"))
     assert len(fixes) == 0 and codes(problems) == {"gps_sigma_absurd": 100}
     with pytest.raises(SessionError, match=r"is hacc_m in m.*mend those columns"):

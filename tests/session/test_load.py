@@ -378,3 +378,9 @@ def test_sentences_in_a_column_of_a_table_of_fixes_leave_it_one(folder: Folder) 
     table = "\n".join([f"{header},raw", *(f"{row},{raw}" for row, raw in zip(rows, sentences, strict=True))]) + "\n"
     session = folder.write(gps__csv=table).load()
     assert len(session.gnss) == 50 and "gps_sentences" not in codes(session)
+
+
+def test_a_table_of_fixes_by_another_name_is_named(tmp_path: Path) -> None:
+    (tmp_path / "monday.csv").write_text("t_s,lat_deg,lon_deg\n" + "".join(f"{k},45.{k:04},1\n" for k in range(20)))
+    with pytest.raises(SessionError, match=r"no recording found, but monday\.csv, .*; name the file, smooth .*, or"):
+        load_raw(tmp_path)

@@ -406,3 +406,11 @@ def test_results_are_no_recording(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["racebox", "harry", "phyphox", "torque"])
 def test_damage_leaves_the_rest(tmp_path: Path, name: str, seed: int) -> None:
     assert_outlives_damage(read_named_table, tmp_path / "x.csv", text_of(name), seed)
+
+
+def test_a_column_with_a_unit_in_every_cell_is_said_not_to_be_used(tmp_path: Path) -> None:
+    rows = [f"{k / 10},{45 + 1e-4 * k:.7f},12.0,{80 + k % 5}.0 km/h" for k in range(100)]
+    (tmp_path / "x.csv").write_text("\n".join(["time,lat,lon,speed", *rows]) + "\n")
+    said = [problem.text for problem in read_named_table(tmp_path / "x.csv").problems]
+    assert "x.csv: speed is no number in 100 rows; write numbers alone. Not used there" in said
+    assert not any("in which unit speeds are" in text for text in said)

@@ -179,3 +179,15 @@ def test_headers_between_the_rows_of_a_long_table_are_counted_in_all_its_parts(
     path.write_bytes(b"t_s,x\n" + (b"1,2\n" * 400 + b"t_s,x\n") * 3)
     table = read_table(path, ("t_s", "x"))
     assert (table.headers, table.length) == (3, 1200) and np.isfinite(table.column("x")).all()
+
+
+@pytest.mark.parametrize("name", ["run[1]", "run*", "run?", "[2026-05-16] Adria", "{a,b}", "~", "file:"])
+def test_a_name_is_no_pattern_that_another_file_may_match(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder, value in (("run1", 7.0), (name, 1.0)):
+        Path(folder).mkdir()
+        (Path(folder) / "gps.csv").write_text(f"t_s,x\n{value},{value}\n" * 1)
+    table = read_table(Path(name) / "gps.csv", ("t_s", "x"))
+    assert table.column("x").tolist() == [1.0]
