@@ -112,7 +112,7 @@ def compare_results(
     if own.reference is None or own.statistics is None:
         raise UsageError(f"{names[0]}: holds no whole lap, so there is no reference line; name another session first")
     for name, other in zip(names[1:], stored[1:], strict=True):
-        _require_same_place(name, names[0], other, first)
+        _require_same_place(name, names[0], other, own)
     alone = [own, *(_on_line_of(own, other, None) for other in stored[1:])]
     chosen = _chosen(alone, against)
     if chosen is None:
@@ -124,12 +124,13 @@ def compare_results(
     return [Compared(*one) for one in zip(names, stored, made, references, strict=True)]
 
 
-def _require_same_place(name: str, first_name: str, other: Stored, first: Stored) -> None:
+def _require_same_place(name: str, first_name: str, other: Stored, own: LapAnalysis) -> None:
+    """Raise UsageError where a session never came near the track; the way home in a car is no other track."""
     import numpy as np
 
-    apart = np.linalg.norm(
-        np.median(other.trajectory.position_n[:, :2], axis=0) - np.median(first.trajectory.position_n[:, :2], axis=0)
-    )
+    assert own.reference is not None
+    track = np.mean(own.reference.position_n, axis=0)
+    apart = float(np.min(np.linalg.norm(other.trajectory.position_n[:, :2] - track, axis=1)))
     if apart > FAR:
         raise UsageError(f"{name}: was driven {apart / 1000.0:.0f} km away from {first_name}; compare one track")
 

@@ -97,7 +97,7 @@ def figures(analysis: dict[str, Any]) -> list[tuple[str, str]]:
         pairs += [
             ("best", f"{lap_clock(said['best_s'])} ± {number(said['best_sigma_s'], 3)} (lap {said['best_lap']})"),
             *([("theoretical", theoretical)] if (theoretical := _theoretical(said)) else []),
-            ("rolling best", _rolling(said)),
+            *([("rolling best", _rolling(said))] if _is_known(said["rolling_s"]) else []),  # runs from A to B have none
             ("consistency", _consistency(said)),
         ]
     if lost := analysis.get("largest_losses"):

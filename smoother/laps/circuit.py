@@ -60,7 +60,8 @@ def find_circuit(
             return _no_loop(lines)
         curve, followed = _mean(path, first, blind)
     if not followed.is_on.any():
-        return Problem("no_loop", "the path never follows the reference line; no laps")
+        never = Problem("no_loop", "the path never follows the reference line; no laps")
+        return next(driven_against(path, curve, followed), never)
     return _with_lines(path, curve, followed, lines, keep_zero=reference is not None)
 
 

@@ -27,6 +27,8 @@ SLACK = 0.02  # relative spread of lap lengths: lines differ from lap to lap
 REPEATING = 0.3  # least share of the path that must repeat for a loop to be one
 COMPARABLE = 0.5  # of the distance after which most repeats: a shorter one that repeats as well is the lap
 LEAST_REPEAT = 40.0  # m of path that must repeat
+SURE_ROUNDS = 1.5  # times a lap's length repeats: a loop, however far the kart (or the car it lies in) went otherwise
+SURE_LENGTH = 300.0  # m of such a lap; what wanders about in the paddock has shorter ones
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,9 @@ def _lap_length(driven: Array, i: IntArray, j: IntArray) -> float | None:
         width = max(1, round(SLACK * b))
         covered[b] = np.count_nonzero(hit[:, max(0, b - width) : b + width + 1].any(axis=1)) * step
         share[b] = covered[b] / max(possible[b], covered[b], LEAST_REPEAT)
-    usable = np.where(share >= REPEATING, covered, 0.0)
+    length = BIN * (np.arange(bins) + 0.5)
+    is_sure = (length >= SURE_LENGTH) & (covered >= SURE_ROUNDS * length)
+    usable = np.where((share >= REPEATING) | is_sure, covered, 0.0)
     best = int(np.argmax(usable))
     if usable[best] == 0.0:
         return None

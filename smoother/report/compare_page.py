@@ -66,6 +66,8 @@ class Compared:
             return ""
         if any(lap.is_timed for lap in self.analysis.laps):
             return "none of its laps counts"
+        if any(problem.code == "driven_against" for problem in self.analysis.problems):
+            return "was driven the other way round; compare sessions of one direction"
         return "no whole lap on the reference line"
 
     @property

@@ -103,7 +103,8 @@ def summary(told: Told) -> Element:
         cards.append(_card("Best lap", lap_clock(said.best), _pm(said.best_sigma, told.laps.laps[said.best_lap])))
         if np.isfinite(said.theoretical):
             cards.append(_card("Theoretical best", lap_clock(said.theoretical), _theoretical(said)))
-        cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
+        if np.isfinite(said.rolling):  # runs from A to B have none
+            cards.append(_card("Rolling best", lap_clock(said.rolling), _rolling(said)))
         cards.append(_card("Consistency", spread_said(said.spread, counted(said.counted, "lap")), _consistency(said)))
         if lost := largest_losses(told.laps, 1):
             at = element("a", _where(lost[0], told.laps), href="#lost")

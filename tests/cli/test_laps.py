@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -189,6 +190,37 @@ def test_a_session_without_a_whole_lap_has_dashes_in_a_comparison_and_a_reason(
     assert "short: no whole lap on the reference line" in page
 
 
+def test_the_way_home_makes_no_other_track_of_a_session(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    """A logger that was left on in the car: most of its rows are 50 km away."""
+    home = tmp_path / "home"
+    shutil.copytree(lapped / "saturday", home)
+    path = home / "smoothed" / "trajectory.csv"
+    rows = pl.read_csv(path, infer_schema_length=None)
+    last, n = rows["t_s"][-1], len(rows) + 100
+    far = pl.concat([rows[-1:]] * n).with_columns(
+        t_s=pl.Series(last + 0.02 * np.arange(1, n + 1)),
+        lat_deg=pl.col("lat_deg") + 0.5,
+        north_m=pl.col("north_m") + 5e4,
+    )
+    pl.concat([rows, far]).write_csv(path)
+    assert run(["compare", str(lapped / "sunday"), str(home), "--json"]) == 0
+    _, there = json.loads(capsys.readouterr().out)["sessions"]
+    assert there["lap_analysis"]["statistics"]["counted"] > 1
+    rows.with_columns(lat_deg=pl.col("lat_deg") + 0.5, north_m=pl.col("north_m") + 5e4).write_csv(path)
+    assert run(["compare", str(lapped / "sunday"), str(home)]) == 2
+    assert "km away from sunday; compare one track" in capsys.readouterr().err
+
+
+def test_a_session_of_the_other_direction_is_said_to_be_one(lapped: Path, tmp_path: Path, capsys: Captured) -> None:
+    fixes = pl.read_csv(lapped / "saturday" / "gps.csv", infer_schema_length=None).select("t_s", "lat_deg", "lon_deg")
+    back = fixes.reverse().with_columns(fixes["t_s"])
+    (tmp_path / "back").mkdir()
+    back.write_csv(tmp_path / "back" / "gps.csv")
+    assert run(["compare", str(lapped / "saturday"), str(tmp_path / "back")]) == 0
+    said = capsys.readouterr().err
+    assert "back: was driven the other way round; compare sessions of one direction" in said
+
+
 def called(capsys: Captured, *sessions: Path) -> tuple[list[str], str]:
     """Names of the sessions of a comparison, and the lap that all are compared with."""
     assert run(["compare", *map(str, sessions), "--json"]) == 0
@@ -250,3 +282,31 @@ def test_what_cannot_be_done_is_said_in_one_line(
 )
 def test_lap_times_are_written_as_racers_write_them(seconds: float | None, text: str) -> None:
     assert lap_clock(seconds) == text
+
+
+def test_runs_from_a_start_to_a_finish_elsewhere_have_no_rolling_best(
+    lapped: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    shutil.copytree(lapped / "saturday", tmp_path / "sprint", ignore=shutil.ignore_patterns("smoothed"))
+    (start, end) = (
+        [[lon, lat] for lat, lon in line] for line in (TRACKS["tinbarn"].start_line_deg, sector_of(lapped / "saturday"))
+    )
+    lines = (("start", start), ("finish", end))
+    features = [
+        {"type": "Feature", "properties": {"line": n}, "geometry": {"type": "LineString", "coordinates": c}}
+        for n, c in lines
+    ]
+    (tmp_path / "sprint" / "t.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    (tmp_path / "sprint" / "session.toml").write_text('[session]\ntrack = "t.geojson"\n')
+    for command in ([], ["laps"], ["laps", "--corners"]):
+        options = [] if command else ["--no-baseline"]
+        assert run([*command, str(tmp_path / "sprint"), *options]) == 0
+        said = capsys.readouterr().out
+        assert "best " in said
+        assert "rolling" not in said
+    assert "Rolling best" not in (tmp_path / "sprint" / "smoothed" / "report.html").read_text()
+
+
+def sector_of(session: Path) -> list[tuple[float, float]]:
+    line = json.loads((session / "smoothed" / "summary.json").read_text())["lap_analysis"]["sector_lines"][0]
+    return [(line[side]["lat_deg"], line[side]["lon_deg"]) for side in ("left", "right")]

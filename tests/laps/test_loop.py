@@ -276,3 +276,12 @@ def _between(a: Array, b: Array) -> Array:
 def test_circuits_need_no_more_than_the_path(driven: Trajectory) -> None:
     circuit = find_circuit(plan_path(driven), None, None, 100.0)
     assert not hasattr(circuit, "code")
+
+
+def test_the_way_home_in_a_car_takes_no_laps_away(make: Made) -> None:
+    t = np.arange(0.0, 1300.0, 0.1)
+    angle = 20.0 / 80.0 * np.minimum(t, 100.0)  # four laps of 503 m, then 24 km straight on
+    ahead = 20.0 * np.maximum(t - 100.0, 0.0)[:, None] * np.array([-np.sin(25.0), np.cos(25.0)])
+    found = find_loop(plan_path(make(t, 80.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + ahead)), 100.0)
+    assert found is not None
+    assert found.length == pytest.approx(160.0 * np.pi, rel=0.01)
