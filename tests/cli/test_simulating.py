@@ -11,6 +11,7 @@ from smoother.cli.main import run
 from smoother.cli.simulating import write
 from smoother.config import Mounting
 from smoother.errors import UsageError
+from smoother.session.load import load_raw
 from smoother.session.settings import load_settings
 from smoother.sim import record
 from smoother.sim.simulation import Simulation, simulate_preset
@@ -107,3 +108,11 @@ def test_a_sigma_that_is_none_is_refused_in_a_line(
     assert said.out == "" and said.err.count("\n") == 1
     assert said.err.startswith(f"smooth: gnss.white_horizontal is {value}; it has to be a number of 0 or more")
     assert not target.exists()
+
+
+@pytest.mark.parametrize(("form", "states"), [("csv", True), ("klg", False), ("thesis", False)])
+def test_what_the_low_pass_delays_is_stated_once(form: str, states: bool, tmp_path: Path) -> None:
+    """The log holds it itself, and the thesis' logger did not know it."""
+    assert run(["simulate", str(tmp_path / "s"), "--preset", "white", "--duration", "20", "--format", form]) == 0
+    assert ("delay = 0.0025" in (tmp_path / "s" / "session.toml").read_text()) == states
+    assert "imu_delay_known" not in [problem.code for problem in load_raw(tmp_path / "s").problems]

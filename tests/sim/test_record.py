@@ -11,7 +11,7 @@ from smoother.session.load import load_raw
 from smoother.session.nmea import read_nmea
 from smoother.session.settings import load_settings
 from smoother.session.thesis import read_magcalib, read_out
-from smoother.sim.record import nmea_sentences, write_csv, write_settings, write_thesis
+from smoother.sim.record import nmea_sentences, write_csv, write_settings, write_thesis, write_title
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG
@@ -133,6 +133,19 @@ def test_settings_state_the_true_values(simulation, tmp_path):
     assert config.imu.gyro_noise == scenario.imu.gyro_noise
     assert config.gps.velocity_latency == scenario.gnss.velocity_latency
     assert (config.track, config.date) == ("tinbarn", "2026-05-16")
+
+
+def test_a_table_comes_with_what_the_low_pass_of_its_samples_delays(simulation, tmp_path):
+    """As a log of the logger holds it; a delay beyond that is for the smoother to find."""
+    path = tmp_path / "session.toml"
+    for write in (write_title, write_settings):
+        write(simulation, path, states_delay=True)
+        assert load_settings(path).imu_delay == simulation.raw.config.imu_delay == 0.5 / simulation.scenario.imu.rate
+        write(simulation, path)
+        assert load_settings(path).imu_delay is None
+    late = simulate_preset("kart", 1, duration=20.0, imu_latency=0.03)
+    write_title(late, path, states_delay=True)
+    assert load_settings(path).imu_delay is None
 
 
 def test_fixes_come_back_from_sentences(simulation, tmp_path):
