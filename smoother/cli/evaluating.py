@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
 
 SETTLED = 10.0  # s; attitude is also scored without them, as it needs motion to become known
+BESIDE, MOSTLY = 5.0, 0.5  # s beside the first and last row; share of a truth of which most is of another time
 LABELS = {"gps": "GPS alone", "baseline": "baseline", "smoother": "smoother"}
 Figures = dict[str, object]
 
@@ -95,7 +96,10 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     if truth is not told:
         warn(f"{path}: the velocity in truth.csv contradicts its positions, so it is not used")
     estimates = estimate(session, options, Stopwatch(), progress)
-    session = estimates.session
+    session, t = estimates.session, estimates.smoothed.t
+    outside = float(((truth.t < t[0] - BESIDE) | (truth.t > t[-1] + BESIDE)).mean())
+    if outside > MOSTLY:
+        warn(f"{path}: {outside:.0%} of truth.csv lie outside the session; are its times on the session's clock, in s?")
     trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
     if estimates.baseline is not None:
         trajectories["baseline"] = estimates.baseline

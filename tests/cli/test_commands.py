@@ -108,6 +108,17 @@ def test_evaluate_prints_a_table(simulated: Path, capsys: Captured) -> None:
     assert all(word in text for word in ("GPS alone", "baseline", "smoother", "horizontal (m)", "NEES"))
 
 
+def test_evaluate_asks_about_a_truth_of_another_time(monday: Path, simulated: Path, capsys: Captured) -> None:
+    truth = pl.read_csv(simulated / "truth.csv", infer_schema_length=None)
+    truth.with_columns(t_s=1000.0 * pl.col("t_s")).write_csv(monday / "truth.csv")  # in ms
+    assert run(["evaluate", str(monday)]) == 0
+    said = capsys.readouterr().err
+    assert "% of truth.csv lie outside the session; are its times on the session's clock, in s?" in said
+    shutil.copy(simulated / "truth.csv", monday)
+    assert run(["evaluate", str(monday)]) == 0
+    assert "lie outside" not in capsys.readouterr().err
+
+
 def test_evaluate_without_truth_is_one_line(monday: Path, capsys: Captured) -> None:
     (monday / "truth.csv").unlink()
     assert run(["evaluate", str(monday)]) == 2
