@@ -17,16 +17,18 @@ from smoother.errors import SessionError
 from smoother.fit.resting import RestingPosition, resting_positions
 from smoother.fit.standstill import StandstillOptions, detect_standstill, fix_speeds
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.samples import DEAD_AXES, GnssFixes, Problem, RawImu, RawMag
 from smoother.session.clock import regularize
 from smoother.session.csv_form import read_fixes, read_imu, read_mag
 from smoother.session.files import SessionFiles, list_files
+from smoother.session.inertial import dead_axes
 from smoother.session.log import LogFiles, imu_samples, list_recordings, mag_samples, read_records
 from smoother.session.nmea import fixes_from_sentences
 from smoother.session.settings import load_settings
 from smoother.session.tables import read_header, read_table
 from smoother.session.thesis import read_magcalib, read_out
 from smoother.units import MICROSECOND
+from smoother.words import listed
 
 DRIVING_SPEED = 3.0  # m/s, exceeded for a twentieth of the time: somebody drove
 FEWEST_ROWS = 32
@@ -225,8 +227,11 @@ def _evened(found: Recording) -> Recording:
     """The recording with evened stamps, and without sensors that delivered next to nothing."""
     imu = found.imu if found.imu is not None and len(found.imu.t) >= FEWEST_ROWS else None
     mag = found.mag if found.mag is not None and len(found.mag.t) else None
+    dead = [] if imu is None else [f"{axis} of the {sensor}" for sensor, axis in dead_axes(imu)]
+    text = f"{found.name}: {listed(dead)} never changed: nothing about it can be told; check the wiring"
     return replace(
         found,
+        problems=(*found.problems, *([Problem(DEAD_AXES, text, len(dead))] if dead else [])),
         imu=None if imu is None else replace(imu, t=regularize(imu.t).t),
         mag=None if mag is None else replace(mag, t=regularize(mag.t).t),
         imu_stamps=None if imu is None else imu.t,

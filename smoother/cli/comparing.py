@@ -260,7 +260,7 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
     for one, whole in zip(compared, losses(compared), strict=True):
         best = None if one.analysis.statistics is None else one.analysis.statistics.best_lap
         if best is None or len(one.analysis.corners) != len(corners):
-            rows.append(["-"] * (len(corners) + 1) + [one.name])
+            rows.append(["- "] * (len(corners) + 1) + [one.name])
             continue
         is_itself = best == one.reference
         cells = ["- " if is_itself else _lost(c.time_lost[best], c.is_real[best]) for c in one.analysis.corners]
@@ -269,7 +269,7 @@ def _corner_table(compared: list[Compared]) -> tuple[list[str], list[list[str]]]
 
 
 def _lost(lost: float, is_real: bool) -> str:
-    return "-" if lost != lost else f"{round(float(lost), 2) + 0.0:+.2f}{'*' if is_real else ' '}"
+    return "- " if lost != lost else f"{round(float(lost), 2) + 0.0:+.2f}{'*' if is_real else ' '}"
 
 
 def _speed_table(compared: list[Compared], units: str) -> tuple[list[str], list[list[str]]]:

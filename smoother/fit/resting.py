@@ -120,7 +120,8 @@ def rounding_variance(values: Array, step: Array) -> Array:
 def distinct_directions(force: Array) -> Array:
     """Directions (D, 3) of the mean forces (K, 3) that lie more than SAME_DIRECTION apart, first come first kept."""
     kept: list[Array] = []
-    for unit in force / np.linalg.norm(force, axis=1, keepdims=True):
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    for unit in force[size[:, 0] > 0.0] / size[size[:, 0] > 0.0]:
         if all(unit @ other < np.cos(SAME_DIRECTION) for other in kept):
             kept.append(unit)
     return np.array(kept)

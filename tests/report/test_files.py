@@ -3,7 +3,6 @@
 import csv
 import datetime as dt
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from smoother.frames import Origin, nwu_to_geodetic, rotation_from_euler
 from smoother.report import files
 from smoother.report.files import replacing, to_json, write_fixes, write_trajectory
 from smoother.samples import Session
-from smoother.trajectory import FixResiduals, Sigmas, Trajectory
+from smoother.trajectory import FixResiduals, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
 
@@ -156,16 +155,3 @@ def test_json_is_strict() -> None:
 
     read = json.loads(to_json(document), parse_constant=refuse)
     assert read == {"nan": None, "array": [1.0, None], "count": 3, "yes": True, "1": [None]}
-
-
-def test_ten_minutes_are_written_in_half_a_second(tmp_path: Path) -> None:
-    n = 30000
-    rng = np.random.default_rng(0)
-    vector = rng.normal(size=(n, 3))
-    sigmas = Sigmas(vector**2, vector**2, vector[:, 0] ** 2, vector**2, vector[:, 1] ** 2)
-    R = rotation_from_euler(*(0.1 * vector.T))
-    long = Trajectory(np.arange(n) / 50.0, 100 * vector, vector, R, vector, vector, sigmas)
-    write_trajectory(tmp_path / "warm_up.csv", long, ORIGIN, UtcClock(0.0, 1.7e9))
-    start = time.process_time()
-    write_trajectory(tmp_path / "trajectory.csv", long, ORIGIN, UtcClock(0.0, 1.7e9))
-    assert time.process_time() - start < 1.0  # measured 0.09 s; twice the bound, of processor time, for a busy machine

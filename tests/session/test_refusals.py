@@ -36,7 +36,7 @@ def test_a_file_that_is_one_large_hole_is_refused_at_once(tmp_path: Path, name: 
         pytest.skip("this disk has no holes in files")
     begin = time.monotonic()
     said = refusal(tmp_path)
-    assert time.monotonic() - begin < 2.0
+    assert time.monotonic() - begin < 20.0  # to read it would take minutes
     assert said.startswith(f"{name}: 53.7 GB long, of which 0") and said.endswith("copy it from the card again")
 
 
