@@ -40,6 +40,9 @@ ALIKE = 0.8
 UNLIKE, TELLS = 0.5, 0.85
 SURELY_LIKE, QUIET = 0.75, 0.5  # likewise at a first look, and a part of the least change
 MANY = 75.0  # per cent of the stretches may be worse than those
+# And of those that are alike, few are less alike than that: 0.95 and more on real karts and cars. Of a slow kart that
+# is shaken much they scatter from 0.6 to 0.9, and some are at 0 by chance
+FEW, SURELY = 25.0, 0.85
 LIVELY = 0.5  # of what an axis usually does; less says nothing of whether it was felt
 STANDS = 1.0  # m/s, below which fixes stand
 # Correlation of force to the left and yaw rate, which go together by the speed: of a box that drives, and no other
@@ -65,8 +68,10 @@ class Stretches:
     def are_unlike(self) -> BoolArray:
         """Mask (B,) of the stretches in which samples and fixes are not of one motion, of a session that tells."""
         known = self.likeness[np.isfinite(self.likeness)]
-        tells = known.size >= FEWEST_STRETCHES and float(np.percentile(known, MANY)) > TELLS
-        return np.asarray((self.likeness < UNLIKE) & tells)
+        if known.size < FEWEST_STRETCHES or not np.percentile(known, MANY) > TELLS:
+            return np.zeros(len(self.likeness), dtype=np.bool_)
+        is_sure = np.percentile(known[known >= UNLIKE], FEW) > SURELY
+        return np.asarray((self.likeness < UNLIKE) & is_sure)
 
     @property
     def change(self) -> Array:

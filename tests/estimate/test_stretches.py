@@ -157,6 +157,12 @@ def test_a_kart_whose_speed_is_limited_drives(top_speed: float) -> None:
     assert max(found.roll_rms_deg, found.pitch_rms_deg, found.yaw_rms_deg) < 1.5  # 2.2 and 3.2 with a rough mounting
 
 
+def test_a_slow_kart_that_is_shaken_tells_nothing() -> None:
+    """What is felt of its motion is as small as the noise, and by chance two stretches have nothing in common."""
+    slow = {"track": "longmeadow", "motion_top_speed": 6.0, "gnss_rate": 1.0}
+    assert told(prepare(simulate_preset("kart_harsh", 202, duration=240.0, **slow).raw)) == []
+
+
 def test_samples_of_another_drive_are_of_another_motion_at_any_speed() -> None:
     session = prepare(simulate_preset("kart", 2, duration=300.0, motion_top_speed=4.0).raw)
     assert "motion_unlike" in [problem.code for problem in told(antenna_off(session))]
