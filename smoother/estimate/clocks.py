@@ -39,6 +39,9 @@ STRETCHES = 8  # of a session, each of which tells a delay
 # in doubt: two that are true left 0.06 and 0.16, and none of 234 simulated steps less than 0.7
 BESIDE_LINE = 0.2
 SIGNIFICANT = 5.0  # sigmas
+# Sigmas by which blocks of so many s have to fit better with a drift than without: true ones of 0.03 s over a session
+# have 2.3 and more, false ones of slow karts 1.9 and less
+CLOSER, BLOCK = 2.2, 5.0
 SMALLEST = 0.02  # s from end to end of the session; what slip does over a session comes up to half of that
 # s likewise of a session of less than LONG s: a spin or two is as much of it
 SMALLEST_OF_SHORT, LONG = 0.1, 150.0
@@ -94,7 +97,8 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Cloc
         if is_all:
             smallest = _smallest(lasts, path.is_measured and median(np.diff(path.t)) <= QUICK)
             found = _judged(slopes, clock, smallest / lasts)
-            return replace(found, is_found=found.is_found and _is_even(felt, path.t[rows], axes[rows], clock))
+            of_all = felt, path.t[rows], axes[rows], clock
+            return replace(found, is_found=found.is_found and _is_even(*of_all) and _fits_better(*of_all))
         reach *= WIDER
 
 
@@ -159,6 +163,26 @@ def _is_even(felt: Felt, t: Array, told: Array, clock: _Clock) -> bool:
         if not abs(told_here.mean) < max(3.0 * told_here.sigma, UNLIKE * abs(clock.drift)):
             return _is_line(t, told, here, change, clock)
     return True
+
+
+def _fits_better(felt: Felt, t: Array, told: Array, clock: _Clock) -> bool:
+    """Whether fixes at t (N,) s told (N, 3) what was felt by a clock that drifts rather than by one that does not.
+
+    Where what is felt is mostly noise, as of a slow kart, its change is noise as well: a fit by that moves by a
+    fraction of what it should, ends where it began, and takes itself for sure.
+    """
+    even = replace(clock, lag=clock.lag - clock.drift * (float(np.mean(t)) - clock.middle), drift=0.0)
+    closer = np.zeros(len(t))
+    for axis, here, flat in zip(
+        told.T, *(felt.with_change(one.of_samples(t))[0] for one in (clock, even)), strict=True
+    ):
+        y, x, z = (values - np.mean(values) for values in (axis, here, flat))
+        gain = float(y @ x) / max(float(x @ x), TINY)
+        rest = (y - gain * x) ** 2
+        closer += ((y - gain * z) ** 2 - rest) / max(float(np.mean(rest)), TINY)
+    of_blocks = np.add.reduceat(closer, np.flatnonzero(np.diff((t - t[0]) // BLOCK, prepend=-1.0)))
+    scatter = float(np.std(of_blocks, ddof=1)) * math.sqrt(of_blocks.size) if of_blocks.size > 1 else math.inf
+    return float(np.sum(of_blocks)) > CLOSER * scatter
 
 
 def _is_line(t: Array, told: Array, here: Array, change: Array, clock: _Clock) -> bool:
