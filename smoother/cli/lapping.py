@@ -93,7 +93,7 @@ def laps(
 def laps_of(
     path: Path, line: str | None, official: Path | None, progress: Progress
 ) -> tuple[Document, UtcClock | None, bool]:
-    """Return laps and analysis as summary.json would hold them, UTC at t = 0, and whether the session passed."""
+    """Return laps and analysis as summary.json would hold them, the time of day, and whether the session passed."""
     wanted = None if line is None else tracks_from(line)  # a line that cannot be used is said before minutes of work
     with naming(path):
         return _laps_on(path, wanted, official, progress)

@@ -89,10 +89,9 @@ def write(simulation: Simulation, directory: Path, form: str, told: bool = False
         # what is there of another format or with more sensors would be read with the new files: it goes
         with staged(directory, MARK, SIMULATED_FILES) as staging:
             {"csv": write_csv, "klg": write_klg, "thesis": write_thesis}[form](simulation, staging)
-            write = write_settings if told else write_title
-            write(
-                simulation, staging / "session.toml", states_delay=form == "csv"
-            )  # .KLG holds it, the thesis does not
+            write_toml = write_settings if told else write_title
+            # a .KLG holds the delay itself, and the thesis' logger did not know it
+            write_toml(simulation, staging / "session.toml", states_delay=form == "csv")
     except OSError as error:
         raise UsageError(f"{directory}: cannot be written ({error.strerror or error}); name another folder") from error
 

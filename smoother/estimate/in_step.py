@@ -17,7 +17,10 @@ from smoother.trajectory import Identified
 
 
 def in_step(session: Session) -> tuple[Session, ForceDelay]:
-    """Return the session with its force at the time of its rate, and what was found; as it is where nothing was."""
+    """Return the session with its force at the time of its rate, and what was found; as it is where nothing was.
+
+    Its stamps are as unsure as that leaves them (:attr:`ForceDelay.unsure`).
+    """
     assert session.imu is not None
     imu = session.imu
     found = force_delay(imu.t, imu.specific_force_s, imu.angular_rate_s)

@@ -120,8 +120,8 @@ def rounding_variance(values: Array, step: Array) -> Array:
 def distinct_directions(force: Array) -> Array:
     """Directions (D, 3) of the mean forces (K, 3) that lie more than SAME_DIRECTION apart, first come first kept."""
     kept: list[Array] = []
-    size = np.linalg.norm(force, axis=1, keepdims=True)
-    for unit in force[size[:, 0] > 0.0] / size[size[:, 0] > 0.0]:
+    told = force[np.any(force != 0.0, axis=1)]  # a sensor that reads zeros points nowhere
+    for unit in told / np.linalg.norm(told, axis=1, keepdims=True):
         if all(unit @ other < np.cos(SAME_DIRECTION) for other in kept):
             kept.append(unit)
     return np.array(kept)

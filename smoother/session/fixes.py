@@ -117,13 +117,14 @@ def _accuracies_in_metres(rows: RowFilter, c: FixColumns) -> FixColumns:
     """The columns with accuracies in metres that were stated in millimetres, as u-blox receivers send them."""
     with np.errstate(invalid="ignore"):
         has_fix = ~((c.fix < 1.0) | c.is_blank) & (np.abs(c.lat_deg) <= 90.0) & (np.abs(c.lon_deg) <= 360.0)
-    changed, bends = {}, _bends(c.take(np.flatnonzero(has_fix)))
+    changed = {}
     for name, called, unit, most in MOST_USUAL:
         values = getattr(c, name)
         known = values[has_fix & np.isfinite(values)]
-        if known.size and max(most, EVEN * bends) < float(np.median(known)) < 1000.0 * most:
+        middle = float(np.median(known)) if known.size else 0.0
+        if most < middle < 1000.0 * most and middle > EVEN * _bends(c.take(np.flatnonzero(has_fix))):
             changed[name] = 1e-3 * values
-            text = f"{called} is {np.median(known):.0f} in the middle, as if in m{unit}; taken as such"
+            text = f"{called} is {middle:.0f} in the middle, as if in m{unit}; taken as such"
             rows.say("accuracy_unit", text, int(known.size))
     return replace(c, **changed)
 
