@@ -12,7 +12,7 @@ from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
-from smoother.session.plausible import are_exchanged, turned_to_metres, turned_to_radians
+from smoother.session.plausible import are_exchanged, are_in_milli_g, turned_to_metres, turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
 from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
@@ -67,7 +67,8 @@ def read_imu_and_unit(
         accel, gyro = gyro, accel
         text = "gravity is in gx, gy, gz, as if accelerations and turn rates were exchanged; taken as such"
         problems.append(Problem("imu_exchanged", f"{path.name}: {text}"))
-    problems += [*turned_to_radians(gyro, path.name), *said, *turned_to_metres(accel, t, path.name)]
+    is_milli = are_in_milli_g(accel, t)
+    problems += [*turned_to_radians(gyro, path.name, is_milli=is_milli), *said, *turned_to_metres(accel, t, path.name)]
     if shifts is not None:
         t, used = over_restarts(t, shifts)
         t, accel, gyro = t[used], accel[used], gyro[used]

@@ -23,8 +23,8 @@ SPEED_UNITS = {
     **dict.fromkeys(("knots", "knot", "kn", "kt", "kts"), KNOT),
 }
 LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "ft": FOOT, "feet": FOOT}
-ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
-RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "rad/s": 1.0}
+ACCELERATION_UNITS = {"g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "m/s2": 1.0, "m/s^2": 1.0, "m/s²": 1.0}
+RATE_UNITS = {"deg/s": DEG, "dps": DEG, "°/s": DEG, "mdps": 1e-3 * DEG, "rad/s": 1.0}
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ HARDLY, LIKE_GRAVITY = 0.5, 0.15
 # times, that an axis is shaken more than another from sample to sample at the most; g and m/s^2 are 10 apart
 SAME_SCATTER = 4.0
 GRAVITY_IN_G = (0.7, 1.5)  # what stays of samples in g: gravity, and the mean force of bends all to one side
+MILLI = 1e-3  # of mg and mdeg/s, which tools of sensor makers write together
 
 
 @dataclass(frozen=True)
@@ -121,42 +122,66 @@ def _are_measured(some: Array) -> BoolArray:
     return np.asarray(np.all(np.abs(some) < LARGEST, axis=1))
 
 
-def turned_to_radians(gyro: Array, file: str) -> list[Problem]:
+def turned_to_radians(gyro: Array, file: str, *, is_milli: bool = False) -> list[Problem]:
     """Turn rates (N, 3), which the caller gives away, into rad/s where they are as large as of a kart in deg/s only.
 
-    Where they are not deg/s after all, the course of the fixes tells. Says what it did; `file` is the name for that.
+    is_milli: in mdeg/s only, beside accelerations in mg; alone they may be counts of the sensor. Where they are neither
+    after all, the course of the fixes tells. Says what it did; `file` is the name for that.
     """
     some = thinned(gyro, max(1, len(gyro) // ENOUGH_SAMPLES))
     known = np.linalg.norm(some[_are_measured(some)], axis=1)
     size, most = median(known) if known.size else 0.0, PLAUSIBLE_RATE[1]
-    if known.size < FEWEST_LEFT or not most < size <= most / DEG:
-        return []
-    gyro *= DEG
-    text = f"{file}: typically {size:.0f} rad/s, which no kart turns, as with deg/s where rad/s belong; taken so"
-    return [Problem("imu_gyro_unit", text)]
+    least = most
+    for name, unit in {"deg/s": DEG, **({"mdeg/s": MILLI * DEG} if is_milli else {})}.items():
+        if known.size >= FEWEST_LEFT and least < size <= most / unit:
+            gyro *= unit
+            text = (
+                f"{file}: typically {size:.0f} rad/s, which no kart turns, as with {name} where rad/s belong; taken so"
+            )
+            return [Problem("imu_gyro_unit", text)]
+        least = most / unit
+    return []
+
+
+def are_in_milli_g(accel: Array, t: Array) -> bool:
+    """Whether what stays of accelerations (N, 3) at t (N,) s, as written, is gravity in mg."""
+    some, lasts = _written(accel, t)
+    return len(some) >= FEWEST_LEFT and _is_gravity(some * MILLI, lasts)
 
 
 def turned_to_metres(accel: Array, t: Array, file: str) -> list[Problem]:
-    """Turn accelerations (N, 3), which the caller gives away, into m/s^2 where what stays of them is gravity in g.
+    """Turn accelerations (N, 3), which the caller gives away, into m/s^2 where gravity in g or mg stays of them.
 
-    Of one axis alone likewise, if there is no gravity without it. t (N,) s, as written. In m/s^2 forces as small are
-    those without gravity, which change with every bend, and stay as they are. Says what it did; `file` is the name for
-    that.
+    Of one axis alone likewise, if there is no gravity in g without it. t (N,) s, as written. In m/s^2 forces as small
+    are those without gravity, which change with every bend, and stay as they are. Says what it did; `file` is the name
+    for that.
     """
-    step = max(1, len(accel) // ENOUGH_SAMPLES)
-    some = thinned(accel, step)
-    known = _are_measured(some) & np.isfinite(thinned(t, step))
-    some, times = some[known], thinned(t, step)[known]
+    some, lasts = _written(accel, t)
     if len(some) < FEWEST_LEFT:
         return []
-    low, high = GRAVITY_IN_G
-    size, steady = median(np.linalg.norm(some, axis=1)), _steady(some, times[-1] - times[0])
-    if not (size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size):
-        return _axis_turned_to_metres(accel, some, times[-1] - times[0], file)
-    with np.errstate(over="ignore"):  # what no sensor writes is left out later
-        accel *= STANDARD_GRAVITY
-    text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with g where m/s^2 belong; taken so"
-    return [Problem("imu_accel_unit", f"{file}: {text}")]
+    for name, unit in (("g", 1.0), ("mg", MILLI)):
+        if _is_gravity(some * unit, lasts):
+            with np.errstate(over="ignore"):  # what no sensor writes is left out later
+                accel *= unit * STANDARD_GRAVITY
+            size = median(np.linalg.norm(some, axis=1))
+            text = f"typically {size:.2g} m/s^2, where gravity alone gives 9.8, as with {name} where m/s^2 belong"
+            return [Problem("imu_accel_unit", f"{file}: {text}; taken so")]
+    return _axis_turned_to_metres(accel, some, lasts, file)
+
+
+def _written(accel: Array, t: Array) -> tuple[Array, float]:
+    """Samples (M, 3) that a sensor can have read, evenly taken from (N, 3) at t (N,) s, and how long they last, s."""
+    step = max(1, len(accel) // ENOUGH_SAMPLES)
+    some, times = thinned(accel, step), thinned(t, step)
+    known = _are_measured(some) & np.isfinite(times)
+    times = times[known]
+    return some[known], float(times[-1] - times[0]) if len(times) else 0.0
+
+
+def _is_gravity(some: Array, lasts: float) -> bool:
+    """Whether what stays of forces (M, 3) in g, evenly taken from `lasts` s, is gravity."""
+    (low, high), size, steady = GRAVITY_IN_G, median(np.linalg.norm(some, axis=1)), _steady(some, lasts)
+    return bool(size < PLAUSIBLE_FORCE[0] and low < steady < high and steady > LEAST_STEADY_SHARE * size)
 
 
 def _axis_turned_to_metres(accel: Array, some: Array, lasts: float, file: str) -> list[Problem]:

@@ -8,6 +8,7 @@ from smoother.samples import Problem, RawImu
 from smoother.session.plausible import (
     SHORTEST_UNIT,
     are_exchanged,
+    are_in_milli_g,
     implausible_units,
     turned_to_metres,
     turned_to_radians,
@@ -44,6 +45,26 @@ def test_rates_as_large_as_of_a_kart_in_degrees_are_taken_for_such(factor: float
     assert [problem.code for problem in said] == ["imu_gyro_unit"] * is_taken
 
 
+@pytest.mark.parametrize(
+    ("factor", "is_milli", "is_taken"),
+    [
+        (1e3 / DEG, True, True),
+        (1e3 / DEG, False, False),
+        (1.0 / DEG, True, True),
+        (1.0, True, False),
+        (1e6, True, False),
+    ],
+)
+def test_rates_in_thousandths_of_a_degree_are_taken_for_such_beside_forces_in_mg(
+    factor: float, is_milli: bool, is_taken: bool
+) -> None:
+    rate = samples()[1]
+    given = factor * rate
+    said = turned_to_radians(given, "imu.csv", is_milli=is_milli)
+    np.testing.assert_allclose(given, rate if is_taken else factor * rate)
+    assert [problem.code for problem in said] == ["imu_gyro_unit"] * is_taken
+
+
 @pytest.mark.parametrize("of_force", [1.0, 1.0 / STANDARD_GRAVITY, 1e3])
 @pytest.mark.parametrize("of_rate", [1.0, 1.0 / DEG, 131.0 / DEG])
 @pytest.mark.parametrize("rest", [0.0, 40.0, 100.0])
@@ -67,13 +88,16 @@ def test_a_circle_that_is_driven_all_the_time_is_not_gravity(force_unit: float) 
     assert not are_exchanged(force_unit * force, rate / DEG, np.arange(len(force)) / RATE)
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e3, 1.0 / STANDARD_GRAVITY, 100.0 / STANDARD_GRAVITY, 1e-3])
+@pytest.mark.parametrize(
+    "unit", [1.0, 1e3, 1.0 / STANDARD_GRAVITY, 100.0 / STANDARD_GRAVITY, 1e3 / STANDARD_GRAVITY, 1e-3]
+)
 @pytest.mark.parametrize("rest", [0.0, 40.0, 100.0])
 def test_forces_as_small_as_gravity_in_g_are_taken_for_such(unit: float, rest: float) -> None:
     force = samples(rest)[0]
     given, t = unit * force, np.arange(len(force)) / RATE
     said = turned_to_metres(given, t, "imu.csv")
-    is_taken = unit == 1.0 / STANDARD_GRAVITY
+    is_taken = unit in (1.0 / STANDARD_GRAVITY, 1e3 / STANDARD_GRAVITY)
+    assert are_in_milli_g(unit * force, t) is (unit == 1e3 / STANDARD_GRAVITY)
     np.testing.assert_allclose(given, force if is_taken else unit * force)
     assert [problem.code for problem in said] == ["imu_accel_unit"] * is_taken
 
