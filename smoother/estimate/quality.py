@@ -4,6 +4,7 @@ The gate is meant to catch results that are wrong, not results that are poor: an
 wide sigmas passes. Its limits are options, and the measures behind each verdict are handed back with it.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,8 @@ class QualityLimits:
 
     fix_sigma: up to which wander and noise that were found in the fixes count too. A long session knows its place
     better than any of its fixes; but a trajectory that went astray would find much of both.
-    far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it.
+    far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it. A short session has as long
+    jumps as others: far_seconds in all are forgiven there, of at most short_far_share of the fixes.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
     normalised_rms: of the residuals of any factor but NOT_JUDGED; 1 is honest, beyond this the noise model is wrong by
@@ -64,6 +66,7 @@ class QualityLimits:
     near_fix_sigmas: float = 3.0
     fix_sigma: float = 4.0  # m
     far_share: float = 0.10
+    short_far_share: float = 0.25
     far_seconds: float = 15.0  # s
     top_speed: float = 110.0  # m/s
     sigma_horizontal: float = 50.0  # m
@@ -161,9 +164,11 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     if estimate.sigmas is not None:
         sigma = np.fmax(sigma, np.max(between_rows(estimate.sigmas.position_n, place)[:, :2], axis=1))
     far = ~(distance <= np.maximum(limits.near_fix, limits.near_fix_sigmas * sigma))
+    forgiven = min(limits.far_seconds / max(float(np.ptp(t[inside])), ROW), limits.short_far_share)
     return {
         "median_fix_distance_m": median(distance),
         "far_fix_share": float(np.mean(far)),
+        "far_fix_limit": max(limits.far_share, forgiven),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
 
@@ -191,9 +196,11 @@ def _motion_reasons(measures: dict[str, float], limits: QualityLimits) -> list[s
     reasons = []
     if measures["top_speed_mps"] > limits.top_speed:
         reasons.append(f"a speed of {measures['top_speed_mps'] * 3.6:.0f} km/h is not a kart's")
-    if measures.get("far_fix_share", 0.0) > limits.far_share:
-        share = 100.0 * measures["far_fix_share"]
-        reasons.append(f"{share:.0f} % of the fixes lie far from the trajectory (limit {100 * limits.far_share:.0f} %)")
+    share, most = measures.get("far_fix_share", 0.0), measures.get("far_fix_limit", limits.far_share)
+    if share > most:
+        reasons.append(
+            f"{100.0 * share:.0f} % of the fixes lie far from the trajectory (limit {math.floor(100.0 * most)} %)"
+        )
     if measures.get("longest_far_s", 0.0) > limits.far_seconds:
         reasons.append(f"the trajectory leaves the fixes for {measures['longest_far_s']:.0f} s")
     radius = measures.get("stood_radius_m", np.inf)

@@ -63,6 +63,15 @@ def test_some_jumps_of_the_fixes_are_lived_with() -> None:
     assert assess(session(shifted_rows(100, 150, 40.0)), estimate()).passed  # 10 s of 200 s, refused by the smoother
 
 
+@pytest.mark.parametrize(("length", "passes"), [(30, True), (38, False)])  # rows: 12 and 15.2 s of a minute
+def test_a_short_session_may_have_as_long_jumps_as_a_long_one(length: int, passes: bool) -> None:
+    jumps = shifted_rows(40, 40 + length, 40.0) + shifted_rows(150, 150 + length, 40.0)
+    whole = session(jumps)
+    minute = replace(whole, gnss=whole.gnss.select(whole.gnss.t < 60.0))
+    assert assess(minute, estimate()).passed is passes
+    assert not assess(replace(whole, gnss=whole.gnss.select(whole.gnss.t < 40.0)), estimate()).passed
+
+
 @pytest.mark.parametrize(
     ("made", "words"),
     [
