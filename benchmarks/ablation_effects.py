@@ -26,6 +26,7 @@ from smoother.estimate.graph import (
     inertial,
     looks,
     options,
+    output,
     session_rows,
     smoother,
     solve,
@@ -302,6 +303,7 @@ EFFECTS = (
     Effect("mounting refined", patches=((smoother, "fit_mounting", _rough_mounting),)),
     Effect("GPS offset", options=_NO_OFFSET, patches=((components, "_offset_ratio", _no_ratio),)),
     Effect("GPS offset's sigma identified", patches=((components, "_offset_ratio", _no_ratio),)),
+    Effect("wander of Doppler", patches=((output, "share_wander", _same),)),
     Effect("GPS offset's tau (20 s in place of 60 s)", options={"offset_tau": 20.0}),
     Effect("inertial noise identified (data sheet)", session=_data_sheet),
     Effect(

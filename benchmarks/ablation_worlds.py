@@ -232,6 +232,9 @@ WORLDS = {
     "kart, errors of Doppler that last for a while": World(
         "kart", {"gnss_velocity_lasting": 0.075, "motion_standstill": 30.0}
     ),
+    "kart, fixes that hardly wander": World(
+        "kart", {"gnss_offset_horizontal": 0.02, "gnss_velocity_lasting": 0.005, "gnss_velocity_tau": 30.0}
+    ),
     "kart, quick receiver that errs for a while": World("kart", {**FILTERED, "motion_standstill": 30.0}),
     "kart, course later than speed": World("kart", {"gnss_rate": 10.0}, _late_course),
     "kart, one fix in five seconds": World("kart", {}, _rare),

@@ -19,13 +19,14 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.slow_doppler import SlowVelocity
 
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows
 SHOWN = 0.25  # of receivers' offset; more than is assumed of unfiltered fixes before they tell
 BIN = 2.0  # s, of the means: a fifth of the shortest time that counts as slow
 GAP = 1.5  # s without Doppler, over which it cannot be added up
 WILD = 5.0  # m/s^2, what is unknown of the motion over a gap
-BIAS = 0.05  # m/s, sigma of Doppler's bias, as of the path
+BIASED = SlowVelocity(0.05)  # Doppler's bias, as of the path
 ANYWHERE = 1e3  # m, sigma of where Doppler's path began
 FEWEST = 30  # means
 LEAST_DOPPLER = 0.5  # share of the fixes with Doppler
@@ -139,7 +140,7 @@ def _walked(seen: Drift, usual: OffsetModel) -> OffsetModel:
     """
     mean = math.log(2.0 * usual.sigma[0] ** 2 / usual.tau)
     candidates = _grid((np.array([math.log(usual.tau)]), mean + WALKS, COARSE[2]))
-    found = _log_likelihood(seen, candidates) - 0.5 * ((candidates[1] - mean) / WALK_SPREAD) ** 2
+    found = log_likelihood(seen, candidates) - 0.5 * ((candidates[1] - mean) / WALK_SPREAD) ** 2
     share = math.exp(0.5 * (float(candidates[1, np.argmax(found)]) - mean))
     return OffsetModel(usual.sigma * share, usual.tau)
 
@@ -167,14 +168,14 @@ def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
 
 def fit_offset(seen: Drift) -> OffsetFit:
     """Return the offset of the highest likelihood; `seen` has to tell of one, see :func:`tells_offset`."""
-    none = _log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
+    none = log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
     axes, best = COARSE, np.zeros(3)
     for _ in range(1 + FINER):
         candidates = _grid(axes)
-        best = candidates[:, np.argmax(_log_likelihood(seen, candidates))]
+        best = candidates[:, np.argmax(log_likelihood(seen, candidates))]
         axes = tuple(x + AROUND * 0.5 * (a[1] - a[0]) for x, a in zip(best, axes, strict=True))
     near = _grid(NEAR)
-    found = _log_likelihood(seen, best[:, None] + near)
+    found = log_likelihood(seen, best[:, None] + near)
     tau, walk, _ = best
     return OffsetFit(
         math.sqrt(0.5 * math.exp(walk + tau)), math.exp(tau), _spread(near, found), float(found.max() - none.max())
@@ -220,24 +221,26 @@ def drift_against_doppler(fixes_t: Array, path: GnssPath) -> Drift:
     return Drift(t, np.stack([north, west], axis=1), np.diff(walk, prepend=walk[:1]), white / count)
 
 
-def _log_likelihood(seen: Drift, candidates: Array) -> Array:
+def log_likelihood(seen: Drift, candidates: Array, slow: SlowVelocity = BIASED) -> Array:
     """Log likelihood (G,) of candidates (3, G), as in COARSE, of both axes; one filter steps through all of them.
 
-    State: Doppler's path, its bias, the offset. Their covariance is the same for both axes and written out, because
-    stacks of such small matrices cost ten times as much.
+    State: Doppler's path, its `slow` error, the offset. Their covariance is the same for both axes and written out,
+    because stacks of such small matrices cost ten times as much.
     """
     tau, walked, white = np.exp(candidates)
     variance = 0.5 * walked * tau
     zero = np.zeros(len(tau))
-    p00, p01, p02, p11, p12, p22 = zero + ANYWHERE**2, zero, zero, zero + BIAS**2, zero, variance
+    p00, p01, p02, p11, p12, p22 = zero + ANYWHERE**2, zero, zero, zero + slow.sigma**2, zero, variance
     x0, x1, x2 = (np.zeros((2, len(tau))) for _ in range(3))
     total = np.zeros(len(tau))
     measured, steps = (seen.drift - seen.drift[0])[:, :, None], np.diff(seen.t, prepend=seen.t[0]).tolist()
     for z, h, walk, noise in zip(measured, steps, seen.walk.tolist(), seen.white.tolist(), strict=True):
-        keep = np.exp(-h / tau)
-        p00, p01 = p00 + h * (2.0 * p01 + h * p11) + walk, p01 + h * p11
-        p02, p12, p22 = keep * (p02 + h * p12), keep * p12, variance + keep**2 * (p22 - variance)
-        x0, x2 = x0 + h * x1, keep * x2
+        keep, lasts, goes = np.exp(-h / tau), slow.kept(h), slow.gone(h)
+        q00, q01, q11 = slow.noise(h)
+        p00, p01 = p00 + goes * (2.0 * p01 + goes * p11) + walk + q00, lasts * (p01 + goes * p11) + q01
+        p02, p12, p22 = keep * (p02 + goes * p12), keep * lasts * p12, variance + keep**2 * (p22 - variance)
+        p11 = lasts**2 * p11 + q11
+        x0, x1, x2 = x0 + goes * x1, lasts * x1, keep * x2
         a0, a1, a2 = p00 + p02, p01 + p12, p02 + p22
         s = a0 + a2 + white * noise
         innovation = z - x0 - x2

@@ -58,6 +58,7 @@ What a solution says
     ground          what of an angle is the ground's
     mounting        how the box lies in the kart
     uncertainty     covariances of antenna and biases
+    wander          what fixes do slowly, and Doppler's part of it
     joint           how errors of places at several times hang together
     leftovers       statistics of residuals
     estimated       all of this, of one piece or of windows

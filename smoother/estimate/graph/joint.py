@@ -16,14 +16,12 @@ from smoother.disc import Shelf, release
 from smoother.estimate.graph.chain import ChainFactor
 from smoother.estimate.graph.rows import antenna_jacobian
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ROW_CONSTANTS_SIZE, ChainState
+from smoother.estimate.slow_doppler import DOPPLER
 from smoother.trajectory import JointPosition
 
 COARSER = 2  # times that every second keyframe is left out: at 0.8 s a position's error is still a straight line
 
 
-# Slow error of Doppler velocities, a first-order Gauss-Markov process: sigma m/s per axis, and s after which it is
-# forgotten. Two modules in one car have 0.0065 and 30, a better receiver beside RTK too little to be seen; in between.
-DOPPLER_SIGMA, DOPPLER_TAU = 0.005, 30.0
 PLACE_TAU = 300.0  # s after which fixes have taken out of the place what it had added up to
 
 
@@ -52,8 +50,8 @@ def wander(apart: Array | float) -> Array:
 
     Velocity forgets with rate c and place with rate a: p' = -a p + b, two first-order lags in a row (Gelb 1974, 3.8).
     """
-    c, a = 1.0 / DOPPLER_TAU, 1.0 / PLACE_TAU
-    scale = DOPPLER_SIGMA**2 * c / (c**2 - a**2)
+    c, a = 1.0 / DOPPLER.tau, 1.0 / PLACE_TAU
+    scale = DOPPLER.sigma**2 * c / (c**2 - a**2)
     return np.asarray(2.0 * scale * (-np.expm1(-a * np.asarray(apart)) / a + np.expm1(-c * np.asarray(apart)) / c))
 
 

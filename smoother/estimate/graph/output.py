@@ -1,10 +1,13 @@
 """From a solved graph to the trajectory people use: dense rows, antenna, body axes, sigmas, and the report."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.disc import release
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
+from smoother.estimate.graph.claims import claims_of
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.graph.estimated import Estimated
@@ -20,6 +23,7 @@ from smoother.estimate.graph.mounting import (
     swing_on_the_wheel,
 )
 from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.wander import share_wander
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (
@@ -58,6 +62,7 @@ def build_trajectory(
     """
     unseen = unseen_offset(noise, population, len(session.gnss))
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
+    found = _with_wander_shared(session, found, noise)
     source = _source(session, found, noise, binned, pauses)
     keyframes = keyframes_of_kart(session, found, source, mounting, priors, unsure)
     swing = swing_on_the_wheel(keyframes)
@@ -87,6 +92,18 @@ def build_trajectory(
         rows.unsure_of_time(part, moment, sampling.stamp_sigma)
         release(rows, keyframes, binned)
     return rows.trajectory(t, report, joint)
+
+
+def _with_wander_shared(session: Session, found: Estimated, noise: Noise) -> Estimated:
+    """What was found, with the part of the fixes' wander in the path that is the wander of its Doppler velocities.
+
+    Not where corrections come and go: what such fixes are off by is not one process, and hardly Doppler's.
+    """
+    fixes = session.gnss
+    has_doppler = DopplerNoise.of(fixes.t, fixes.velocity_n[:, 0], float(noise.of_velocities[0])) is not None
+    if not has_doppler or len(claims_of(fixes).renewed):
+        return found
+    return replace(found, state=share_wander(found.state, found.rows["gps_position"], noise.offset_tau))
 
 
 def _source(session: Session, found: Estimated, noise: Noise, binned: BinnedImu, pauses: Pauses) -> DenseSource:

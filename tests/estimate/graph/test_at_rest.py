@@ -60,6 +60,6 @@ def test_an_error_of_the_velocities_at_rest_does_not_move_the_drive(monkeypatch:
         s = smoothed(simulation, session)
         return horizontal_rms(s.velocity_error_n[s.trajectory.t > 45.0].mean(axis=0)[None])
 
-    assert sliding() < 0.012
+    assert (held := sliding()) < 0.012
     monkeypatch.setattr(start, "scale_at_rest", lambda *_: 1.0)
-    assert sliding() > 0.02
+    assert sliding() > 1.5 * held

@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import quad
 
 from smoother.arrays import Array
-from smoother.estimate.graph.joint import DOPPLER_SIGMA, DOPPLER_TAU, PLACE_TAU, Wandering, WindowsJoint, wander
+from smoother.estimate.graph.joint import PLACE_TAU, Wandering, WindowsJoint, wander
 from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.slow_doppler import DOPPLER
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 
@@ -23,17 +24,17 @@ class Known:
 
 @pytest.mark.parametrize("apart", [1.0, 20.0, 100.0, 1000.0])
 def test_a_place_wanders_as_the_spectrum_of_two_lags_says(apart: float) -> None:
-    c, a = 1.0 / DOPPLER_TAU, 1.0 / PLACE_TAU
+    c, a = 1.0 / DOPPLER.tau, 1.0 / PLACE_TAU
 
     def density(w: float) -> float:
-        return 2.0 * DOPPLER_SIGMA**2 * c / ((w**2 + c**2) * (w**2 + a**2)) * 2.0 * (1.0 - np.cos(w * apart)) / np.pi
+        return 2.0 * DOPPLER.sigma**2 * c / ((w**2 + c**2) * (w**2 + a**2)) * 2.0 * (1.0 - np.cos(w * apart)) / np.pi
 
     wanted = sum(quad(density, low, high, limit=2000)[0] for low, high in ((0.0, 0.02), (0.02, 0.5), (0.5, 20.0)))
     assert float(wander(apart)) == pytest.approx(wanted, rel=1e-4)
 
 
 def test_over_seconds_it_is_the_error_of_the_velocity_times_the_time() -> None:
-    assert float(wander(2.0)) == pytest.approx((2.0 * DOPPLER_SIGMA) ** 2, rel=0.15)
+    assert float(wander(2.0)) == pytest.approx((2.0 * DOPPLER.sigma) ** 2, rel=0.15)
 
 
 def test_what_changes_is_less_sure_and_a_place_alone_as_sure_as_it_was() -> None:
