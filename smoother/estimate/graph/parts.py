@@ -11,10 +11,17 @@ from smoother.estimate.graph.start import MAX_LATENCY, Start, busiest_span, have
 
 
 def busiest_part(start: Start, span: float) -> Start:
-    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer."""
-    begin, end = busiest_span(start.driven, start.spans, span)
-    t = start.state.t
-    if end == start.driven.t[-1]:
+    """Return the stretch of `span` seconds with most fixes at speed, or all of it when it is not much longer.
+
+    What was driven is known of the whole session, of which a start may be a stretch already.
+    """
+    t, driven = start.state.t, start.driven
+    inside = (driven.t >= t[0]) & (driven.t <= t[-1])
+    if not np.any(inside):
+        return start
+    driven = replace(driven, t=driven.t[inside], velocity_n=driven.velocity_n[inside])
+    begin, end = busiest_span(driven, start.spans, span)
+    if end == driven.t[-1]:
         return start
     first, last = np.searchsorted(t, [begin - MAX_LATENCY, end])
     return stretch(start, int(first), min(int(last), len(t) - 1))

@@ -24,6 +24,7 @@ from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.estimated import Estimated, are_made_up, common_attitude
 from smoother.estimate.graph.incremental import solve_as_stream
+from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
@@ -141,7 +142,7 @@ def _solve_piece(
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
     first, last, begin, end = window.first, window.last, window.begin, window.end - 1
     part = stretch(start, begin, end)
-    state = near_solution(part, noise, options.approaches)
+    state = near_solution(part, replace(noise, slip=None), options.approaches)
     data = _with_level_heading(session, part, state)
     batch = Batch(data, part.binned, start.priors)
     solved = _solve_window(batch, data, part, state, noise, held, options)
@@ -154,7 +155,10 @@ def _solve_piece(
 def _solve_window(
     batch: Batch, data: Data, part: Start, state: ChainState, noise: Noise, held: Array, options: GraphOptions
 ) -> Solved:
-    """Solve a window, with wheels where what comes without them agrees: the box may have moved since the main one."""
+    """Solve a window, with wheels where what comes without them agrees: the box may have moved since the main one.
+
+    state: of the batch, near the solution without wheels. Where that agrees already, all its keyframes go on with them.
+    """
     no_slip, graph = replace(noise, slip=None), batch.graph(state, noise)
     if options.solver == "isam2":
         constants = part.state.constants
@@ -162,12 +166,19 @@ def _solve_window(
         state = solved.state
         del solved
     else:
+        if (rolling := _on_wheels(batch, graph, state, noise, held)) is not None:
+            return rolling
         state = batch.approach(graph, state, no_slip, NEAR, 2 * options.approaches)
-    if batch.is_of_wheels(state, noise):
-        on_wheels = batch.step(graph, batch.approach(graph, state, noise, *ROLLING), noise, held=held)
-        if fits_wheels(on_wheels):
-            return on_wheels
-    return batch.step(graph, state, no_slip, held=held)
+    rolling = _on_wheels(batch, graph, state, noise, held)
+    return batch.step(graph, state, no_slip, held=held) if rolling is None else rolling
+
+
+def _on_wheels(batch: Batch, graph: InertialGraph, state: ChainState, noise: Noise, held: Array) -> Solved | None:
+    """Return the solution with wheels, from a state without; None where the two do not agree."""
+    if not batch.is_of_wheels(state, noise):
+        return None
+    solved = batch.step(graph, batch.approach(graph, state, noise, *ROLLING), noise, held=held)
+    return solved if fits_wheels(solved) else None
 
 
 def _with_level_heading(session: Session, part: Start, state: ChainState) -> Data:

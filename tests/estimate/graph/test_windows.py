@@ -5,8 +5,11 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph import windows
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.graph.parts import busiest_part, stretch
+from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.graph.start import busiest_span, make_start
 from smoother.prepare import prepare
+from smoother.sim.motion import Stop
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import Trajectory
 
@@ -125,3 +128,17 @@ def test_times_that_no_window_holds_together_share_the_unseen_offset_alone(pair:
     P = parts.joint.covariance(parts.t[[10, -10]], np.tile([0.0, 1.0, 0.0], (2, 1)))
     np.testing.assert_allclose(P, P.T)
     assert 0.0 <= P[0, 1] < P[0, 0]
+
+
+def test_the_busiest_part_of_a_stretch_is_of_that_stretch() -> None:
+    """A session of fifty minutes ended in an error, where its busiest two minutes were not of its busiest twenty."""
+    stops = tuple(Stop(20.0 + 40.0 * k, 10.0) for k in range(6))  # then it drives on
+    session = prepare(simulate_preset("kart", 3, duration=420.0, motion_stops=stops).raw)
+    start = make_start(session, GraphOptions())
+    begin, _ = busiest_span(start.driven, start.spans, 60.0)
+    assert begin > 240.0
+    earlier = stretch(start, 0, int(np.searchsorted(start.state.t, 200.0)))
+    part = busiest_part(earlier, 60.0).state.t
+    assert part[0] >= earlier.state.t[0] and part[-1] <= earlier.state.t[-1] and 55.0 < np.ptp(part) < 65.0
+    whole = busiest_part(start, 60.0).state.t
+    assert whole[0] > 230.0 and 55.0 < np.ptp(whole) < 65.0
