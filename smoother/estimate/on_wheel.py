@@ -31,6 +31,7 @@ MOST_FOLDED = 0.3
 # boxes on frames -0.5 to 0.2, at three sigmas of their own or less. And the turn about up, in parts of it
 LEAST_TURN, CERTAIN, TURNS_TOO = 0.5, 4.0, (0.3, 3.0)
 WINDOW, BLOCK, ENOUGH = 0.3, 5.0, 4000  # s over which turns are averaged; s that what is left lasts for; windows
+SHORTEST = 4e-3  # s between samples: a hand needs no quicker ones, and means of them fold less
 SLOWEST = 3.0  # m/s, lest a course at a walk counts for a bend
 # samples that tell a wheel, from where the kart drives off on: ten copies of them are in memory at once
 MOST = 1 << 20
@@ -39,7 +40,7 @@ MOST = 1 << 20
 def is_on_wheel(imu: ImuSamples, fixes: GnssFixes) -> bool:
     """Whether the quick turns of a box are those of a steering wheel. No mounting is asked for, nor is it told."""
     part = _where_driven(imu.t, fixes)
-    t, force, rate = imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part]
+    t, force, rate = _in_means(imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part])
     driving = _at_speed(t, fixes)
     if np.count_nonzero(driving) < FEWEST:
         return False
@@ -101,6 +102,17 @@ def without_the_wheels(problems: tuple[Problem, ...]) -> tuple[Problem, ...]:
     if any(problem.code == MIRRORED_AXES for problem in problems):
         return problems
     return tuple(problem for problem in problems if problem.code != UNLIKE_AXES)
+
+
+def _in_means(t: Array, force: Array, rate: Array) -> tuple[Array, Array, Array]:
+    """Means of so many samples, at t (N,) s, each (N, 3), that they come no more often than every SHORTEST s."""
+    several = int(SHORTEST / max(float(np.median(np.diff(t))), 1e-6) + 1e-3) if len(t) > FEWEST else 1
+    if several < 2:
+        return t, force, rate
+    whole = len(t) // several * several
+    means = (values[:whole].reshape(-1, several, values.shape[1]).mean(axis=1) for values in (t[:, None], force, rate))
+    times, forces, rates = means
+    return times[:, 0], forces, rates
 
 
 def _where_driven(t: Array, fixes: GnssFixes) -> slice:

@@ -13,6 +13,7 @@ from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.sensor_units import beginning
+from smoother.fit.running import running_mean
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, ImuSamples, Problem
 from smoother.sim.motion import wander
@@ -43,6 +44,23 @@ def test_a_box_on_the_wheel_is_seen_however_it_is_turned(preset: str) -> None:
 @pytest.mark.parametrize("seconds", [45.0, 90.0])
 def test_a_box_on_the_frame_is_not_taken_for_one(preset: str, seconds: float) -> None:
     assert not any(is_on_wheel(*driven(preset, seed, seconds=seconds)) for seed in range(4))
+
+
+@pytest.mark.parametrize("wheel", [0.0, 10.0 * DEG])
+def test_quick_samples_tell_the_same_in_means(wheel: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = simulate_preset("kart", 2, duration=60.0, motion_steering=wheel, imu_rate=1000.0).raw
+    assert raw.imu is not None
+    imu, seen = beginning(raw.imu), []
+
+    def count(values: np.ndarray, width: int) -> np.ndarray:
+        seen.append(len(values))
+        return running_mean(values, width)
+
+    monkeypatch.setattr(on_wheel, "running_mean", count)
+    assert is_on_wheel(imu, raw.gnss) == (wheel > 0.0)
+    assert max(seen) == len(imu.t) // 4
+    monkeypatch.setattr(on_wheel, "SHORTEST", 0.0)
+    assert is_on_wheel(imu, raw.gnss) == (wheel > 0.0)
 
 
 def test_a_box_that_rocks_by_more_than_it_turns_is_loose_and_not_on_the_wheel() -> None:
