@@ -23,7 +23,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
 from smoother.estimate.align_rare import RareAlignment, align_rare, are_rare
-from smoother.estimate.averages import WINDOW, Averages, in_gap, steps
+from smoother.estimate.averages import WINDOW, averages_of, in_gap, steps
 from smoother.estimate.lean_rates import (
     AROUND,
     LeanRates,
@@ -105,7 +105,7 @@ def align(imu: ImuSamples, path: PathMotion) -> Alignment:
     use = sampled_at_speed(imu, path)
     if use.size < FEWEST_AT_SPEED:
         return _level_only(imu, use.size)
-    averages, axes = Averages(imu), path_axes(path)
+    averages, axes = averages_of(imu), path_axes(path)
 
     def best(tried: Array, rows: IntArray) -> float:
         force, rate = averages.around(path.t[rows] - tried[:, None], WINDOW)

@@ -22,7 +22,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, IntArray, median
-from smoother.estimate.averages import Averages, before_holes, in_gap
+from smoother.estimate.averages import Averages, averages_of, before_holes, in_gap
 from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, peak, thinned
 from smoother.frames import wrap_angle
 from smoother.samples import ImuSamples
@@ -71,7 +71,7 @@ def align_rare(imu: ImuSamples, path: PathMotion) -> RareAlignment | None:
     pairs = _Pairs.of(imu, path)
     if pairs is None:
         return None
-    averages = Averages(imu)
+    averages = averages_of(imu)
     up_s = np.median(imu.specific_force_s, axis=0)
     up_s = up_s / max(float(np.linalg.norm(up_s)), 1e-9)
     fitted = _fitted(imu, averages, pairs, up_s)

@@ -1,5 +1,7 @@
 """What the box felt on average around some times, and where samples are missing."""
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
@@ -7,6 +9,7 @@ from smoother.disc import pieces, release, roomy
 from smoother.samples import ImuSamples
 
 WINDOW = 0.5  # s over which both sides of the fit are averaged; longer than a lag's error, shorter than a corner
+SHARED = 1 << 21  # samples, of which the sums are kept for the next who asks; those of a day fill the disc
 FEW = 500  # times that are looked up together: each brings 100 kB of its surroundings into memory
 
 
@@ -44,6 +47,19 @@ class Averages:
         fraction = ((t - self._t[k]) / (self._t[k + 1] - self._t[k]))[..., None]
         before, after = np.take(self._sum, k, axis=0), np.take(self._sum, k + 1, axis=0)  # faster than indexing
         return np.asarray((1.0 - fraction) * before + fraction * after)
+
+
+_KNOWN: WeakKeyDictionary[ImuSamples, Averages] = WeakKeyDictionary()
+
+
+def averages_of(imu: ImuSamples) -> Averages:
+    """Return the averages of samples, those that were made before while the samples are there."""
+    if len(imu.t) > SHARED:
+        return Averages(imu)
+    known = _KNOWN.get(imu)
+    if known is None:
+        known = _KNOWN[imu] = Averages(imu)
+    return known
 
 
 def in_gap(sampled: Array, t: Array) -> BoolArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.align import align
-from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.averages import WINDOW, averages_of
 from smoother.estimate.path_motion import MIN_SPEED, PathMotion, path_axes
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session
@@ -105,7 +105,7 @@ def _shares(imu: ImuSamples, path: PathMotion) -> tuple[Array, Array]:
     driven = np.interp(t_path, path.t, (path.speed > MIN_SPEED).astype(np.float64)) > 0.99
     told = np.stack([np.interp(t_path, path.t, axes[:, i]) for i in range(3)])
     told = (told - told[:, driven].mean(axis=1, keepdims=True)) * driven if driven.any() else told
-    felt = np.concatenate(Averages(imu).around(t_felt, WINDOW), axis=1).T
+    felt = np.concatenate(averages_of(imu).around(t_felt, WINDOW), axis=1).T
     felt = felt - np.median(felt, axis=1, keepdims=True)
     size = 1 << (len(t_path) + len(t_felt) - 1).bit_length()
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.align import Alignment
-from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.averages import WINDOW, averages_of
 from smoother.estimate.delays import Felt, Said, common, said
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.samples import Problem, Session
@@ -106,7 +106,7 @@ def clock_steps(imu_t: Array, fixes_t: Array, felt: Felt, path: PathMotion, use:
 def session_steps(session: Session, path: PathMotion, alignment: Alignment) -> tuple[ClockStep, ...]:
     """Find the steps of a session; `alignment` is that of all of it with the path."""
     assert session.imu is not None
-    felt, use = Felt(Averages(session.imu), alignment), sampled_at_speed(session.imu, path)
+    felt, use = Felt(averages_of(session.imu), alignment), sampled_at_speed(session.imu, path)
     return clock_steps(session.imu.t, session.gnss.t, felt, path, use)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.estimate.align import Alignment, align
-from smoother.estimate.averages import Averages
+from smoother.estimate.averages import averages_of
 from smoother.estimate.delays import Felt, Said, common, said
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.estimate.retimed import with_samples_at
@@ -84,7 +84,7 @@ def clock_drift(imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Cloc
     else:
         clock = _Clock(_liveliest(path.t[use], axes[use]), alignment.lag, 0.0)
     reach = 0.5 * FIRST
-    felt = Felt(Averages(imu), alignment)
+    felt = Felt(averages_of(imu), alignment)
     while True:
         within = use[np.abs(path.t[use] - clock.middle) <= reach]
         is_all = within.size == use.size

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, IntArray, median
-from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.averages import WINDOW, averages_of
 from smoother.estimate.path_motion import LAGS, PathMotion, path_axes, peak, sampled_at_speed, thinned
 from smoother.samples import ImuSamples
 
@@ -51,7 +51,7 @@ def size_delay(imu: ImuSamples, path: PathMotion) -> SizeDelay:
     use = sampled_at_speed(imu, path)
     if use.size < FEWEST:
         return UNSEEN
-    averages, design = Averages(imu), _design(path)
+    averages, design = averages_of(imu), _design(path)
     few, use = thinned(use, ENOUGH_FOR_DELAY), thinned(use, ENOUGH)
 
     def fits(tried: Array, rows: IntArray) -> list[_Fit]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.align import Alignment, initial_attitude
-from smoother.estimate.averages import Averages, in_gap
+from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity
 from smoother.estimate.path_motion import LAGS, PathMotion
 from smoother.samples import ImuSamples, Problem, Session
@@ -241,7 +241,7 @@ def _are_sampled(imu: ImuSamples, begin: Array, end: Array) -> BoolArray:
 def _summed_up(imu: ImuSamples, path: PathMotion, alignment: Alignment, t: Array) -> Array:
     """What the force felt makes of the horizontal velocity until t (N,) s, (N, 2) m/s, up to a steady drift."""
     grid = np.arange(imu.t[0] + STEP, imu.t[-1] - STEP, STEP)
-    force, _ = Averages(imu).around(grid, STEP)
+    force, _ = averages_of(imu).around(grid, STEP)
     force_n = np.einsum("nij,nj->ni", initial_attitude(grid, imu, path, alignment)[:, :2], force)
     velocity = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * STEP * (force_n[1:] + force_n[:-1]), axis=0)])
     return np.stack([np.interp(t, grid, velocity[:, i]) for i in range(2)], axis=1)

@@ -11,7 +11,7 @@ is turned as the path bends, and vibration knows nothing of the fixes.
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.averages import Averages
+from smoother.estimate.averages import averages_of
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.fit.running import running_mean
 from smoother.samples import GnssFixes, ImuSamples, Problem
@@ -73,7 +73,7 @@ def turns_with_bends(imu: ImuSamples, path: PathMotion, R_bs: Array, delay: floa
     _, left, turn = path_axes(path).T
     change = np.gradient(turn / np.maximum(path.speed, SLOWEST), path.t)
     design = np.column_stack([change, turn, np.gradient(left, path.t), np.ones(len(turn))])[use]
-    _, rate = Averages(imu).around(path.t[use] - delay, WINDOW)
+    _, rate = averages_of(imu).around(path.t[use] - delay, WINDOW)
     inverse = np.linalg.pinv(design.T @ design)
     turned = rate @ R_bs[[0, 2]].T
     lines = inverse @ design.T @ turned

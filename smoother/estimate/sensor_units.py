@@ -12,7 +12,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.align import Alignment, align
-from smoother.estimate.averages import Averages
+from smoother.estimate.averages import averages_of
 from smoother.estimate.gnss_screen import says_velocity
 from smoother.estimate.path_motion import PathMotion
 from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession
@@ -102,7 +102,7 @@ def _lasting_rate(imu: RawImu) -> Array:
     some = beginning(imu)
     if len(some.t) < 2:
         return np.zeros(3)
-    _, rate = Averages(some).around(np.arange(some.t[0], some.t[-1], LASTING), LASTING)
+    _, rate = averages_of(some).around(np.arange(some.t[0], some.t[-1], LASTING), LASTING)
     return np.asarray(np.sqrt(np.mean((rate - np.median(rate, axis=0)) ** 2, axis=0)))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median, runs_of
 from smoother.estimate.align import Alignment
-from smoother.estimate.averages import Averages, in_gap
+from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.clock_steps import QUICK, SLOWEST
 from smoother.estimate.delays import Felt, common, said
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed
@@ -141,7 +141,7 @@ def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, p
     use = sampled_at_speed(session.imu, path)
     if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
         return ()
-    felt = Felt(Averages(session.imu), alignment)
+    felt = Felt(averages_of(session.imu), alignment)
     found = stretches_of(felt, path, use)
     stood = driven_stands(felt, session.imu.t, path, use)
     begun = float(pauses.opened(session.gnss.t[:1])[0])
