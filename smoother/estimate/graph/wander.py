@@ -23,6 +23,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import solveh_banded
 
 from smoother.arrays import Array
+from smoother.disc import roomy
 from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import ChainState
@@ -44,10 +45,15 @@ def share_wander(state: ChainState, fixes: Rows, tau: float) -> ChainState:
     moved_n, faster_n = moved(seen, tau, state.t)
     return replace(
         state,
-        position_n=state.position_n + moved_n,
-        velocity_n=state.velocity_n + faster_n,
-        offset_n=state.offset_n - moved_n,
+        position_n=_sum(state.position_n, moved_n),
+        velocity_n=_sum(state.velocity_n, faster_n),
+        offset_n=_sum(state.offset_n, -moved_n),
     )
+
+
+def _sum(values: Array, more: Array) -> Array:
+    """The sum of two (K, 3), of a day on the disc."""
+    return np.add(values, more, out=roomy(values.shape))
 
 
 def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array]:
