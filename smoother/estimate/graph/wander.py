@@ -53,7 +53,9 @@ def share_wander(state: ChainState, fixes: Rows, tau: float) -> ChainState:
 
 def _sum(values: Array, more: Array) -> Array:
     """The sum of two (K, 3), of a day on the disc."""
-    return np.add(values, more, out=roomy(values.shape))
+    out: Array = roomy(values.shape)
+    np.add(values, more, out=out)
+    return out
 
 
 def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array]:
