@@ -34,6 +34,7 @@ WORLD_OF = {
     "drift of the clocks": "kart, samples stamped by counting",
     "clocks that show different times": "kart, clocks 7 s apart",
     "alignment by changes between rare fixes": "kart, one fix in five seconds",
+    "wander of Doppler": "kart, fixes that hardly wander",
     "corrections that come and go": "kart, corrections that come and go",
     "course later than speed": "kart, course later than speed",
 }

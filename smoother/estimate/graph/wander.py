@@ -19,15 +19,16 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import solveh_banded
 
 from smoother.arrays import Array
 from smoother.disc import roomy
 from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import ChainState
+from smoother.estimate.lapack import lapack_routines
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+
+lapack = lapack_routines()
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
 SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'
@@ -64,12 +65,21 @@ def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tu
     Before the first and after the last node the way stays what it is there.
     """
     _, w, b = most_probable(seen, likeliest_sigma(seen, tau, slow), tau, slow)
-    way = CubicHermiteSpline(seen.t, w, b)
     inside = np.clip(t, seen.t[0], seen.t[-1])
     moved_n, faster_n = np.zeros((len(t), 3)), np.zeros((len(t), 3))
-    moved_n[:, :2] = way(inside)
-    faster_n[:, :2] = np.where((t == inside)[:, None], way(inside, nu=1), 0.0)
+    moved_n[:, :2], slope = _between(seen.t, w, b, inside)
+    faster_n[:, :2] = np.where((t == inside)[:, None], slope, 0.0)
     return moved_n, faster_n
+
+
+def _between(nodes: Array, w: Array, b: Array, t: Array) -> tuple[Array, Array]:
+    """Value and slope (N, c) at t (N,) of the cubics through values w (B, c) with slopes b (B, c) at the nodes (B,)."""
+    i = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
+    h = (nodes[i + 1] - nodes[i])[:, None]
+    u = (t - nodes[i])[:, None] / h
+    rise, before, after = w[i + 1] - w[i], h * b[i], h * b[i + 1]
+    square, cube = 3.0 * rise - 2.0 * before - after, before + after - 2.0 * rise
+    return w[i] + u * (before + u * (square + u * cube)), (before + u * (2.0 * square + 3.0 * u * cube)) / h
 
 
 def likeliest_sigma(seen: Drift, tau: float, slow: SlowVelocity = DOPPLER) -> float:
@@ -99,8 +109,11 @@ def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DO
     on[1:] += W
     wanted = np.zeros((len(seen.t), UNKNOWNS, 2))
     wanted[:, :2] = (seen.drift / seen.white[:, None])[:, None]
-    found = solveh_banded(_banded(on, -back), wanted.reshape(-1, 2), overwrite_ab=True, check_finite=False)
-    own, way, velocity = found.reshape(wanted.shape).transpose(1, 0, 2)
+    factor, failed = lapack.dpbtrf(_banded(on, -back))
+    if failed:
+        raise np.linalg.LinAlgError("the system of the wander is not positive definite")
+    found, _ = lapack.dpbtrs(factor, np.asfortranarray(wanted.reshape(-1, 2)))
+    own, way, velocity = np.ascontiguousarray(found).reshape(wanted.shape).transpose(1, 0, 2)
     return own, way, velocity
 
 
@@ -116,7 +129,7 @@ def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Arra
 
 
 def _banded(on: Array, beside: Array) -> Array:
-    """Upper banded form, as of :func:`scipy.linalg.solveh_banded`, of blocks on (n, r, r) and beside (n - 1, r, r)."""
+    """Upper banded form, as of LAPACK's dpbtrf, of blocks on (n, r, r) and beside (n - 1, r, r)."""
     n, r, _ = on.shape
     widest = 2 * r - 1
     out = np.zeros((widest + 1, n, r))  # of each column: its diagonal last, and what stands above it before

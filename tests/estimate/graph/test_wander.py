@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from smoother.arrays import Array
 from smoother.estimate.gnss_offset import Drift
@@ -71,6 +72,10 @@ def test_its_velocity_is_the_slope_of_its_way() -> None:
     moved_n, faster_n = moved(drift, TAU, t := np.arange(100.0, 1000.0, 0.5))
     np.testing.assert_allclose(np.gradient(moved_n[:, :2], t, axis=0)[1:-1], faster_n[1:-1, :2], atol=3e-4)
     assert not moved_n[:, 2].any() and not faster_n[:, 2].any()
+    _, way, velocity = most_probable(drift, likeliest_sigma(drift, TAU), TAU)
+    cubic = CubicHermiteSpline(drift.t, way, velocity)
+    np.testing.assert_allclose(moved_n[:, :2], cubic(t), atol=1e-12)
+    np.testing.assert_allclose(faster_n[:, :2], cubic(t, nu=1), atol=1e-12)
 
 
 @pytest.mark.parametrize("sigma", [0.03, 0.2, 1.5])
