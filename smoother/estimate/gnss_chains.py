@@ -51,7 +51,7 @@ def solve_chains(chains: Chains) -> ChainSolution:
     x = np.zeros_like(right)
     for a, c in enumerate(like):
         some = np.flatnonzero(right[a].any(axis=(0, 1)))  # a constant of another chain does not touch this one
-        x[a][..., some] = _substituted(factor[c], right[a][..., some])
+        x[a][..., some] = substituted(factor[c], right[a][..., some])
 
     influence, solution = x[..., :m].reshape(A * K, n, m), x[..., m].reshape(A * K, n)
     inner = right.reshape(A * K * n, m + 1)[:, :m].T @ x.reshape(A * K * n, m + 1)
@@ -76,7 +76,7 @@ def _inverted(diagonal: Array, upper: Array) -> tuple[Array, Array, Array]:
     diagonal, beside = diagonal.reshape(C * K, n, n), np.zeros((C, K, n, n))
     beside[:, :-1] = upper
     upper = beside.reshape(C * K, n, n)[:-1]
-    front, back = _factor(diagonal, upper), _factor(diagonal[::-1], upper[::-1].transpose(0, 2, 1))
+    front, back = factor_chain(diagonal, upper), factor_chain(diagonal[::-1], upper[::-1].transpose(0, 2, 1))
     after, before = _blocks(front), _blocks(back)[:, :, ::-1]
     _, root = _roots(_product(after) + _product(before) - diagonal.transpose(1, 2, 0))
     covariance = np.einsum("kim,kjm->mij", root, root)
@@ -89,8 +89,11 @@ def _inverted(diagonal: Array, upper: Array) -> tuple[Array, Array, Array]:
     return front.reshape(C, K, n, 2 * n), covariance.reshape(C, K, n, n), cross.reshape(C, K, n, n)
 
 
-def _factor(diagonal: Array, upper: Array) -> Array:
-    """Cholesky factor of a chain of blocks (K, n, n), (K-1, n, n): its columns from the diagonal down, (K, n, 2 n)."""
+def factor_chain(diagonal: Array, upper: Array) -> Array:
+    """Cholesky factor of a chain of blocks (K, n, n), (K-1, n, n): its columns from the diagonal down, (K, n, 2 n).
+
+    upper: blocks (k, k+1). Raises NotPositiveDefiniteError as :func:`solve_chains` does.
+    """
     K, n, _ = diagonal.shape
     columns = np.zeros((K, n, 2 * n))
     for i in range(n):
@@ -104,7 +107,7 @@ def _factor(diagonal: Array, upper: Array) -> Array:
     return np.asarray(factor.T.reshape(K, n, 2 * n))
 
 
-def _substituted(factor: Array, right: Array) -> Array:
+def substituted(factor: Array, right: Array) -> Array:
     """Solution (K, n, q) of a factored chain for right-hand sides (K, n, q)."""
     K, n, q = right.shape
     x, _ = lapack.dpbtrs(factor.reshape(K * n, 2 * n).T, np.asfortranarray(right.reshape(K * n, q)), lower=1)

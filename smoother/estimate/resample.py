@@ -36,7 +36,7 @@ def resample(trajectory: Trajectory, t: Array, longest_gap: float = np.inf) -> T
     sigmas = trajectory.sigmas
     return Trajectory(
         t=t,
-        position_n=_hidden(_hermite(trajectory.position_n, trajectory.velocity_n, place), blank),
+        position_n=_hidden(hermite(trajectory.position_n, trajectory.velocity_n, place), blank),
         velocity_n=linear(trajectory.velocity_n),
         R_nb=_hidden(_slerp(trajectory.R_nb, place), blank),
         acceleration_b=linear(trajectory.acceleration_b),
@@ -48,7 +48,7 @@ def resample(trajectory: Trajectory, t: Array, longest_gap: float = np.inf) -> T
 
 def position_at(trajectory: Trajectory, t: Array) -> Array:
     """Position in n, (N, 3) m, at times t (N,) inside the span, as :func:`resample` gives it."""
-    return _hermite(trajectory.position_n, trajectory.velocity_n, bracket(trajectory.t, t))
+    return hermite(trajectory.position_n, trajectory.velocity_n, bracket(trajectory.t, t))
 
 
 def bracket(rows: Array, t: Array) -> Bracket:
@@ -77,7 +77,8 @@ def is_known(values: Array) -> BoolArray:
     return np.asarray(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
 
 
-def _hermite(p: Array, v: Array, place: Bracket) -> Array:
+def hermite(p: Array, v: Array, place: Bracket) -> Array:
+    """Cubic (N, c) through rows p (M, c) with slopes v (M, c), straight where a slope is unknown."""
     i, j, u, dt = place.before, place.after, place.fraction[:, None], place.step[:, None]
     curved = (
         (1 + 2 * u) * (1 - u) ** 2 * p[i]
@@ -86,6 +87,12 @@ def _hermite(p: Array, v: Array, place: Bracket) -> Array:
         + u**2 * (u - 1) * dt * v[j]
     )
     return np.where(np.isfinite(curved), curved, between_rows(p, place))
+
+
+def hermite_slope(p: Array, v: Array, place: Bracket) -> Array:
+    """Slope (N, c) of the cubic of :func:`hermite`, of rows at different times with known slopes."""
+    i, j, u, dt = place.before, place.after, place.fraction[:, None], place.step[:, None]
+    return np.asarray(6 * u * (1 - u) * (p[j] - p[i]) / dt + (1 - u) * (1 - 3 * u) * v[i] + u * (3 * u - 2) * v[j])
 
 
 def _slerp(R: Array, place: Bracket) -> Array:

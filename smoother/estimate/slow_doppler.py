@@ -21,7 +21,7 @@ class SlowVelocity:
         return h if math.isinf(self.tau) else -self.tau * math.expm1(-h / self.tau)
 
     def noise(self, h: float) -> tuple[float, float, float]:
-        """Variance m^2 of the way, covariance with the velocity, and its variance, of what comes anew in h s.
+        """Of what comes anew in h s: variance m^2 of the way, covariance m^2/s with the velocity, its variance m^2/s^2.
 
         Source: integral of a first-order Gauss-Markov process (Gelb 1974, 3.8).
         """

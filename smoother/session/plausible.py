@@ -131,15 +131,12 @@ def turned_to_radians(gyro: Array, file: str, *, is_milli: bool = False) -> list
     some = thinned(gyro, max(1, len(gyro) // ENOUGH_SAMPLES))
     known = np.linalg.norm(some[_are_measured(some)], axis=1)
     size, most = median(known) if known.size else 0.0, PLAUSIBLE_RATE[1]
-    least = most
-    for name, unit in {"deg/s": DEG, **({"mdeg/s": MILLI * DEG} if is_milli else {})}.items():
-        if known.size >= FEWEST_LEFT and least < size <= most / unit:
+    units = [("deg/s", DEG), ("mdeg/s", MILLI * DEG)]
+    for name, unit in units if is_milli else units[:1]:
+        if known.size >= FEWEST_LEFT and most < size <= most / unit:
             gyro *= unit
-            text = (
-                f"{file}: typically {size:.0f} rad/s, which no kart turns, as with {name} where rad/s belong; taken so"
-            )
-            return [Problem("imu_gyro_unit", text)]
-        least = most / unit
+            text = f"typically {size:.0f} rad/s, which no kart turns, as with {name} where rad/s belong; taken so"
+            return [Problem("imu_gyro_unit", f"{file}: {text}")]
     return []
 
 

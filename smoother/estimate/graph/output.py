@@ -100,8 +100,7 @@ def _with_wander_shared(session: Session, found: Estimated, noise: Noise) -> Est
     Not where corrections come and go: what such fixes are off by is not one process, and hardly Doppler's.
     """
     fixes = session.gnss
-    has_doppler = DopplerNoise.of(fixes.t, fixes.velocity_n[:, 0], float(noise.of_velocities[0])) is not None
-    if not has_doppler or len(claims_of(fixes).renewed):
+    if not np.isfinite(fixes.velocity_n[:, 0]).any() or len(claims_of(fixes).renewed):
         return found
     return replace(found, state=share_wander(found.state, found.rows["gps_position"], noise.offset_tau))
 

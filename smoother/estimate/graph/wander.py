@@ -22,13 +22,12 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import roomy
+from smoother.estimate.gnss_chains import factor_chain, substituted
 from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import ChainState
-from smoother.estimate.lapack import lapack_routines
+from smoother.estimate.resample import bracket, hermite, hermite_slope
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
-
-lapack = lapack_routines()
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
 SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'
@@ -65,21 +64,12 @@ def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tu
     Before the first and after the last node the way stays what it is there.
     """
     _, w, b = most_probable(seen, likeliest_sigma(seen, tau, slow), tau, slow)
-    inside = np.clip(t, seen.t[0], seen.t[-1])
+    place = bracket(seen.t, t)
+    inside = (t >= seen.t[0]) & (t <= seen.t[-1])
     moved_n, faster_n = np.zeros((len(t), 3)), np.zeros((len(t), 3))
-    moved_n[:, :2], slope = _between(seen.t, w, b, inside)
-    faster_n[:, :2] = np.where((t == inside)[:, None], slope, 0.0)
+    moved_n[:, :2] = hermite(w, b, place)
+    faster_n[:, :2] = np.where(inside[:, None], hermite_slope(w, b, place), 0.0)
     return moved_n, faster_n
-
-
-def _between(nodes: Array, w: Array, b: Array, t: Array) -> tuple[Array, Array]:
-    """Value and slope (N, c) at t (N,) of the cubics through values w (B, c) with slopes b (B, c) at the nodes (B,)."""
-    i = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
-    h = (nodes[i + 1] - nodes[i])[:, None]
-    u = (t - nodes[i])[:, None] / h
-    rise, before, after = w[i + 1] - w[i], h * b[i], h * b[i + 1]
-    square, cube = 3.0 * rise - 2.0 * before - after, before + after - 2.0 * rise
-    return w[i] + u * (before + u * (square + u * cube)), (before + u * (2.0 * square + 3.0 * u * cube)) / h
 
 
 def likeliest_sigma(seen: Drift, tau: float, slow: SlowVelocity = DOPPLER) -> float:
@@ -98,7 +88,7 @@ def likeliest_sigma(seen: Drift, tau: float, slow: SlowVelocity = DOPPLER) -> fl
 def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array, Array]:
     """Own offset o m, way w m and velocity b m/s of Doppler's slow error, each (B, 2), of the offset `seen`.
 
-    sigma m and tau s are those of o. Least squares over all nodes, a symmetric system of bandwidth 2 UNKNOWNS - 1.
+    sigma m and tau s are those of o. Least squares over all nodes, a chain of blocks of UNKNOWNS.
     """
     F, W = _steps(np.diff(seen.t), sigma, tau, slow)
     back = F.transpose(0, 2, 1) @ W
@@ -109,11 +99,8 @@ def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DO
     on[1:] += W
     wanted = np.zeros((len(seen.t), UNKNOWNS, 2))
     wanted[:, :2] = (seen.drift / seen.white[:, None])[:, None]
-    factor, failed = lapack.dpbtrf(_banded(on, -back))
-    if failed:
-        raise np.linalg.LinAlgError("the system of the wander is not positive definite")
-    found, _ = lapack.dpbtrs(factor, np.asfortranarray(wanted.reshape(-1, 2)))
-    own, way, velocity = np.ascontiguousarray(found).reshape(wanted.shape).transpose(1, 0, 2)
+    found = substituted(factor_chain(on, -back), wanted)
+    own, way, velocity = found.transpose(1, 0, 2)
     return own, way, velocity
 
 
@@ -126,19 +113,6 @@ def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Arra
     Q[:, 1, 1], Q[:, 1, 2], Q[:, 2, 2] = np.reshape([slow.noise(float(step)) for step in h], (-1, 3)).T
     Q[:, 2, 1] = Q[:, 1, 2]
     return F, np.asarray(np.linalg.inv(Q), dtype=np.float64)
-
-
-def _banded(on: Array, beside: Array) -> Array:
-    """Upper banded form, as of LAPACK's dpbtrf, of blocks on (n, r, r) and beside (n - 1, r, r)."""
-    n, r, _ = on.shape
-    widest = 2 * r - 1
-    out = np.zeros((widest + 1, n, r))  # of each column: its diagonal last, and what stands above it before
-    for row in range(r):
-        for column in range(r):
-            if row <= column:
-                out[widest + row - column, :, column] = on[:, row, column]
-            out[widest + row - column - r, 1:, column] = beside[:, row, column]
-    return out.reshape(widest + 1, n * r)
 
 
 def _offset_at_fixes(state: ChainState, fixes: Rows) -> Drift:
