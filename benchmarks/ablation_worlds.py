@@ -199,6 +199,16 @@ CORRECTED = {
     "gnss_offset_horizontal": 0.01,
     "gnss_offset_up": 0.02,
 }
+CENTIMETRES = {
+    "gnss_white_horizontal": 0.02,
+    "gnss_white_up": 0.04,
+    "gnss_offset_horizontal": 0.02,
+    "gnss_offset_up": 0.04,
+    "gnss_velocity_sigma": 0.05,
+    "gnss_velocity_lasting": 0.1,
+    "motion_standstill": 30.0,
+}
+STOPPING = {"motion_stops": (Stop(30.0, 60.0),)}
 # The presets, and what some effects are for: ranges that are too small, a box that warms up, trees over the track, a
 # plug that works loose, samples as noisy as those of recorded karts, noisy samples beside a good receiver, a box on the
 # steering wheel whose accelerometer is late; receivers and clocks as they should not be
@@ -226,18 +236,18 @@ WORLDS = {
     "kart, samples stamped by counting": World("kart", {}, _counted),
     "kart, clocks 7 s apart": World("kart", {}, _clocks_apart),
     "kart, bumps in places": World("kart", {}, _bumps),
-    "kart, errors of Doppler that last at rest": World(
-        "kart", {"gnss_velocity_sigma": 0.03, "motion_stops": (Stop(30.0, 60.0),)}, _lasting
-    ),
+    "kart, errors of Doppler that last at rest": World("kart", {"gnss_velocity_sigma": 0.03, **STOPPING}, _lasting),
     "kart, errors of Doppler that last for a while": World(
         "kart", {"gnss_velocity_lasting": 0.075, "motion_standstill": 30.0}
     ),
     "kart, fixes that hardly wander": World(
         "kart", {"gnss_offset_horizontal": 0.02, "gnss_velocity_lasting": 0.005, "gnss_velocity_tau": 30.0}
     ),
+    "kart, centimetres beside velocities that err for a while": World("kart", CENTIMETRES),
     "kart, quick receiver that errs for a while": World("kart", {**FILTERED, "motion_standstill": 30.0}),
     "kart, course later than speed": World("kart", {"gnss_rate": 10.0}, _late_course),
     "kart, one fix in five seconds": World("kart", {}, _rare),
     "kart, corrections that come and go": World("kart", CORRECTED, _corrected),
-    "kart, stops with a receiver that holds": World("kart", {"motion_stops": (Stop(30.0, 60.0),)}, _holds),
+    "kart, stops with a receiver that holds": World("kart", STOPPING, _holds),
+    "kart, stops without Doppler": World("kart", {"gnss_velocity": False, **STOPPING}),
 }
