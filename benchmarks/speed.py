@@ -7,9 +7,11 @@
 The reference graph has the same keyframes (one to a fix) and wrapped C++ factors only: CombinedImuFactor, GPSFactorArm
 and PriorFactorVector for the Doppler velocity, with true noise, arm and latency, built beforehand from a guess by fixes
 and course. `estimate` is GraphSmoother.estimate alone; `smooth` is the whole command in a process of its own,
-`--no-baseline --no-figures`, from the start of the interpreter to its end; each the best of several runs. CPU seconds
-stand in brackets: on a busy machine they are the better figure. Below stand the seconds of each stage of the estimate,
-then of the command; what a stage of the command imports counts for it, and `start` is what comes before the first.
+`--no-baseline --no-figures`, from the start of the interpreter to its end. The ten minutes are run in turns, reference,
+estimate and command one after the other, and the ratio is the middle one of those of each turn, since machines change
+their pace from one minute to the next; seconds are the best of all turns. CPU seconds stand in brackets: on a busy
+machine they are the better figure. Below stand the seconds of each stage of the estimate, then of the command; what a
+stage of the command imports counts for it, and `start` is what comes before the first.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +32,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from cost import Cost, best_of
+from cost import Cost, cost_of, least
 from smoother.arrays import Array
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import rotation_from_euler
@@ -112,28 +115,41 @@ def _preintegrated(
 
 @dataclass(frozen=True)
 class Run:
-    """One session: estimation alone, the whole command with its peak memory (GB), and the stages of both, s."""
+    """One session, turn by turn: estimation alone and the whole command; its peak memory, GB; the stages of both, s."""
 
-    estimate: Cost
-    command: Cost
+    estimates: list[Cost]
+    commands: list[Cost]
     memory: float
     stages: dict[str, float]
     command_stages: dict[str, float]
 
+    @property
+    def estimate(self) -> Cost:
+        """The least of all turns."""
+        return least(self.estimates)
 
-def run(simulation: Simulation, directory: Path, repeats: int) -> tuple[Run, Session]:
-    """Write the session, smooth it in this process and by the command."""
-    write_csv(simulation, directory)
-    session = prepare(load_raw(directory))
+    @property
+    def command(self) -> Cost:
+        """The least of all turns."""
+        return least(self.commands)
+
+
+def run(session: Session, directory: Path, turns: int, before: Callable[[], object] | None = None) -> Run:
+    """Smooth what was written into `directory` in this process and by the command; `before` is called in each turn."""
     stages: dict[str, float] = {}
 
     def estimate() -> None:
         stages.update(GraphSmoother().estimate(session).report.timings)
 
-    cost = best_of(repeats, estimate)
-    commands, memory = zip(*(_command(directory) for _ in range(repeats)), strict=True)
-    command = Cost(min(each.wall for each in commands), min(each.cpu for each in commands))
-    return Run(cost, command, max(memory), stages, _command_stages(directory, commands[-1])), session
+    estimates, commands, memory = [], [], 0.0
+    for _ in range(turns):
+        if before is not None:
+            before()
+        estimates.append(cost_of(estimate))
+        command, peak = _command(directory)
+        commands.append(command)
+        memory = max(memory, peak)
+    return Run(estimates, commands, memory, stages, _command_stages(directory, commands[-1]))
 
 
 def _command_stages(directory: Path, command: Cost) -> dict[str, float]:
@@ -170,13 +186,25 @@ def verdict(text: str, value: float, limit: float) -> None:
     print(f"{'ok  ' if value <= limit else 'MISS'} {text}: {value:.2f} (limit {limit:g})", flush=True)
 
 
-def smoothed(minutes: float, rate: float, seed: int, repeats: int) -> tuple[Run, Simulation, Session]:
+def ratios(ones: list[Cost], others: list[Cost], part: str) -> list[float]:
+    """Ratios of the costs of each turn, of `wall` or `cpu` seconds."""
+    return [getattr(one, part) / getattr(other, part) for one, other in zip(ones, others, strict=True)]
+
+
+def turns_verdict(text: str, of_turns: list[float], limit: float) -> None:
+    """Print the middle one of the ratios beside its limit, and between which they all are."""
+    text = f"{text}, middle of {len(of_turns)} turns from {min(of_turns):.2f} to {max(of_turns):.2f}"
+    verdict(text, float(np.median(of_turns)), limit)
+
+
+def smoothed(minutes: float, rate: float, seed: int, turns: int) -> Run:
     """Simulate, run, show."""
     simulation = simulate_preset("kart", seed, duration=60.0 * minutes, imu_rate=rate)
     with tempfile.TemporaryDirectory() as directory:
-        result, session = run(simulation, Path(directory), repeats)
+        write_csv(simulation, Path(directory))
+        result = run(prepare(load_raw(Path(directory))), Path(directory), turns)
     show(f"{minutes:g} min, {rate:g} Hz", result)
-    return result, simulation, session
+    return result
 
 
 def main() -> None:
@@ -184,42 +212,47 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="10 minutes at 200 Hz only")
     parser.add_argument("--minutes", type=float, action="append", default=[], help="a further session of this length")
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    ten, simulation, session = smoothed(10.0, 200.0, arguments.seed, arguments.repeats)
-    reference = measure_reference(simulation, session, arguments.repeats)
-    verdict("estimate / reference solve, wall", ten.estimate.wall / reference.wall, TIMES_REFERENCE)
-    verdict("estimate / reference solve, CPU", ten.estimate.cpu / reference.cpu, TIMES_REFERENCE)
-    verdict("whole command / reference solve, CPU", ten.command.cpu / reference.cpu, TIMES_COMMAND)
+    ten, references = beside_reference(arguments.seed, arguments.turns)
+    for part, name in (("wall", "wall"), ("cpu", "CPU")):
+        turns_verdict(f"estimate / reference solve, {name}", ratios(ten.estimates, references, part), TIMES_REFERENCE)
+    turns_verdict("whole command / reference solve, CPU", ratios(ten.commands, references, "cpu"), TIMES_COMMAND)
     if arguments.quick:
         return
-    kilohertz, _, _ = smoothed(10.0, 1000.0, arguments.seed, arguments.repeats)
+    kilohertz = smoothed(10.0, 1000.0, arguments.seed, arguments.turns)
     verdict("1 kHz / 200 Hz, estimate, CPU", kilohertz.estimate.cpu / ten.estimate.cpu, TIMES_KILOHERTZ)
-    hour, _, _ = smoothed(60.0, 200.0, arguments.seed, 1)
+    hour = smoothed(60.0, 200.0, arguments.seed, 1)
     verdict("60 min / 10 min, estimate, CPU", hour.estimate.cpu / ten.estimate.cpu, TIMES_HOUR)
     verdict("60 min, memory of the whole command, GB", hour.memory, MEMORY_HOUR)
     for minutes in arguments.minutes:
         smoothed(minutes, 200.0, arguments.seed, 1)
 
 
-def measure_reference(simulation: Simulation, session: Session, repeats: int) -> Cost:
-    """Return the cost of one solve of the reference graph, which is shown with its iterations."""
-    graph, values = reference_graph(simulation, session)
+def beside_reference(seed: int, turns: int) -> tuple[Run, list[Cost]]:
+    """Ten minutes at 200 Hz, and in each turn one solve of the reference graph; both are shown."""
+    simulation = simulate_preset("kart", seed, duration=600.0)
     optimizers: list[gtsam.LevenbergMarquardtOptimizer] = []
+    references: list[Cost] = []
 
     def solve() -> None:
         optimizers.append(gtsam.LevenbergMarquardtOptimizer(graph, values))
         optimizers[-1].optimize()
 
-    cost = best_of(repeats, solve)
+    with tempfile.TemporaryDirectory() as directory:
+        write_csv(simulation, Path(directory))
+        session = prepare(load_raw(Path(directory)))
+        graph, values = reference_graph(simulation, session)
+        ten = run(session, Path(directory), turns, lambda: references.append(cost_of(solve)))
+    show("10 min, 200 Hz", ten)
     last = optimizers[-1]
     print(
-        f"{'reference graph':<22} solve    {cost}   {last.iterations()} iterations, "
+        f"{'reference graph':<22} solve    {least(references)}   {last.iterations()} iterations, "
         f"error {graph.error(values):.3g} -> {last.error():.3g} of {graph.size()} factors",
         flush=True,
     )
-    return cost
+    return ten, references
 
 
 if __name__ == "__main__":
