@@ -22,8 +22,10 @@ DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
 START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
 ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
 # m: scatter and wander of fixed carrier phases beside Doppler at most; of all other receivers these are 0.06 and 0.35
-# or more, of those 0.02 and 0.13 or less. The least error that is left to them.
+# or more, of those 0.02 and 0.13 or less. The least error that is left to them. That scatter is of fixes every tenth of
+# a second: of rarer ones it is what a kart does between two of them that is left, 0.045 m at 5 Hz and 0.09 at 2 Hz.
 RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
+RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s, the latter where it no longer grows
 # m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
@@ -53,7 +55,9 @@ def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float
     claimed = claimed_accuracy(session.gnss)
     if claimed is None:
         return None
-    is_one = claimed < RTK and path.position_sigma[0] < RTK_SCATTER and offset.sigma[0] < RTK_WALK
+    every = float(np.clip(median(np.diff(session.gnss.t)), RTK_EVERY, RTK_RARELY))
+    scatters = path.position_sigma[0] >= RTK_SCATTER * every / RTK_EVERY
+    is_one = claimed < RTK and not scatters and offset.sigma[0] < RTK_WALK
     return max(claimed, RTK_LEAST) if is_one else None
 
 
