@@ -1,6 +1,6 @@
 """Each effect that the smoother models, switched off alone: what does it cost, beyond the spread of seeds?
 
-    SMOOTH_DATA=../shared/data python benchmarks/ablations.py --results ablations.jsonl
+    SMOOTH_DATA=folder python benchmarks/ablations.py --results ablations.jsonl
 
 Every case (a simulated session, a recording with fixes left out, two modules in one car) is estimated with everything
 on, and with each effect off; a difference is paired, case by case. For simulated sessions it is that of the error

@@ -1,7 +1,7 @@
 """Real karts with fixes left out: how near does each method come to the fixes it was not given?
 
-    SMOOTH_DATA=../shared/data python benchmarks/thinning.py
-    SMOOTH_DATA=../shared/data python benchmarks/thinning.py --phases 6
+    SMOOTH_DATA=folder python benchmarks/thinning.py
+    SMOOTH_DATA=folder python benchmarks/thinning.py --phases 6
 
 Every recording is thinned to one fix in 1, 2 and 5 s, beginning with the first one; with `--phases` also with later
 ones, since which fixes are kept is an accident: 66 of them more or less know the delay. The error is that of the

@@ -1,6 +1,6 @@
 """Recordings of a car against a reference: two modules of one make against each other, and one against RTK.
 
-    SMOOTH_DATA=../shared/data python benchmarks/twins.py
+    SMOOTH_DATA=folder python benchmarks/twins.py
 
 Nobody knows the delay of a reference receiver, so every comparison takes out one constant lag of its own, the one that
 suits it best; and it is over the same times for the fixes as they came and for the smoothed path. Between two modules

@@ -213,7 +213,7 @@ def _outcomes(tasks: list[Task], plan: Plan) -> Generator[tuple[Task, Outcome], 
 
 def _write(entries: dict[Path, Entry], plan: Plan) -> dict[str, Any]:
     from smoother.batch.index import write_index
-    from smoother.cli.pipeline import unwritable
+    from smoother.cli.places import unwritable
 
     try:
         return write_index(plan.directory, plan.title, list(entries.values()))

@@ -13,7 +13,7 @@ import click
 
 from smoother.cli.arguments import EXIT_DONE, json_option, require_sessions, sessions_argument
 from smoother.cli.output import open_page, plain, progress_on_terminal, say, say_json, say_pairs, warn
-from smoother.cli.pipeline import session_directory, unwritable
+from smoother.cli.places import session_directory, unwritable
 from smoother.errors import SessionError, UsageError
 from smoother.words import MOST_DIGITS, sigma_digits
 

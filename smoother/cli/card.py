@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from smoother.cli.output import warn
-from smoother.cli.pipeline import output_directory
+from smoother.cli.places import output_directory
 from smoother.errors import SessionError, UsageError
 
 if TYPE_CHECKING:

@@ -87,6 +87,7 @@ def written(path: Path, compared: list[Compared]) -> Path:
     from smoother.report.compare_page import write_comparison
 
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_comparison(path, compared)
     except OSError as error:
         reason = error.strerror or error

@@ -8,7 +8,8 @@ import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, Whole
 from smoother.cli.output import open_page, progress_on_terminal, say, warn
-from smoother.cli.pipeline import OUTPUT_DIRECTORY, Options, smooth_session
+from smoother.cli.pipeline import Options, smooth_session
+from smoother.cli.places import OUTPUT_DIRECTORY
 from smoother.cli.simulating import TRACKS, write
 from smoother.cli.tables import show_result
 

@@ -21,7 +21,8 @@ from smoother.cli.arguments import (
 )
 from smoother.cli.card import one
 from smoother.cli.output import number, progress_on_terminal, say_json, say_table, warn
-from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read, session_directory
+from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read
+from smoother.cli.places import session_directory
 
 if TYPE_CHECKING:
     from smoother.cli.output import Progress

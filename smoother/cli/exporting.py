@@ -11,7 +11,7 @@ from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, Number, 
 from smoother.cli.card import one
 from smoother.cli.output import progress_on_terminal, say, say_pairs, warn
 from smoother.cli.overwriting import require_no_recording
-from smoother.cli.pipeline import unwritable
+from smoother.cli.places import unwritable
 from smoother.cli.results import results_of
 from smoother.errors import UsageError
 

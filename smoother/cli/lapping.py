@@ -21,7 +21,8 @@ from smoother.cli.card import each
 from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps, show_losses
 from smoother.cli.output import Progress, progress_on_terminal, say_json
-from smoother.cli.pipeline import SUMMARY, Options, Stopwatch, calibrated, estimate, naming, read, session_directory
+from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read
+from smoother.cli.places import SUMMARY, session_directory
 from smoother.cli.results import results_of
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def analysed(path: Path, stored: Stored, said: Stated) -> LapAnalysis:
     if stored.rate < LEAST_RATE - 1.0:
         session = calibrated(read(path), session_directory(path))
         estimates = estimate(session, Options(baseline=False, figures=False), Stopwatch())
-        return analyse_session(session, estimates.smoothed, said)
+        return analyse_session(estimates.session, estimates.smoothed, said)  # clocks that step are mended there
     return analyse_rows(
         stored.trajectory, stored.fixes, options_on(stored.trajectory, stored.origin, said, stored.drift)
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from smoother.cli.lap_stage import LAPS
-from smoother.cli.pipeline import BASELINE, RESULT_FILES, holds_results
+from smoother.cli.places import BASELINE, RESULT_FILES, holds_results
 from smoother.errors import UsageError
 
 REMEDY = "name another file with --out"

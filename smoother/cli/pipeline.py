@@ -5,7 +5,6 @@ Heavy imports happen inside the functions, so that `smooth --help` does not wait
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -24,10 +23,28 @@ from smoother.cli.lap_stage import (
     steps,
 )
 from smoother.cli.output import Progress, no_progress, plain, warn
+from smoother.cli.places import (
+    BASELINE,
+    FIGURE_NAMES,
+    FIGURES,
+    FIXES,
+    PAGE,
+    STALE,
+    SUMMARY,
+    TRAJECTORY,
+    another_recording,
+    differ,
+    exports_in,
+    holds_results,
+    output_directory,
+    say_removed,
+    session_directory,
+    unwritable,
+)
 from smoother.documents import staged
-from smoother.errors import ConfigError, SessionError, SmootherError, UsageError
+from smoother.errors import ConfigError, SessionError, UsageError
 from smoother.units import KMH
-from smoother.words import counted, duration
+from smoother.words import duration
 
 if TYPE_CHECKING:
     from smoother.estimate.quality import Quality
@@ -36,14 +53,7 @@ if TYPE_CHECKING:
     from smoother.trajectory import Trajectory
     from smoother.utc_clock import UtcClock
 
-OUTPUT_DIRECTORY = "smoothed"
-TRAJECTORY, BASELINE, FIXES, SUMMARY, FIGURES = "trajectory.csv", "baseline.csv", "gps.csv", "summary.json", "figures"
-RESULT_FILES = (TRAJECTORY, FIXES, SUMMARY)
-PAGE = "report.html"
-FIGURE_NAMES = ("overview", "track", "speed", "attitude", "accelerations", "biases", "residuals", "sigma")
 SHOWN_ROWS = 600_000  # three hours at 50 Hz; a day is drawn with six rows a second
-STALE = (BASELINE, LAPS, PAGE, *(f"{FIGURES}/{name}.png" for name in FIGURE_NAMES))
-"""What an earlier run with other options may have left, and this one then removes."""
 
 
 @dataclass(frozen=True)
@@ -157,23 +167,6 @@ def files_beside(path: Path) -> dict[str, int]:
     return {name: (files.directory / name).stat().st_size for name in sorted(names)}
 
 
-def holds_results(directory: Path) -> bool:
-    """Whether a directory holds what `smooth` writes about a session."""
-    return all((directory / name).is_file() for name in RESULT_FILES)
-
-
-def session_directory(path: Path) -> Path:
-    """Return the directory of a session that may have been named by one of its files."""
-    return path if path.is_dir() else path.parent
-
-
-def usual_output(path: Path) -> Path:
-    """Return where results of a session go: SESSION/smoothed, of one of several recordings a folder in it."""
-    from smoother.session.load import place_of_its_own
-
-    return session_directory(path) / OUTPUT_DIRECTORY / place_of_its_own(path)
-
-
 def calibrated(raw: RawSession, directory: Path) -> Session:
     """Return the session with calibration.toml applied: that of its directory, else of the directory above."""
     from smoother.calibration import find_calibration
@@ -241,49 +234,22 @@ def _smooth_session(path: Path, out: Path | None, options: Options, progress: Pr
     estimates = with_laps(estimate(session, options, watch, progress), said, watch, progress)
     estimates = replace(estimates, files=files)
     earlier = [name for name in STALE if (directory / name).is_file()]
-    other = _another_recording(directory, raw, is_renamed=out is None)
+    exports = exports_in(directory)
+    other = another_recording(directory, raw, is_renamed=out is None)
     try:
         with staged(directory, SUMMARY, STALE) as staging:
             result = write(estimates, staging, options, watch, progress)
+            is_new = exports and differ(staging, directory)
     except OSError as error:
         raise unwritable(directory, error) from error
     if other is not None:
         warn(f"{directory}: held the results of another recording ({other}), which were replaced; --out DIR keeps both")
     else:
-        _say_removed(directory, [name for name in earlier if not (directory / name).exists()])
+        say_removed(directory, [name for name in earlier if not (directory / name).exists()])
+    if is_new:
+        left = ", ".join(exports)
+        warn(f"{directory}: {left} of an earlier run stayed there, and says what that found; export again")
     return replace(result, directory=directory, main_file=directory / result.main_file.relative_to(staging))
-
-
-def read_summary(directory: Path) -> dict[str, object] | None:
-    """Return what a directory of results says of them, None where it is none."""
-    try:
-        document = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return document if isinstance(document, dict) else None
-
-
-def _another_recording(directory: Path, raw: RawSession, is_renamed: bool) -> str | None:
-    """Name of the recording whose results are in a directory, None if there are none or it is the same.
-
-    is_renamed : beside its recording, another name for the same files is that of a folder with a new name.
-    """
-    document = read_summary(directory)
-    told = None if document is None else document.get("session")
-    if document is None or not isinstance(told, dict) or told.get("name") == raw.name:
-        return None
-    is_same = is_renamed and document.get("inputs") == list(raw.inputs)
-    return None if is_same else str(told.get("name"))
-
-
-def _say_removed(directory: Path, names: list[str]) -> None:
-    """Say in one line which results of an earlier run are gone: they hold no more, but people may have wanted them."""
-    pictures = sum(name.startswith(f"{FIGURES}/") for name in names)
-    parts = [name for name in names if not name.startswith(f"{FIGURES}/")]
-    parts += [counted(pictures, "figure")] if pictures else []
-    if parts:
-        listed = " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
-        warn(f"{directory}: removed {listed} of an earlier run, which this one did not make anew")
 
 
 def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
@@ -295,27 +261,6 @@ def with_laps(estimates: Estimates, said: Stated, watch: Stopwatch, progress: Pr
         laps = analyse_session(estimates.session, estimates.smoothed, said)
         settle(estimates.smoothed)
         return replace(estimates, laps=laps)
-
-
-def output_directory(path: Path, out: Path | None, name: str) -> Path:
-    """Create and return the directory of the results.
-
-    A session on a locked card cannot take them: without `out` they then go to ./smoothed/NAME. Raises UsageError when
-    `out` holds a recording, whose gps.csv would be overwritten, or cannot be created.
-    """
-    source = session_directory(path)
-    if out is not None:
-        is_recording = (out / FIXES).exists() and not (out / TRAJECTORY).exists()
-        if is_recording or out.resolve() == source.resolve():
-            raise UsageError(f"--out {out}: holds a recording, its files would be overwritten; name another place")
-        return _created(out)
-    try:
-        return _created(usual_output(path))
-    except UsageError as error:
-        instead = Path(OUTPUT_DIRECTORY) / (name or "session")
-        is_taken = _in_the_way(usual_output(path)) is not None
-        warn(f"{error if is_taken else f'{source} cannot be written to'}; the results go to {instead}")
-        return _created(instead)
 
 
 def write(
@@ -402,31 +347,3 @@ def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[s
     if estimates.laps is not None:
         document |= lap_documents(estimates.laps, estimates.smoothed, estimates.session)
     return document | {"files": dict(estimates.files)}
-
-
-def unwritable(directory: Path, error: OSError) -> SmootherError:
-    """Return the error that says where results could not be written, and what to do."""
-    if isinstance(error, FileExistsError | NotADirectoryError) and (file := _in_the_way(directory)) is not None:
-        return SessionError(
-            f"{file}: a file, where a folder for the results is wanted; move it, or name another place with --out DIR"
-        )
-    return SessionError(
-        f"{directory}: cannot be written ({error.strerror or error}); name another place with --out DIR"
-    )
-
-
-def _in_the_way(directory: Path) -> Path | None:
-    """What has the name of a directory, or of one above it, and is none."""
-    places = (directory, *directory.parents)
-    return next((place for place in places if os.path.lexists(place) and not place.is_dir()), None)
-
-
-def _created(directory: Path) -> Path:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe = directory / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UsageError(str(unwritable(directory, error))) from error
-    return directory

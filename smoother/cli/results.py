@@ -5,16 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from smoother.cli.output import Progress, no_progress, warn
-from smoother.cli.pipeline import (
-    TRAJECTORY,
-    Options,
-    files_beside,
-    holds_results,
-    read_summary,
-    require_recording,
-    smooth_session,
-    usual_output,
-)
+from smoother.cli.pipeline import Options, files_beside, require_recording, smooth_session
+from smoother.cli.places import TRAJECTORY, holds_results, read_summary, usual_output
 
 
 def results_of(path: Path, progress: Progress = no_progress) -> tuple[Path, bool]:

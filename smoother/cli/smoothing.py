@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 import click
@@ -113,8 +114,15 @@ def output_directories(out: Path | None, sessions: tuple[Path, ...]) -> list[Pat
     if out is None or len(sessions) == 1:
         return [out] * len(sessions)
     names = [session.resolve().stem if session.is_file() else session.resolve().name for session in sessions]
-    repeated = [names[:i].count(name) for i, name in enumerate(names)]
-    return [out / (f"{name}-{count + 1}" if count else name) for name, count in zip(names, repeated, strict=True)]
+    taken = set(names)
+    places: list[Path | None] = []
+    for i, name in enumerate(names):
+        place = name
+        if name in names[:i]:
+            place = next(numbered for k in count(2) if (numbered := f"{name}-{k}") not in taken)
+            taken.add(place)
+        places.append(out / place)
+    return places
 
 
 def exit_code(outcomes: list[Result | SmootherError]) -> int:

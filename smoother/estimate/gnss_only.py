@@ -149,7 +149,7 @@ def _unknown_delay(latency_sigma: float) -> tuple[Problem, ...]:
     if latency_sigma == 0.0:
         return ()
     text = (
-        f"without a motion sensor nothing tells how late the fixes are: all times may be off by a constant, usually up "
+        f"without a usable motion sensor nothing tells how late the fixes are: all times may be off by a constant, usually up "
         f"to {latency_sigma:.2g} s; laps, line and speeds are the same. `position_latency` in session.toml states it"
     )
     return (Problem("gps_delay_unknown", text),)

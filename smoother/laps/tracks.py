@@ -94,7 +94,9 @@ def _inside(folder: Path, name: str) -> Path:
     except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
         inside = False
     if not inside:
-        raise ConfigError(f"track {name!r} lies outside the folder of the session; copy the file into it")
+        raise ConfigError(
+            f"{folder / 'session.toml'}: [session] track {name!r} lies outside the folder; copy the file into it"
+        )
     return path
 
 

@@ -47,7 +47,7 @@ def _recording_of(files: SessionFiles) -> list[Path]:
         return []
     if form.name == "foreign":
         found = [path for _, path in files.foreign_files()]
-        return [next((path for path in found if not _is_export(path)), found[0])]
+        return [next((path for path in found if not is_export(path)), found[0])]
     out_file = files.out_file() if form.name == "thesis" else None
     return [*form.own(files), *([] if out_file is None else [out_file])]
 
@@ -55,14 +55,18 @@ def _recording_of(files: SessionFiles) -> list[Path]:
 def is_recording(path: Path) -> bool:
     """Whether a file holds what a logger or another program recorded, or the truth of a simulation."""
     try:
-        return path.is_file() and not _is_export(path) and _is_read(path)
+        return path.is_file() and not is_export(path) and _is_read(path)
     except (SessionError, OSError):  # it holds nothing that anybody could read
         return False
 
 
-def _is_export(path: Path) -> bool:
-    with path.open("rb") as file:
-        return PRODUCT in file.read(TABLE_BYTES)
+def is_export(path: Path) -> bool:
+    """Whether a file was written by `smooth export`, as it says near its beginning."""
+    try:
+        with path.open("rb") as file:
+            return PRODUCT in file.read(TABLE_BYTES)
+    except OSError:  # a folder, or not ours to read
+        return False
 
 
 def _is_read(path: Path) -> bool:

@@ -259,12 +259,14 @@ def _utc_set(t: Array, unix_s: Array, file: str) -> Iterator[Problem]:
         at = f"at {t[leap.row]:.0f} s"
         if leap.set == "either":
             text = f"UTC leaps by {leap.by:+.2f} s against t_s in the gap {at}: one of the two was set anew"
-            yield Problem("gps_utc_set", f"{file}: {text}; if it was t_s, the lap across it is off by as much")
+            yield Problem(
+                "gps_utc_set", f"{file}: {text}; if it was t_s and is not taken out, the lap across is off by as much"
+            )
         elif leap.set == "utc":
             text = f"UTC leaps by {leap.by:+.2f} s {at}, and t_s does not; times of day are off by as much there"
             yield Problem("gps_utc_set", f"{file}: {text}")
         else:
-            text = f"t_s leaps by {-leap.by:+.2f} s {at}, and UTC does not; the lap across it is off by as much"
+            text = f"t_s leaps by {-leap.by:+.2f} s {at}, and UTC does not; unless that is taken out, the lap across is off by as much"
             yield Problem("gps_clock_set", f"{file}: {text}")
 
 

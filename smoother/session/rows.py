@@ -310,7 +310,11 @@ def _resolve_disorder(
         return index[order], t[order]
     back = int(np.count_nonzero(np.diff(t) < 0.0))
     if back >= (1.0 - GLITCH_SHARE) * (t.size - 1):
-        rows.say("blocks_moved", "rows written from the newest to the oldest; sorted by time", back)
+        rows.say(
+            "blocks_moved",
+            f"{counted(back + 1, 'row')} written from the newest to the oldest; sorted by time",
+            back + 1,
+        )
         return index[order], t[order]
     if back > RESTLESS * t.size and is_even(t[order]):
         rows.say("reordered", f"{counted(t.size, 'row')} in no order; sorted by time", t.size)

@@ -250,7 +250,9 @@ def test_the_page_of_a_comparison_goes_where_it_is_told(lapped: Path, tmp_path: 
     sessions = [str(lapped / "saturday"), str(lapped / "sunday")]
     assert run(["compare", *sessions, "--out", str(tmp_path / "page.html")]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "page.html")
-    assert run(["compare", *sessions, "--out", str(tmp_path / "no folder" / "page.html")]) == 2
+    assert run(["compare", *sessions, "--out", str(tmp_path / "new folder" / "page.html")]) == 0
+    capsys.readouterr()
+    assert run(["compare", *sessions, "--out", str(tmp_path / "page.html" / "page.html")]) == 2
     assert "cannot be written" in capsys.readouterr().err
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from smoother.batch.find import find_sessions
 from smoother.cli.main import run
-from smoother.cli.pipeline import usual_output
+from smoother.cli.places import usual_output
 
 QUICK = ["--no-figures", "--no-baseline"]
 Captured = pytest.CaptureFixture[str]

@@ -5,7 +5,7 @@ the course of a session first begins at the end, with `smoother`.
 
 Unknowns and samples
     options         what can be chosen, with where each figure comes from
-    state           the unknowns: 18 of each keyframe, and 30 constants of the session
+    state           the unknowns: 18 of each keyframe, and 31 constants of the session
     keyframes       when there are keyframes
     sampled         which times the inertial samples cover
     made_up         samples in place of those that are missing

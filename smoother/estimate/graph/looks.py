@@ -156,7 +156,7 @@ def _solve(
     session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say
 ) -> tuple[Estimated, Solution | WindowsSolution]:
     """Solve a session in one piece, or with constants of a part of it; and what it was solved with."""
-    if is_partly_sampled(start) or (is_long(start) and options.solver == "batch"):
+    if is_partly_sampled(start) or is_long(start):
         in_windows = solve_in_windows(session, start, noise, options, say)
         return in_windows.found, in_windows
     whole = solve_whole(session, start, noise, options, say)
