@@ -266,7 +266,9 @@ def _utc_set(t: Array, unix_s: Array, file: str) -> Iterator[Problem]:
             text = f"UTC leaps by {leap.by:+.2f} s {at}, and t_s does not; times of day are off by as much there"
             yield Problem("gps_utc_set", f"{file}: {text}")
         else:
-            text = f"t_s leaps by {-leap.by:+.2f} s {at}, and UTC does not; unless that is taken out, the lap across is off by as much"
+            text = (
+                f"t_s leaps by {-leap.by:+.2f} s {at}, and UTC does not; if not taken out, the lap across is off by it"
+            )
             yield Problem("gps_clock_set", f"{file}: {text}")
 
 

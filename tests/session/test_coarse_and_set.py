@@ -60,7 +60,7 @@ def test_stamps_that_were_set_on_the_way_are_said(tmp_path: Path, by: float) -> 
     true = seconds()
     raw = written(tmp_path, true + LATE + by * (true > 60.0), START + true)
     (text,) = [problem.text for problem in raw.problems if problem.code == "gps_clock_set"]
-    assert f"t_s leaps by {by:+.2f} s" in text and "the lap across is off by as much" in text
+    assert f"t_s leaps by {by:+.2f} s" in text and "the lap across is off by it" in text
 
 
 def test_neither_is_said_of_stamps_that_come_now_sooner_now_later(tmp_path: Path) -> None:
