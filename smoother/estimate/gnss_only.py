@@ -150,7 +150,8 @@ def _unknown_delay(latency_sigma: float) -> tuple[Problem, ...]:
         return ()
     text = (
         f"without a usable motion sensor nothing tells how late the fixes are: all times may be off by a constant, "
-        f"usually up to {latency_sigma:.2g} s; laps, line and speeds are the same. `position_latency` in session.toml states it"
+        f"usually up to {latency_sigma:.2g} s; laps, line and speeds are the same. `position_latency` in session.toml "
+        "states it"
     )
     return (Problem("gps_delay_unknown", text),)
 

@@ -42,6 +42,7 @@ class QualityLimits:
     far_share: of all fixes; ten real jumps of some seconds in ten minutes stay below it. A short session has as long
     jumps as others: far_seconds in all are forgiven there, of at most short_far_share of the fixes.
     far_seconds: the longest unbroken stretch of far fixes; longer than any multipath jump seen on real recordings.
+    stands: speed of a trajectory below which fixes that say less than strolls are not judged.
     top_speed: above any kart or road car. sigma_horizontal: median; beyond it the result says nothing about a track.
     normalised_rms: of the residuals of any factor but NOT_JUDGED; 1 is honest, beyond this the noise model is wrong by
     as much. rejected_share: of the measurements of any of these factors.
@@ -68,6 +69,8 @@ class QualityLimits:
     far_share: float = 0.10
     short_far_share: float = 0.25
     far_seconds: float = 15.0  # s
+    stands: float = 0.1  # m/s
+    strolls: float = 2.0  # m/s
     top_speed: float = 110.0  # m/s
     sigma_horizontal: float = 50.0  # m
     normalised_rms: float = 5.0
@@ -155,6 +158,7 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
     inside = (t >= estimate.t[0]) & (t <= estimate.t[-1])
     if estimate.report.left_out is not None:
         inside &= ~estimate.report.left_out  # the trajectory does not follow them, and it is said
+    inside &= ~_stray_at_rest(session, estimate, t, limits)
     if not inside.any():
         return {}
     place = bracket(estimate.t, t[inside])
@@ -171,6 +175,13 @@ def _distances(session: Session, estimate: Trajectory, limits: QualityLimits) ->
         "far_fix_limit": max(limits.far_share, forgiven),
         "longest_far_s": _longest_stretch(t[inside], far),
     }
+
+
+def _stray_at_rest(session: Session, estimate: Trajectory, t: Array, limits: QualityLimits) -> BoolArray:
+    """Mask (N,) of slow fixes while the kart stands: under a roof they wander, and nothing that is driven is off."""
+    stands = np.interp(t, estimate.t, estimate.speed) < limits.stands
+    velocity_n = session.gnss.velocity_n[:, :2]
+    return np.asarray(stands & (np.hypot(velocity_n[:, 0], velocity_n[:, 1]) < limits.strolls))
 
 
 def _found_in_fixes(estimate: Trajectory) -> float:

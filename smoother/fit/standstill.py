@@ -10,6 +10,9 @@ judges have to agree:
     explains (analysis of variance). Vibration averages out of the means, whatever its strength, so an idling engine
     does not hide a stop; setting off, turning or being lifted does move the means.
 
+Under a roof fixes may wander at walking pace. Where both sensors are far quieter than they ever are on the move, the
+engine is off and nobody touches the kart, and slow fixes are not believed.
+
 A kart that is turned where it stands, by hand after a spin, is steady to both: whatever has other rates at one time of
 a run than at another, or than the gyroscope's bias where that is known, is no standstill from end to end.
 
@@ -36,8 +39,10 @@ class StandstillOptions:
     steadiness: ratio of variances; 1 is white noise, about 3 a sensor behind a low-pass filter, setting off gives 20
     and more. force_floor m/s^2, rate_floor rad/s: scatter of block means that is always steady (quantisation, drift).
     quiet_ratio of scatters and quiet_force, quiet_rate per axis: the third judge. latency: how long after a time fixes
-    are asked. turning rad/s: beside the usual rate of a run; off_bias rad/s: beside the bias of the session, which
-    warms up by 3 deg/s.
+    are asked. lifeless: scatter over that of driving, faster than `drives` m/s, of a kart with its engine off, for so
+    many s; astray m/s: of fixes that may be wrong then. Karts on recordings are above 0.25 while they move, cars that
+    creep above 0.15, and below 0.08 with engines off. turning rad/s: beside the usual rate of a run; off_bias rad/s:
+    beside the bias of the session, which warms up by 3 deg/s.
     """
 
     max_speed: float = 0.3
@@ -52,6 +57,9 @@ class StandstillOptions:
     quiet_rate: float = 1.5 * DEG
     latency: float = 0.8
     shortest: float = 1.0
+    lifeless: tuple[float, float] = (0.1, 5.0)
+    drives: float = 5.0
+    astray: float = 2.0
     turning: float = 1.5 * DEG
     off_bias: float = 5.0 * DEG
 
@@ -107,7 +115,11 @@ def detect_standstill(
     else:
         limit = np.broadcast_to(options.max_speed if speed_limit is None else speed_limit, fix_t.shape)
         centre = t[0] + (np.arange(len(still)) + 0.5) * options.block
+        is_driven = np.interp(centre, *_known(fix_t, fix_speed)) > options.drives
+        lifeless = still & _is_lifeless(force, is_driven, options) & _is_lifeless(rate, is_driven, options)
+        lifeless &= _is_stopped(centre, fix_t, fix_speed, np.full(fix_t.shape, options.astray), options)
         still &= _is_stopped(centre, fix_t, fix_speed, np.asarray(limit), options)
+        still |= _without_short_runs(lifeless, round(options.lifeless[1] / options.block))
     if fix_t is not None:
         still = _without_turned_runs(still, rate, gyro_bias, options)
     still = _without_short_runs(still, int(np.ceil(options.shortest / options.block - 1e-9)))
@@ -265,6 +277,29 @@ def _is_quiet(blocks: _Blocks, bound: float, options: StandstillOptions) -> Bool
         return np.zeros(len(scatter), dtype=np.bool_)
     level = max(options.quiet_ratio * float(np.percentile(known, 10.0)), 0.1 * bound)
     return np.asarray(scatter <= min(level, np.sqrt(3.0) * bound))
+
+
+def _is_lifeless(blocks: _Blocks, is_driven: BoolArray, options: StandstillOptions) -> BoolArray:
+    """Whether blocks (B,) scatter by far less than those in which the kart is driven; none do where it never is."""
+    scatter, enough = np.sqrt(blocks.within), blocks.occupied >= FEWEST_BLOCKS
+    driven = scatter[enough & is_driven]
+    usual = float(np.median(driven)) if driven.size else 0.0
+    return np.asarray(enough & (scatter < options.lifeless[0] * usual))
+
+
+def _known(t: Array, values: Array) -> tuple[Array, Array]:
+    """Those of t (M,) and values (M,) that are known, or one that is zero."""
+    known = np.isfinite(values)
+    return (t[known], values[known]) if known.any() else (np.zeros(1), np.zeros(1))
+
+
+def believed_at_rest(fixes: GnssFixes, origin: Origin, standing: BoolArray) -> BoolArray:
+    """Mask (N,) of the fixes of stands in which none says that the kart moves; standing (N,): fixes at rest."""
+    speed, limit = fix_speeds(fixes, origin, StandstillOptions())
+    out = standing.copy()
+    for first, after in zip(*runs_of(standing), strict=True):
+        out[first:after] = not np.any(speed[first:after] > limit[first:after])
+    return out
 
 
 def _without_short_runs(mask: BoolArray, shortest: int) -> BoolArray:

@@ -63,6 +63,17 @@ def test_some_jumps_of_the_fixes_are_lived_with() -> None:
     assert assess(session(shifted_rows(100, 150, 40.0)), estimate()).passed  # 10 s of 200 s, refused by the smoother
 
 
+@pytest.mark.parametrize(("speed", "passes"), [(0.6, True), (3.0, False)])
+def test_fixes_that_wander_while_the_kart_stands_are_no_fault_of_the_result(speed: float, passes: bool) -> None:
+    """Under a roof; fixes that say that they go somewhere are judged."""
+    whole, driven = session(shifted_rows(0, 300, 20.0)), estimate()
+    velocity = np.where(whole.gnss.t[:, None] < 60.0, speed, SPEED) * [1.0, 0.0, 0.0]
+    whole = replace(whole, gnss=replace(whole.gnss, velocity_n=velocity))
+    assert not assess(whole, driven).passed
+    stood = np.where(driven.t[:, None] < 60.0, 0.0, driven.velocity_n)
+    assert assess(whole, replace(driven, velocity_n=stood)).passed == passes
+
+
 @pytest.mark.parametrize(("length", "passes"), [(30, True), (38, False)])  # rows: 12 and 15.2 s of a minute
 def test_a_short_session_may_have_as_long_jumps_as_a_long_one(length: int, passes: bool) -> None:
     jumps = shifted_rows(40, 40 + length, 40.0) + shifted_rows(150, 150 + length, 40.0)

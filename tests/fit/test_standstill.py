@@ -4,6 +4,7 @@ import pytest
 from smoother import so3
 from smoother.fit.standstill import (
     StandstillOptions,
+    believed_at_rest,
     detect_standstill,
     fix_speeds,
     session_standstill,
@@ -268,3 +269,44 @@ def test_a_stop_that_is_nothing_but_turning_is_told_by_the_bias():
     bias = np.array([10.0, 3.0, -58.0]) * DEG
     assert share(drive.detect(gyro_bias=bias), at_the_end) == 0.0
     assert share(drive.detect(gyro_bias=bias), drive.t < 20.0) > 0.9
+
+
+def in_a_garage(quiet=0.02, lasts=20.0, speed=0.8):
+    """A drive whose engine is off until `lasts` s, beside fixes that wander under a roof."""
+    drive = Drive()
+    draw, off = rng(5), drive.t <= lasts
+    drive.force[off] = [0.3, -0.4, 10.01] + quiet * draw.normal(size=(off.sum(), 3))
+    drive.rate[off] = np.array([10.0, 3.0, -58.0]) * DEG + quiet * 4.0 * DEG * draw.normal(size=(off.sum(), 3))
+    drive.fix_speed[drive.fix_t < lasts] = speed
+    return drive, off
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_found"),
+    [
+        ({}, True),
+        ({"quiet": 0.1}, False),  # m/s^2: the engine idles, or the kart rolls along
+        ({"lasts": 4.0}, False),  # a moment
+        ({"speed": 2.5}, False),
+    ],
+)
+def test_a_box_without_a_stir_stands_still_though_fixes_wander(changes, is_found):
+    drive, off = in_a_garage(**changes)
+    assert (share(drive.detect(), off) > 0.85) == is_found
+    assert not drive.detect()[(drive.t > 22.0) & (drive.t < 43.0)].any()
+
+
+def test_a_quiet_sensor_on_a_kart_that_is_never_driven_is_no_proof():
+    drive, off = in_a_garage(lasts=60.0)
+    assert not drive.detect()[off].any()
+
+
+def test_what_fixes_say_in_a_stand_counts_where_none_of_them_moves():
+    t = np.arange(0.0, 60.0, 0.2)
+    velocity = np.zeros((t.size, 3))
+    velocity[(t > 10.0) & (t < 15.0), 0] = 0.6
+    velocity[(t > 25.0) & (t < 35.0), 0] = 10.0
+    zero = np.zeros(t.size)
+    fixes = GnssFixes(t, zero + 45.0, zero + 10.0, zero, velocity)
+    standing = (t < 20.0) | (t > 40.0)
+    np.testing.assert_array_equal(believed_at_rest(fixes, ORIGIN, standing), t > 40.0)

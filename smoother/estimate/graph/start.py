@@ -38,7 +38,7 @@ from smoother.estimate.left_out import without_positions
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.path_motion import MIN_SPEED, PathMotion
 from smoother.estimate.pauses import NO_PAUSES, Pauses
-from smoother.fit.standstill import session_standstill
+from smoother.fit.standstill import believed_at_rest, session_standstill
 from smoother.samples import Session
 from smoother.units import DEG
 
@@ -279,17 +279,19 @@ def _data(
     still = np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:]))
     scale = _relative(gnss.sigma_velocity)
     standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
-    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, standing), scale)
+    believed = believed_at_rest(gnss, session.origin, standing)
+    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, believed), scale)
+    velocity_n = np.where((standing & ~believed)[:, None], np.nan, gnss.velocity_n)
     return Data(
         gnss.t[use],
         session.fix_position_n[use],
-        gnss.velocity_n[use],
+        velocity_n[use],
         path.position_scale[use],
         scale[use],
         still,
         doubted=None if doubted is None else doubted[use],
         heights=_heights(session),
-        lasting=lasting_at_rest(gnss.t, gnss.velocity_n, standing),
+        lasting=lasting_at_rest(gnss.t, gnss.velocity_n, believed),
         claims=claims_of(gnss),
     )
 
