@@ -265,19 +265,19 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     its nose is the gyro's alone, else the whole turn would be taken out of it and no solution would put it back. Where
     samples are missing there are turns that the gyro has not seen, and the course alone has a say.
     """
-    gyro_yaw = _gyro_yaw(imu, alignment)
+    of_gyro = gyro_yaw(imu, alignment)
     moving = path.speed > MIN_SPEED
     if alignment.is_level_only or not np.any(moving):
-        yaw = np.interp(t, imu.t, gyro_yaw)
+        yaw = np.interp(t, imu.t, of_gyro)
     else:
         times, course = path.t[moving] - alignment.lag, path.yaw[moving]
         seen = ~_unsampled(imu.t, times)
         if not np.any(seen):
             seen[:] = True
-        difference = course[seen] - np.interp(times[seen], imu.t, gyro_yaw)
+        difference = course[seen] - np.interp(times[seen], imu.t, of_gyro)
         straight = ~_spinning(times[seen], difference)
         known = times[seen][straight], _unwrapped(times[seen][straight], difference[straight])
-        yaw = np.interp(t, imu.t, gyro_yaw) + _smoothed(t, *known, 3.0)
+        yaw = np.interp(t, imu.t, of_gyro) + _smoothed(t, *known, 3.0)
         yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
@@ -315,7 +315,7 @@ def _spinning(t: Array, difference: Array) -> BoolArray:
     return np.asarray(beside & (np.mean(beside) < MOST_SPUN))
 
 
-def _gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
+def gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
     """Turn about up since the first sample, (N,) rad; nothing is known of what a gap holds but half a second."""
     yaw, before = roomy(len(imu.t)), 0.0
     for part in pieces(len(imu.t)):

@@ -6,6 +6,10 @@ samples tell: they feel the kart turn or brake while the receiver says straight 
 changes far less than the samples say, by more than they ever are off else, and catches up with them afterwards, what
 was sent at that velocity is left out. A hill is felt as braking too, but nothing is to be caught up with there. A fine
 velocity that stays the same to the last digit was not measured: it needs to part from what is felt, and no more.
+
+Others slow down meanwhile, and jump to what is true at the end. No kart can make such a jump, and samples feel none:
+what was sent before it, as long as it is off from what they felt on the way there, is left out. One that begins with a
+jump ends with another.
 """
 
 from dataclasses import dataclass
@@ -13,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import Alignment, initial_attitude
+from smoother.estimate.align import Alignment, gyro_yaw, initial_attitude
 from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity
 from smoother.estimate.path_motion import LAGS, PathMotion
@@ -44,6 +48,11 @@ HELD = 0.7  # s in which velocity stays the same to the last digit
 SELDOM = 0.02  # of the fixes that are less long the same as those before: more, and the receiver is coarse
 OFTEN = 0.3  # of the fixes that are held: more, and it renews its velocity less often than its places
 SIGMAS_OF_HELD = 3.0  # beyond the usual scatter, which grows as the root of the time: such turns may be gentle
+# m/s from one fix to the next, at most QUICK s later, that no kart makes; s of driving to each of them at least, on
+# average: receivers that renew their velocity once a second make one in every corner. s before such a stretch that
+# hardly differ and belong to it
+JUMP, JUMPS_EVERY, FADES_IN = 4.0, 10.0, 0.3
+SETTLES = 5.0  # s behind a jump, by the middle of which the nose is back on the course
 STEP = 0.05  # s, over which felt force is summed up
 LONGEST = 6 * 3600.0  # s of a session that is looked at
 FEWEST = 100  # windows that tell what is usual
@@ -83,6 +92,9 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
         if ended[alike.stop] and t[alike.stop - 1] - t[alike.start] > SHORTEST:
             runs.append(alike)
     for run in _trusted(t, runs, (t[first], t[last]), parting.is_unlike(told, felt)):
+        out[rows[run]] = True
+    held_nose = _off_gyro(imu, path, alignment, felt_at)
+    for run in _until_jumps(t, velocity, summed, held_nose, parting):
         out[rows[run]] = True
     begin, end = _held(t, velocity, is_fast)
     sampled = _are_sampled(imu, felt_at[begin], felt_at[end])
@@ -139,6 +151,57 @@ def _goes_straight(parting: _Parting, told: Array, felt: Array) -> BoolArray:
     """Mask (W,) of the windows in which velocity is told to change (W, 2) m/s far less than is felt (W, 2) m/s."""
     size = np.hypot(*felt.T)
     return np.asarray((parting.beyond > SIGMAS) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
+
+
+def _until_jumps(t: Array, velocity: Array, summed: Array, off_gyro: Array, parting: _Parting) -> list[slice]:
+    """The fixes at t (M,) s before jumps of velocity (M, 2) m/s that are off from what is felt on the way there.
+
+    summed (M, 2) m/s: what is felt makes of the velocity, whose nose is off_gyro (M,) rad ahead of the gyroscope's: it
+    went by the course that was sent, and on the way to a jump the gyroscope alone is right, unless its bias was found
+    from such fixes. None where jumps are usual.
+    """
+    told, felt = np.diff(velocity, axis=0), np.diff(summed, axis=0)
+    is_jump = (np.hypot(*(told - felt).T) > JUMP) & (np.hypot(*felt.T) < STRAIGHT * np.hypot(*told.T))
+    jumps = np.flatnonzero(is_jump & (np.diff(t) < QUICK))
+    if jumps.size * JUMPS_EVERY > np.ptp(t):
+        return []
+    runs = []
+    for last in jumps.tolist():
+        before, behind = np.searchsorted(t, [t[last] - REACH, t[last + 1] + SETTLES])
+        near = slice(int(before), int(behind))
+        nose = np.median(off_gyro[last + 1 : near.stop])
+        by_gyro = velocity[near] - _turned_by(nose - off_gyro[near], summed[near])
+        by_course = velocity[near] - summed[near]
+        firsts = (_parts(t[near], apart, last - near.start, parting) for apart in (by_gyro, by_course))
+        first = next((k for k in firsts if k is not None), None)
+        if first is not None:
+            runs.append(slice(int(np.searchsorted(t, t[near][first] - FADES_IN)), last + 1))
+    return runs
+
+
+def _parts(t: Array, apart: Array, last: int, parting: _Parting) -> int | None:
+    """From which fix to `last`, after which it jumps, velocities sent and felt, apart (N, 2) m/s, are off from what
+    they are right behind it; None where from the beginning."""
+    behind = slice(last + 1, int(np.searchsorted(t, t[last + 1] + WINDOW)))
+    parted = np.median(apart[behind], axis=0) - apart[: last + 1]
+    agrees = np.flatnonzero(~parting.is_beyond(t[last + 1] - t[: last + 1], parted))
+    return int(agrees[-1]) + 1 if agrees.size and agrees[-1] < last else None
+
+
+def _turned_by(angle: Array, summed: Array) -> Array:
+    """Sums (N, 2) of steps, each of which is turned by the angle (N,) rad at its end."""
+    steps = np.diff(summed, axis=0, prepend=summed[:1])
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.cumsum(
+        np.stack([cos * steps[:, 0] - sin * steps[:, 1], sin * steps[:, 0] + cos * steps[:, 1]], axis=1), axis=0
+    )
+
+
+def _off_gyro(imu: ImuSamples, path: PathMotion, alignment: Alignment, t: Array) -> Array:
+    """By how much the nose at t (N,) s, which goes by the course, is ahead of what the gyroscope adds up to, rad."""
+    R_nb = initial_attitude(t, imu, path, alignment) @ alignment.R_bs.T
+    off = np.arctan2(R_nb[:, 1, 0], R_nb[:, 0, 0]) - np.interp(t, imu.t, gyro_yaw(imu, alignment))
+    return np.asarray(np.unwrap(off))
 
 
 def _held(t: Array, velocity: Array, is_fast: BoolArray) -> tuple[IntArray, IntArray]:
@@ -215,8 +278,8 @@ def coasting_problems(out: BoolArray) -> tuple[Problem, ...]:
     if not count:
         return ()
     text = (
-        f"{counted(times, 'time')} the receiver went straight on at constant speed while the kart turned or braked, as "
-        f"without satellites; {counted(count, 'fix')} left out. Give the antenna a free view of the sky"
+        f"{counted(times, 'time')} the receiver went on by itself while the kart turned or braked, as without "
+        f"satellites; {counted(count, 'fix')} left out. Give the antenna a free view of the sky"
     )
     return (Problem(COASTING, text, count),)
 

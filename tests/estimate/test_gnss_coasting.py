@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import BoolArray
+from smoother.estimate import gnss_coasting
 from smoother.estimate.gnss_coasting import COASTING, _held, coasting, coasting_problems
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.options import GraphOptions
@@ -36,16 +37,22 @@ def session(simulation: Simulation) -> Session:
     return prepare(simulation.raw)
 
 
-def coasted(session: Session, starts: list[float], lasts: float) -> tuple[Session, BoolArray]:
-    """The session of a receiver that goes straight on for `lasts` s from each of the starts, s; and which fixes do."""
+def coasted(session: Session, starts: list[float], lasts: float, fades: float = np.inf) -> tuple[Session, BoolArray]:
+    """The session of a receiver that goes straight on for `lasts` s from each of the starts, s; and which fixes do.
+
+    fades: s after which a third of its speed is left.
+    """
     gnss = session.gnss
     t, position_n, velocity_n = gnss.t - gnss.t[0], session.fix_position_n.copy(), gnss.velocity_n.copy()
     out = np.zeros(len(t), dtype=np.bool_)
     for start in starts:
         k = int(np.searchsorted(t, start))
         rows = np.flatnonzero((t > t[k]) & (t <= t[k] + lasts))
-        position_n[rows] = position_n[k] + velocity_n[k] * (t[rows] - t[k])[:, None]
-        velocity_n[rows] = velocity_n[k]
+        since = (t[rows] - t[k])[:, None]
+        position_n[rows] = position_n[k] + velocity_n[k] * (
+            since if np.isinf(fades) else -fades * np.expm1(-since / fades)
+        )
+        velocity_n[rows] = velocity_n[k] * np.exp(-since / fades)
         out[rows] = True
     lat_deg, lon_deg, alt_m = nwu_to_geodetic(position_n, session.origin)
     gnss = replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, velocity_n=velocity_n)
@@ -101,7 +108,28 @@ def test_they_cost_next_to_nothing(session: Session, simulation: Simulation) -> 
     assert spoiled[0] < 1.3 * plain[0]
     assert spoiled[1] < 1.3 * plain[1]
     (said,) = [p for p in GraphSmoother().estimate(given).report.problems if p.code == COASTING]
-    assert said.text.startswith("3 times the receiver went straight on")
+    assert said.text.startswith("3 times the receiver went on by itself")
+
+
+@pytest.mark.parametrize(("lasts", "fades"), [(3.0, 1.5), (4.0, 4.0), (8.0, 3.0)])
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_receiver_that_slows_down_until_it_jumps_is_not_believed(
+    session: Session, simulation: Simulation, lasts: float, fades: float, count: int
+) -> None:
+    """The course of such fixes turns the nose with which samples are read, and their bias if there are many."""
+    spoilt, out = coasted(session, in_corners(session)[:count], lasts, fades)
+    left_out = begun(spoilt).left_out
+    assert left_out is not None and np.mean(left_out[out]) > 0.85
+    assert np.count_nonzero(left_out & ~out) <= 6 * count  # beside it, where it hardly differs
+    velocity, place = horizontal_error(spoilt, simulation)
+    unspoilt = horizontal_error(session, simulation)
+    assert velocity < 1.6 * unspoilt[0] and place < 1.6 * unspoilt[1]
+
+
+def test_velocities_that_are_renewed_once_a_second_jump_by_habit(session: Session) -> None:
+    gnss = session.gnss
+    seldom = gnss.velocity_n[10 * (np.arange(len(gnss)) // 10)]
+    assert begun(replace(session, gnss=replace(gnss, velocity_n=seldom))).left_out is None
 
 
 def test_nothing_is_left_out_where_every_fix_is_measured(session: Session) -> None:
@@ -206,7 +234,9 @@ def test_where_samples_are_off_beside_it_too_the_receiver_is_believed(session: S
 
 
 @pytest.mark.parametrize(("size", "is_found"), [(1.0, True), (30.0, False)])
-def test_what_vibration_around_could_push_is_no_motion(session: Session, size: float, is_found: bool) -> None:
+def test_what_vibration_around_could_push_is_no_motion(
+    session: Session, size: float, is_found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Folded to 0 Hz for a moment it pushes by its size; from sample to sample up and down it is seen beside."""
     given, _ = coasted(session, in_corners(session)[:1], 1.2)
     noise = 1e-3 * np.random.default_rng(2).standard_normal(given.gnss.velocity_n.shape)  # else it is one that is held
@@ -214,6 +244,8 @@ def test_what_vibration_around_could_push_is_no_motion(session: Session, size: f
     assert given.imu is not None
     up_and_down = size * (-1.0) ** np.arange(len(given.imu.t))[:, None] * np.array([0.0, 0.0, 1.0])
     shaken = replace(given.imu, specific_force_s=given.imu.specific_force_s + up_and_down)
+    assert found_in(replace(given, imu=shaken)).any()  # it ends with a jump, which no vibration makes
+    monkeypatch.setattr(gnss_coasting, "_until_jumps", lambda *_: [])
     assert found_in(replace(given, imu=shaken)).any() == is_found
 
 
