@@ -4,7 +4,7 @@ Sentences name the file that values came from. What format it has, nothing here 
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -218,7 +218,8 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
     """The fixes at the receiver's own times, by its UTC or else by its steady rate; a constant latency remains."""
     gnss = recording.gnss
     assert gnss.unix_s is not None
-    t, by_utc = true_fix_times(gnss.t, gnss.unix_s)
+    t, by_utc, delay_steps = true_fix_times(gnss.t, gnss.unix_s, None if recording.imu is None else recording.imu.t)
+    problems += _delay_steps(delay_steps, recording.gnss_file)
     if not by_utc and len(gnss) >= FEWEST_FIXES_FOR_CLOCK:
         t = regularize(gnss.t).t
     problems += _utc_at_odds(recording)
@@ -232,6 +233,16 @@ def _with_true_times(recording: Recording, problems: list[Problem]) -> GnssFixes
             text = f"{recording.gnss_file}: {counted(gaps.size, 'gap')} in the fixes, the longest {span(gaps.max())}"
             problems.append(Problem("gps_gap", text, int(gaps.size)))
     return replace(gnss, t=t)
+
+
+def _delay_steps(steps: Sequence[tuple[float, float]], file: str) -> Iterator[Problem]:
+    """What to say where fixes come later, or sooner, from about some moment on: steps of when and by how much, s."""
+    for at, by in steps:
+        text = (
+            f"from about {at:.0f} s on the fixes come {abs(by):.3f} s {'later' if by > 0.0 else 'earlier'} than before"
+        )
+        text += " behind their UTC, by which their times were mended; the delay that is given is that of most of them"
+        yield Problem("gps_delay_steps", f"{file}: {text}")
 
 
 def _utc_at_odds(recording: Recording) -> Iterator[Problem]:
