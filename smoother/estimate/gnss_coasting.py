@@ -158,12 +158,13 @@ def _until_jumps(t: Array, velocity: Array, summed: Array, off_gyro: Array, part
 
     summed (M, 2) m/s: what is felt makes of the velocity, whose nose is off_gyro (M,) rad ahead of the gyroscope's: it
     went by the course that was sent, and on the way to a jump the gyroscope alone is right, unless its bias was found
-    from such fixes. None where jumps are usual.
+    from such fixes. None where jumps are usual, or velocities are not renewed with every fix.
     """
     told, felt = np.diff(velocity, axis=0), np.diff(summed, axis=0)
     is_jump = (np.hypot(*(told - felt).T) > JUMP) & (np.hypot(*felt.T) < STRAIGHT * np.hypot(*told.T))
     jumps = np.flatnonzero(is_jump & (np.diff(t) < QUICK))
-    if jumps.size * JUMPS_EVERY > np.ptp(t):
+    is_renewed = np.any(told != 0.0, axis=1)
+    if jumps.size * JUMPS_EVERY > np.ptp(t) or np.mean(is_renewed) < 1.0 - OFTEN:
         return []
     runs = []
     for last in jumps.tolist():
