@@ -93,9 +93,10 @@ def coasting(session: Session, alignment: Alignment, path: PathMotion) -> BoolAr
             runs.append(alike)
     for run in _trusted(t, runs, (t[first], t[last]), parting.is_unlike(told, felt)):
         out[rows[run]] = True
-    held_nose = _off_gyro(imu, path, alignment, felt_at)
-    for run in _until_jumps(t, velocity, summed, held_nose, parting):
-        out[rows[run]] = True
+    jumps = _jumps(t, velocity, summed)
+    if jumps.size:  # hardly ever
+        for run in _until_jumps(t, velocity, summed, _off_gyro(imu, path, alignment, felt_at), parting, jumps):
+            out[rows[run]] = True
     begin, end = _held(t, velocity, is_fast)
     sampled = _are_sampled(imu, felt_at[begin], felt_at[end])
     for one, other in zip(begin[sampled].tolist(), end[sampled].tolist(), strict=True):
@@ -153,19 +154,29 @@ def _goes_straight(parting: _Parting, told: Array, felt: Array) -> BoolArray:
     return np.asarray((parting.beyond > SIGMAS) & (np.hypot(*told.T) < STRAIGHT * size) & (size > LEAST_FELT))
 
 
-def _until_jumps(t: Array, velocity: Array, summed: Array, off_gyro: Array, parting: _Parting) -> list[slice]:
-    """The fixes at t (M,) s before jumps of velocity (M, 2) m/s that are off from what is felt on the way there.
+def _jumps(t: Array, velocity: Array, summed: Array) -> IntArray:
+    """The fixes (J,) at t (M,) s after which velocity (M, 2) m/s jumps, and what is felt, summed (M, 2) m/s, does not.
 
-    summed (M, 2) m/s: what is felt makes of the velocity, whose nose is off_gyro (M,) rad ahead of the gyroscope's: it
-    went by the course that was sent, and on the way to a jump the gyroscope alone is right, unless its bias was found
-    from such fixes. None where jumps are usual, or velocities are not renewed with every fix.
+    None where jumps are usual, or velocities are not renewed with every fix.
     """
     told, felt = np.diff(velocity, axis=0), np.diff(summed, axis=0)
     is_jump = (np.hypot(*(told - felt).T) > JUMP) & (np.hypot(*felt.T) < STRAIGHT * np.hypot(*told.T))
     jumps = np.flatnonzero(is_jump & (np.diff(t) < QUICK))
     is_renewed = np.any(told != 0.0, axis=1)
     if jumps.size * JUMPS_EVERY > np.ptp(t) or np.mean(is_renewed) < 1.0 - OFTEN:
-        return []
+        return jumps[:0]
+    return jumps
+
+
+def _until_jumps(
+    t: Array, velocity: Array, summed: Array, off_gyro: Array, parting: _Parting, jumps: IntArray
+) -> list[slice]:
+    """The fixes at t (M,) s before jumps of velocity (M, 2) m/s that are off from what is felt on the way there.
+
+    summed (M, 2) m/s: what is felt makes of the velocity, whose nose is off_gyro (M,) rad ahead of the gyroscope's: it
+    went by the course that was sent, and on the way to a jump the gyroscope alone is right, unless its bias was found
+    from such fixes. jumps (J,): the fixes after which it jumps.
+    """
     runs = []
     for last in jumps.tolist():
         before, behind = np.searchsorted(t, [t[last] - REACH, t[last + 1] + SETTLES])
