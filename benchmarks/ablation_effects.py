@@ -43,6 +43,7 @@ from smoother.estimate.graph.inputs import SENSOR_ERRORS, Priors
 from smoother.estimate.graph.keyframes import keyframe_times
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.normal_equations import add_constants_prior
+from smoother.estimate.graph.row_components import RowComponent
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import ACCEL_ERROR, GYRO_ERROR, RECTIFICATION
 from smoother.fit.running import gaussian_mean
@@ -156,8 +157,8 @@ def _one_time(*_: Any) -> ClockOffset:
     return NO_OFFSET
 
 
-def _all_count(solved: Any, name: str, _: BoolArray) -> components.RowComponent:
-    return components.RowComponent.of(solved.rows[name], solved.solution)
+def _all_count(solved: Any, name: str, _: BoolArray) -> RowComponent:
+    return RowComponent.of(solved.rows[name], solved.solution)
 
 
 def _same(value: Any, *_: Any) -> Any:

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import chi2
 
-from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, recorded, rms, score
+from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, other_values, recorded, rms, score
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 
 HEADINGS = ("vel m/s", "1 s m", "roll deg", "pitch deg", "yaw deg")
@@ -124,6 +124,7 @@ def _pooled(batch: list[Score]) -> str:
         f"{key} {sum(s.values[key].observable for s in batch if key in s.values)}/{len(batch)}" for key, _ in VALUES
     )
     lines.append(f"observable: {counts}")
+    lines += other_values(batch)
     lines += _beyond(batch)
     lines.append(f"lever arm, error in parts of the true value: {', '.join(_attenuation(batch))}")
     return "\n".join(lines)

@@ -6,7 +6,7 @@ Rates of samples and fixes, noise of every sensor, delays, lever arm, vibration,
 length are drawn for each session, over what real devices have; some receivers send no Doppler, some a vertical one. A
 line for each session: delays and arm over their own sigmas, shares of velocities, attitudes, lines and positions within
 two sigmas, errors over the information bound (which knows scale and misalignment: with a good gyro these are what
-limits attitude). Then the same for groups.
+limits attitude). Then the same for groups, and for all else that is identified, error over sigma.
 """
 
 import argparse
@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from scoring import ANGLES, QUANTITIES, TRACKS, Case, Score, ScoreOptions, recorded, score
+from scoring import ANGLES, QUANTITIES, TRACKS, Case, Score, ScoreOptions, other_values, recorded, score
 from smoother.estimate.graph.smoother import GraphSmoother
 
 FIRST = 7000  # of the seeds by which figures are drawn
@@ -167,6 +167,7 @@ def main() -> None:
             scores.append(result)
     print("\nz rms; % within one and two sigmas; median error over the bound, of velocity, position over 1 s, attitude")
     print("\n".join(_groups(scores)))
+    print("\n".join(other_values(scores)))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 Shared by the benchmarks. Angles are in degrees here, because everything ends in a table that people read.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ STANDING = 5.0  # s on the grid of a standing start
 SCORED_RATE = 10.0  # Hz; errors change more slowly
 GAP, GAP_MARGIN = 1.5, 1.0  # s; a longer time without fix is an outage; it is left out with this much on either side
 NEES_EVERY = 60.0  # s between the fixed times
+HARD_CORNER = 10.0  # m/s^2 of lateral acceleration, at which slip_sigma is what the process has
 NEAREST_OFFSET = 0.3  # s; farther from a fix the true offset is not known
 ANGLES = ("roll", "pitch", "yaw")
 QUANTITIES = ("velocity", "relative", *ANGLES)
@@ -92,6 +93,7 @@ class ValueScore:
     sigma: float
     bound: float | None
     observable: bool
+    is_other: bool = False  # than delays, arm and mounting
 
     @property
     def z(self) -> float:
@@ -156,7 +158,10 @@ def score(
         seconds,
         rms_errors(simulation, compared, inside),
         limits,
-        _values(simulation, estimate.report.identified, bound),
+        {
+            **_values(simulation, estimate.report.identified, bound),
+            **_other_values(simulation, estimate.report.identified, density),
+        },
         {name: _shares(e[inside], s[inside]) for name, (e, s) in _sigma_pairs(compared).items()},
         nees_at_times(simulation, session, estimate),
         _noise(simulation, estimate.report.identified, density),
@@ -343,6 +348,64 @@ def _values(simulation: Simulation, identified: dict[str, Identified], bound: Bo
         for i, axis in enumerate("xyz"):
             out[f"mount_{axis}"] = ValueScore(0.0, turn[i] / DEG, sigma[i] / DEG, None, mounting.observable)
     return out
+
+
+def _other_values(
+    simulation: Simulation, identified: dict[str, Identified], density: tuple[float, float]
+) -> dict[str, ValueScore]:
+    """All else that is identified and that the simulation knows: noise, wander, slip, and effects that it has none of.
+
+    density: effective ones of force and rate. What a sigma per axis is of has one figure on the level and one upwards.
+    """
+    gnss, imu, motion, out = simulation.scenario.gnss, simulation.scenario.imu, simulation.scenario.motion, {}
+    assert imu is not None
+    mag = simulation.scenario.mag
+    slip = HARD_CORNER * motion.slip_per_acceleration * motion.slip_sigma
+    for key, true in (
+        ("accel_noise", (density[0],)),
+        ("gyro_noise", (density[1],)),
+        ("gps_position_noise", (gnss.white_horizontal, gnss.white_up)),
+        ("gps_velocity_noise", (gnss.velocity_sigma,) if gnss.velocity else ()),
+        ("gps_offset_sigma", (gnss.offset_horizontal, gnss.offset_up)),
+        ("gps_offset_tau", (gnss.offset_tau,) if gnss.offset_horizontal > 0.0 else ()),
+        ("slip_sigma", (slip,)),
+        ("gps_velocity_response", (0.0,)),
+        ("gps_course_delay", (0.0,)),
+        ("accel_delay", (imu.accel_delay,)),
+        ("mag_hard_iron", () if mag is None else tuple(mag.hard_iron_s)),
+        ("mag_soft_iron", () if mag is None else tuple(np.ravel(_correction(mag.soft_iron)))),
+        ("mag_heading_offset", (0.0,)),
+    ):
+        if (value := identified.get(key)) is None or value.source == "configured":
+            continue
+        found = np.ravel(np.asarray(value.value, dtype=np.float64))
+        sigma = np.ravel(np.asarray(value.sigma, dtype=np.float64))
+        rows = [0, -1] if len(true) == 2 else range(len(true))
+        for name, i, truth in zip(_names(key, len(true)), rows, true, strict=True):
+            out[name] = ValueScore(float(truth), float(found[i] - truth), float(sigma[i]), None, value.observable, True)
+    return out
+
+
+def _names(key: str, count: int) -> list[str]:
+    """Names of one value, of one on the level and one upwards, or of so many."""
+    return [key] if count == 1 else [key, f"{key}_up"] if count == 2 else [f"{key}_{i}" for i in range(count)]
+
+
+def _correction(soft_iron: Array) -> Array:
+    """What takes a field distorted by soft_iron (3, 3) back to what it was but for its strength."""
+    return np.asarray(np.linalg.inv(soft_iron) * abs(np.linalg.det(soft_iron)) ** (1.0 / 3.0))
+
+
+def other_values(scores: Sequence[Score]) -> list[str]:
+    """Lines on what is identified beside delays, arm and mounting: error over sigma, and how many sessions show it."""
+    names = dict.fromkeys(key for s in scores for key, value in s.values.items() if value.is_other)
+    cells = []
+    for name in names:
+        values = [s.values[name] for s in scores if name in s.values]
+        z, shown = np.array([abs(v.z) for v in values]), sum(v.observable for v in values)
+        cells.append(f"{name} {rms(z):.2f} (largest {np.nanmax(z):.1f}; shown {shown}/{len(values)})")
+    parts = [", ".join(cells[i : i + 3]) for i in range(0, len(cells), 3)]
+    return [f"{'' if i else 'other values, z rms:':<21}{part}" for i, part in enumerate(parts)]
 
 
 def _noise(simulation: Simulation, identified: dict[str, Identified], density: tuple[float, float]) -> dict[str, float]:

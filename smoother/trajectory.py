@@ -47,7 +47,7 @@ class Identified:
     """A value of the whole session. `source` is configured, identified or default; `observable`: the data pinned it."""
 
     value: float | list[float] | list[list[float]]
-    sigma: float | list[float] | None
+    sigma: float | list[float] | list[list[float]] | None
     unit: str
     observable: bool
     source: str

@@ -32,7 +32,8 @@ _NAMES = {
     "accel_rectification": "vibration offset",
     "accel_rectification_by_rate": "rocking offset",
 }
-_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma")  # drivers need not ask
+# drivers need not ask
+_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "mag_heading_offset")
 
 
 def show_result(result: Result, path: Path | None = None) -> None:

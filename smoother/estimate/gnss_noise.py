@@ -3,13 +3,14 @@
 Sources: Förstner 1979 (variance components: squared residuals over redundancy); Yang et al. 2002 (IGG III weights).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate import gnss_system as system
 from smoother.estimate.graph.chain import ChainSolution
+from smoother.fit.noise_spread import ANY_NOISE, BY_JERK, Residuals, of_positions, of_velocities
 from smoother.samples import GnssFixes
 
 # By group of gnss_system (horizontal and up position, horizontal and up velocity): m, m, m/s, m/s.
@@ -30,17 +31,22 @@ KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none f
 # metres within seconds; without Doppler as a witness nothing tells that from driving, so the path stays with fixes.
 UNREMARKABLE = np.array([0.5, 3.0, 0.3, 0.3])
 UNREMARKABLE_ALONE = 1.0  # m, horizontal position of a fix without Doppler
+POSITIONS = (system.HORIZONTAL_POSITION, system.UP_POSITION)
 IN = 0.5  # weight from which a measurement counts as accepted
 BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of the length of 2 or 1 standard normals
 
 
 @dataclass(frozen=True, eq=False)
 class FixNoise:
-    """sigma (4,) per group, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration."""
+    """sigma (4,) per group, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration.
+
+    spread (4,): sigma of the logarithm of each sigma.
+    """
 
     sigma: Array
     jerk: Array
     vehicle: Array
+    spread: Array = field(default_factory=lambda: np.full(system.GROUPS, ANY_NOISE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +131,7 @@ def robust_weights(size: Array, before: Array, graduation: float) -> Array:
 def identify(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: FixNoise) -> FixNoise:
     """Return the noise that one round of solving shows, x (A, K, 4) being its result."""
     jerk = _jerk(done, between, x, solution, now.jerk)
-    return replace(now, sigma=_sigma(done), jerk=jerk, vehicle=_vehicle(x, solution, now.vehicle))
+    return replace(now, sigma=_sigma(done), jerk=jerk, vehicle=_vehicle(x, solution, now.vehicle), spread=_spread(done))
 
 
 def _sigma(done: Round) -> Array:
@@ -137,6 +143,20 @@ def _sigma(done: Round) -> Array:
     squares = np.bincount(rows.group, weight * (done.residual / rows.scale) ** 2, system.GROUPS)
     sigma = np.sqrt((squares + leaning * USUAL_SIGMA**2) / (checked + leaning))
     return np.asarray(np.maximum(sigma, LEAST_SIGMA))
+
+
+def _spread(done: Round) -> Array:
+    """Sigma (4,) of the logarithm of the sigma of each group, by what is left of it in the residuals."""
+    rows, weight = done.rows, done.weight
+    squares = weight * done.residual**2 / done.variance
+    expected = weight * (1.0 - weight * done.leverage / done.variance)
+    out = np.full(system.GROUPS, ANY_NOISE)
+    for group in np.unique(rows.group).tolist():
+        at = np.flatnonzero((rows.group == group) & (weight > 0.0))
+        at = at[np.argsort(rows.fix[at], kind="stable")]
+        residuals = Residuals(squares[at], np.maximum(expected[at], 0.0), float(len(at)))
+        out[group] = of_positions(residuals) if group in POSITIONS else of_velocities(residuals, BY_JERK)
+    return out
 
 
 def _jerk(done: Round, between: system.Transitions, x: Array, solution: ChainSolution, now: Array) -> Array:

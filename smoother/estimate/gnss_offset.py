@@ -150,6 +150,11 @@ def tells_offset(fixes_t: Array, seen: Drift, path: GnssPath) -> bool:
     return len(seen.t) >= FEWEST and has_doppler(path) and not follows_positions(fixes_t, path)
 
 
+def is_told(fixes_t: Array, path: GnssPath) -> bool:
+    """Whether the fixes of `path`, stamped fixes_t (M,) s, say anything of their offset."""
+    return tells_offset(fixes_t, drift_against_doppler(fixes_t, path), path)
+
+
 def has_doppler(path: GnssPath) -> bool:
     """Whether most fixes of `path` come with a velocity that agrees with it."""
     return float(np.mean(path.velocity_weight > WEIGHTY)) >= LEAST_DOPPLER

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
+from smoother.estimate.gnss_noise import LEAST_SIGMA
+from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, is_told, offset_model, unseen_variance
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.left_out import without_positions
+from smoother.estimate.noise_of_fixes import hidden_wander, noise_of_fixes, wander_of_fixes
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -32,6 +34,9 @@ from smoother.trajectory import (
 
 UNUSUAL, UNUSUAL_SHARE, LEAST_UNUSUAL = 3.0, 95.0, 3.0  # times the percentile of what moves, m/s^2: no driving, a step
 STEP_REACH = 1.5  # fixes on either side of a step whose path it bends
+ANY_ARM = 0.5  # m, along each axis: of the antenna from a box whose place nobody knows, as of a graph's prior
+ANY_TURN = np.pi / np.sqrt(3.0)  # rad, about each axis: any turn
+UNSURE_WALK = 0.5  # of what the wander between nodes takes off the noise of fixes
 ACCEPTED = 0.5  # robust weight below which a fix counts as rejected
 
 
@@ -63,7 +68,7 @@ class GnssSmoother:
         early = unsettled(session)
         session = without_positions(session, early) if early.any() else session
         path = fit_path(session, options.path)
-        offset = _offset(session, path, options.path)
+        found, offset = _offset(session, path, options.path)
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
         t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate
@@ -71,7 +76,12 @@ class GnssSmoother:
         acceleration_b, angular_rate_b = _body_motion(motion, sigma, options)
         latency_sigma = 0.0 if _is_latency_stated(session, options) else options.position_latency_sigma
         report = EstimateReport(
-            identified=_identified(session, path, offset, options, latency_sigma),
+            identified={
+                **_identified(session, path, options, latency_sigma),
+                **_of_fixes(session, path, found),
+                **wander_of_fixes(offset, _hidden(session, path, offset)),
+                **_inertial(session),
+            },
             residuals=_statistics(path),
             fixes=FixResiduals(np.arange(len(session.gnss)), path.position_residual_n, path.position_weight),
             timings={"fixes": fitted - started, "output": time.perf_counter() - fitted},
@@ -91,13 +101,18 @@ class GnssSmoother:
         )
 
 
-def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> OffsetModel:
-    """The slow offset of the fixes as far as Doppler tells, else the population's."""
+def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> tuple[OffsetModel, OffsetModel]:
+    """The slow offset of the fixes as far as Doppler tells, else the population's; and what is to be said of it.
+
+    Where nothing tells, that is what receivers do: one that scatters by metres may wander by metres, too.
+    """
     usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
     white = float(path.position_sigma[0])
     found = offset_model(session.gnss.t, path, usual, white < UNFILTERED)
+    if not is_told(session.gnss.t, path):
+        return found, replace(found, sigma=np.maximum(found.sigma, usual.sigma))
     unseen = unseen_variance(found, white, usual.sigma, len(session.gnss))
-    return replace(found, sigma=np.sqrt(found.sigma**2 + unseen))
+    return found, replace(found, sigma=np.sqrt(found.sigma**2 + unseen))
 
 
 def _widened(t: Array, motion: GnssMotion, sigma: GnssPathSigmas, path: GnssPath, session: Session) -> GnssPathSigmas:
@@ -204,12 +219,11 @@ def _rms(values: Array) -> float:
 
 
 def _identified(
-    session: Session, path: GnssPath, offset: OffsetModel, options: GnssOnlyOptions, latency_sigma: float
+    session: Session, path: GnssPath, options: GnssOnlyOptions, latency_sigma: float
 ) -> dict[str, Identified]:
-    """What the session's values are and where from. latency_sigma s: of the position latency, 0 where it is stated."""
+    """The session's delays and where they are from. latency_sigma s: of the position latency, 0 where it is stated."""
     lag, latency = path.velocity_lag, path.position_latency
     stated = latency_sigma == 0.0
-    has_velocity = bool(np.any(path.velocity_weight > 0.0))
     found = {
         "gps_position_latency": Identified(
             latency, None if stated else latency_sigma, "s", stated, "configured" if stated else "default"
@@ -224,42 +238,62 @@ def _identified(
         "gps_velocity_lag": Identified(
             lag.value, lag.sigma, "s", lag.observable or lag.source == "configured", lag.source
         ),
-        "gps_position_noise": Identified(path.position_sigma.tolist(), None, "m", True, "identified"),
-        **_identified_offset(offset, options.path),
     }
-    if has_velocity:
-        found["gps_velocity_noise"] = Identified(path.velocity_sigma.tolist(), None, "m/s", True, "identified")
+    if _has_velocity(path):
         bias, bias_sigma = path.velocity_bias.tolist(), path.velocity_bias_sigma.tolist()
         is_seen = max(bias_sigma[:2]) < 0.5 * options.path.velocity_bias_sigma
         found["gps_velocity_bias"] = Identified(
             bias, bias_sigma, "m/s", is_seen, "identified" if is_seen else "default"
         )
-    return {**found, **_inertial(session)}
+    return found
 
 
-def _identified_offset(offset: OffsetModel, options: GnssPathOptions) -> dict[str, Identified]:
-    """How far fixes wander, and how long that lasts."""
-    told, shown = bool(np.isfinite(offset.tau_spread)), not np.allclose(offset.sigma, options.offset_sigma)
-    tau_sigma = offset.tau * offset.tau_spread if told else None
-    return {
-        "gps_offset_sigma": Identified(offset.sigma.tolist(), None, "m", told, "identified" if shown else "default"),
-        "gps_offset_tau": Identified(offset.tau, tau_sigma, "s", told, "identified" if told else "default"),
-    }
+def _has_velocity(path: GnssPath) -> bool:
+    return bool(np.any(path.velocity_weight > 0.0))
+
+
+def _of_fixes(session: Session, path: GnssPath, offset: OffsetModel) -> dict[str, Identified]:
+    """Noise of the fixes, whose `offset` is as the session shows it.
+
+    Fixes that come more quickly than there are nodes share them, and what their offset does in between is no noise.
+    """
+    t = session.gnss.t - path.position_latency
+    after = np.clip(np.searchsorted(path.t, t), 1, len(path.t) - 1)
+    step = path.t[after] - path.t[after - 1]
+    gone = np.clip((t - path.t[after - 1]) / step, 0.0, 1.0)
+    wandered = 2.0 * offset.sigma**2 / offset.tau * np.mean(step * gone * (1.0 - gone))
+    white = np.sqrt(np.maximum(path.position_sigma**2 - wandered, LEAST_SIGMA[[0, 0, 1]] ** 2))
+    beyond = UNSURE_WALK * (path.position_sigma - white)
+    found = {"gps_position_noise": noise_of_fixes(white, path.position_spread, "m", beyond)}
+    if _has_velocity(path):
+        found["gps_velocity_noise"] = noise_of_fixes(path.velocity_sigma, path.velocity_spread, "m/s")
+    return found
+
+
+def _hidden(session: Session, path: GnssPath, offset: OffsetModel) -> Array:
+    """How far the offset may go (3,) m beneath the noise of the fixes."""
+    t = session.gnss.t
+    lasts = float(t[-1] - t[0])
+    return hidden_wander(path.position_sigma, path.velocity_sigma, lasts / len(t), lasts, offset.tau)
 
 
 def _inertial(session: Session) -> dict[str, Identified]:
-    """What only an IMU could show: as stated, else the values that leave out its part, NaN where there is none."""
+    """What only an IMU could show: as stated, else the values that leave out its part, NaN where there is none.
+
+    How the box lies nobody knows then, and the antenna is where such a box has it.
+    """
     mounting, imu = session.config.mounting, session.config.imu
 
-    def stated(value: Any, otherwise: Any, unit: str) -> Identified:
-        known = value is not None
-        return Identified(value if known else otherwise, None, unit, known, "configured" if known else "default")
+    def stated(value: Any, otherwise: Any, unit: str, sigma: list[float] | None = None) -> Identified:
+        if value is not None:
+            return Identified(value, None, unit, True, "configured")
+        return Identified(otherwise, sigma, unit, False, "default")
 
     arm = None if mounting.lever_arm_b is None else mounting.lever_arm_b.tolist()
     R_bs = None if mounting.R_bs is None else mounting.R_bs.tolist()
     return {
-        "lever_arm_b": stated(arm, [0.0, 0.0, 0.0], "m"),
-        "R_bs": stated(R_bs, np.eye(3).tolist(), "1"),
+        "lever_arm_b": stated(arm, [0.0, 0.0, 0.0], "m", [ANY_ARM] * 3),
+        "R_bs": stated(R_bs, np.eye(3).tolist(), "1 (sigma: rad)", [ANY_TURN] * 3),
         "accel_noise": stated(imu.accel_noise, np.nan, "m/s^2/sqrt(Hz)"),
         "gyro_noise": stated(imu.gyro_noise, np.nan, "rad/s/sqrt(Hz)"),
     }

@@ -109,6 +109,7 @@ class GnssPath:
     position_residual_n, velocity_residual_n (M, 3) path - fix with the offset on the path's side;
     position_weight, velocity_weight (M,) horizontal and up_weight (M,), robust, 0..1.
     position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
+    position_spread, velocity_spread (3,): sigmas of the logarithms of these.
     position_scale, up_scale, velocity_scale (M,) factor of a fix's own sigma over the usual. position_latency s.
     velocity_bias and its sigma (3,) m/s: mean of Doppler minus path.
     """
@@ -129,6 +130,8 @@ class GnssPath:
     velocity_scale: Array
     position_sigma: Array
     velocity_sigma: Array
+    position_spread: Array
+    velocity_spread: Array
     jerk_density: Array
     position_latency: float
     velocity_lag: VelocityLag
@@ -389,6 +392,8 @@ def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: 
         velocity_scale=scales[1][:, 0],
         position_sigma=sigma[[0, 0, 1]],
         velocity_sigma=sigma[[2, 2, 3]],
+        position_spread=state.noise.spread[[0, 0, 1]],
+        velocity_spread=state.noise.spread[[2, 2, 3]],
         jerk_density=state.noise.jerk[[0, 0, 1]],
         position_latency=latency,
         velocity_lag=_lag(known, state),

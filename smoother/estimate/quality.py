@@ -29,6 +29,7 @@ from smoother.words import counted
 
 # residuals by which nothing is judged: a kart may slide for long, and samples are as noisy as they were found to be
 NOT_JUDGED = ("slip", "inertial", "bias_walk")
+USUAL_WANDER = 2.0  # m, of receivers in general, which says nothing of these fixes
 ROW = 0.1  # s, between the rows that are asked about attitude
 
 
@@ -185,10 +186,16 @@ def _stray_at_rest(session: Session, estimate: Trajectory, t: Array, limits: Qua
 
 
 def _found_in_fixes(estimate: Trajectory) -> float:
-    """Sigma (m, horizontal per axis) of the fixes by wander and noise, as far as both were identified."""
-    found = [estimate.report.identified.get(name) for name in ("gps_offset_sigma", "gps_position_noise")]
-    values = [np.ravel(one.value)[:1] for one in found if one is not None and one.source == "identified"]
-    return float(np.linalg.norm(np.concatenate(values))) if values else 0.0
+    """Sigma (m, horizontal per axis) of the fixes by wander and noise, as far as both were identified.
+
+    Wander beyond that of receivers in general shows in the fixes, too, even where a session is too short to pin it.
+    """
+    square = 0.0
+    for name, least in (("gps_offset_sigma", USUAL_WANDER), ("gps_position_noise", math.inf)):
+        if (one := estimate.report.identified.get(name)) is not None:
+            level = float(np.ravel(one.value)[0])
+            square += level**2 if one.source == "identified" or level > least else 0.0
+    return math.sqrt(square)
 
 
 def _accuracy(session: Session) -> Array:

@@ -145,6 +145,8 @@ _NAMES = {
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer behind gyroscope",
+    "mag_hard_iron": "iron beside the compass, on each axis of the box",
+    "mag_heading_offset": "compass off by",
     "imu_clock_drift": "samples' clock against that of the fixes",
     "gps_position_noise": "GPS position noise: north, west, up",
     "gps_velocity_noise": "GPS velocity noise: north, west, up",

@@ -73,6 +73,8 @@ def is_told(name: str, found: Identified, mode: str) -> bool:
     """Whether an identified value says something: of fixes alone, those of the inertial sensor stand for nothing."""
     if name in ONLY_IF_SEEN and found.source == "default":
         return False
+    if name == "mag_soft_iron":  # nine numbers, for whoever makes a calibration of them
+        return False
     if name == "gps_velocity_response":
         return smoothing_time(found) is not None
     return mode != "gps-only" or name not in OF_THE_IMU or found.source != "default"

@@ -259,7 +259,8 @@ def test_what_is_reported(session: Session) -> None:
     assert (found.value, found.sigma, found.unit, found.observable) == (pytest.approx(50.0), 3.0, "ppm", True)
     none = identified_drift(ClockDrift(3e-6, 4e-6, False))
     assert (none.value, none.sigma, none.source) == (0.0, pytest.approx(5.0), "default")
-    assert identified_drift(UNSEEN_DRIFT).sigma is None
+    unseen = identified_drift(UNSEEN_DRIFT)
+    assert (unseen.sigma, unseen.observable) == (pytest.approx(50.0), False)
     assert drift_problems(UNSEEN_DRIFT, session) == ()
     (slow,) = drift_problems(ClockDrift(-2e-4, 3e-6, True), session)
     assert "runs 200 ppm slow against that of the fixes, 0.06 s over the session" in slow.text

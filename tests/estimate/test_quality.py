@@ -127,9 +127,14 @@ def test_wander_of_the_fixes_within_the_trajectory_s_own_sigma_is_no_distance() 
     assert assess(session(wander, hacc=0.0), estimate(sigma=0.1)).measures["far_fix_share"] > 0.1
 
 
-@pytest.mark.parametrize(("source", "sigma", "is_far"), [("identified", 3.0, False), ("default", 3.0, True)])
+@pytest.mark.parametrize(
+    ("source", "sigma", "is_far"), [("identified", 3.0, False), ("default", 3.0, False), ("default", 2.0, True)]
+)
 def test_wander_that_was_found_is_no_distance(source: str, sigma: float, is_far: bool) -> None:
-    """Over a quarter of an hour the trajectory knows its place to a metre, and fixes go on wandering by three."""
+    """Over a quarter of an hour the trajectory knows its place to a metre, and fixes go on wandering by three.
+
+    Too short a session does not pin that; but what all receivers do, two metres, says nothing of this one.
+    """
     wander = 6.0 * np.sin(np.arange(0.0, SECONDS, 0.2) / 10.0)[:, None] * [1.0, 0.0, 0.0]
     found = Identified([sigma, sigma, 2.0 * sigma], None, "m", True, source)
     told = EstimateReport(identified={"gps_offset_sigma": found})

@@ -40,6 +40,8 @@ All other factors: rows
 Solving for noise that is given, and finding the noise
     batch           Gauss-Newton on everything at once
     incremental     the same graph by GTSAM's ISAM2
+    row_components  squared residuals of measurements, and what is expected of them
+    told            how well a session tells its noise
     components      noise from residuals: variance components
     noise_steps     how much of a step the noise goes
     lasting         errors of velocities that last for a second or two

@@ -10,20 +10,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.disc import pieces
 from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
 from smoother.estimate.graph.batch import Solved
-from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import VarianceComponent, inertial_components
 from smoother.estimate.graph.inertial_noise import InertialNoise, LocalLevel, Shape, interval_noise
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise
-from smoother.estimate.graph.normal_equations import used_columns
 from smoother.estimate.graph.response import PassedNoise, passed_noise
+from smoother.estimate.graph.row_components import RowComponent, posterior_variance
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
-from smoother.estimate.graph.state import ACCEL_BIAS, EVENNESS, GYRO_BIAS, ROW_CONSTANTS_SIZE, VELOCITY_RESPONSE
+from smoother.estimate.graph.state import ACCEL_BIAS, EVENNESS, GYRO_BIAS, VELOCITY_RESPONSE
+from smoother.estimate.graph.told import told_by
 from smoother.fit.running import running_mean
 
 # bounds of scale and misalignment, of which the data sheet allows 3 % at the worst, and of rectification, m/s^2
@@ -61,7 +60,6 @@ LOCAL_COUNT = 10.0  # residuals, of about 6 to an interval, that say that it is 
 LOCAL_BOUNDS = 0.25, 4.0  # of the variance
 WALK_COUNT = 2.0  # residuals that say that biases walk as those of such sensors do
 SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
-TOGETHER = 256  # rows whose covariances are worked on together
 
 
 @dataclass(frozen=True)
@@ -70,27 +68,6 @@ class Scatter:
 
     accel: float
     gyro: float
-
-
-def posterior_variance(rows: Rows, solution: ChainSolution) -> Array:
-    """Variance (N, r) that the solution leaves in the prediction of `rows`."""
-    out = np.empty(rows.residual.shape)
-    of_left, of_right = used_columns(rows.left), used_columns(rows.right)
-    own = slice(0, ROW_CONSTANTS_SIZE)
-    P, S, cross = solution.covariance, solution.constants_covariance[own, own], solution.constants_cross
-    for part in pieces(len(out), TOGETHER):
-        k, constants = rows.interval[part], rows.constants[part]
-        left, right = rows.left[part, :, of_left], rows.right[part, :, of_right]
-        by_left = left @ P[k, of_left, of_left]
-        by_right = right @ P[k + 1, of_right, of_right] + 2.0 * (left @ solution.cross[k, of_left, of_right])
-        by_constants = left @ cross[k, of_left, own] + right @ cross[k + 1, of_right, own]
-        by_constants = 2.0 * by_constants + constants @ S
-        out[part] = _dot(by_left, left) + _dot(by_right, right) + _dot(by_constants, constants)
-    return out
-
-
-def _dot(one: Array, two: Array) -> Array:
-    return np.asarray(np.einsum("nri,nri->nr", one, two))
 
 
 def update_noise(
@@ -139,6 +116,7 @@ def update_noise(
     inertial = _spread_out(replace(now, accel=accel, gyro=gyro), force, rate, rough)
     return replace(
         noise,
+        told=told_by(solved, noise, (force, rate), (positions, velocities)),
         inertial=replace(inertial, local=local_level(force, some, binned.t, now)) if by_place else inertial,
         position=np.maximum(white, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
@@ -199,7 +177,7 @@ def _spread_out(
     )
 
 
-def _component_of(solved: Solved, name: str, counts: BoolArray) -> "RowComponent":
+def _component_of(solved: Solved, name: str, counts: BoolArray) -> RowComponent:
     """Of the rows `name`, those in the intervals that count (K-1,)."""
     rows = solved.rows[name]
     return RowComponent.of(rows, solved.solution).only(counts[rows.interval])
@@ -211,7 +189,7 @@ def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
     return unseen_variance(offset, float(noise.position[0]), population, n_fixes)
 
 
-def _of_means(component: "RowComponent", rows: Rows, several: int) -> "RowComponent":
+def _of_means(component: RowComponent, rows: Rows, several: int) -> RowComponent:
     """The component with squares of the means of `several` level residuals in turn in place of those of each."""
     squares = component.squares.copy()
     squares[:, :2] = running_mean(np.copysign(np.sqrt(squares), rows.residual)[:, :2], several) ** 2
@@ -235,7 +213,7 @@ def _density_ratio(component: VarianceComponent, density: float, scatter: float)
 
 
 def _velocity_and_force(
-    velocities: "RowComponent",
+    velocities: RowComponent,
     force: VarianceComponent,
     noise: Noise,
     scatter: Scatter,
@@ -336,25 +314,6 @@ def _share(component: VarianceComponent, rough: Array, share: float) -> float:
     right += 0.5 * SHARE_COUNT * prior.sum(axis=0)
     constant, slope = np.linalg.solve(normal, right)
     return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
-
-
-@dataclass(frozen=True, eq=False)
-class RowComponent:
-    """Squared residuals of rows over their variances, and what is expected of them, each (N, r); 0 where unknown."""
-
-    squares: Array
-    expected: Array
-
-    @classmethod
-    def of(cls, rows: Rows, solution: ChainSolution) -> "RowComponent":
-        """Of `rows` after the step of `solution`."""
-        information = rows.information
-        left = rows.weight[:, None] - posterior_variance(rows, solution) * information
-        return cls(rows.residual**2 * information, np.where(information > 0.0, np.maximum(left, 0.0), 0.0))
-
-    def only(self, chosen: BoolArray) -> "RowComponent":
-        """The component of the rows (N,) that are chosen; nothing of the others."""
-        return RowComponent(self.squares * chosen[:, None], self.expected * chosen[:, None])
 
 
 def _row_sigma(component: RowComponent, sigma: Array, usual: Array, count: float, largest: float = math.inf) -> Array:

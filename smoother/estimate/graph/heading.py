@@ -15,6 +15,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, IntArray
 from smoother.estimate.graph.state import ChainState
+from smoother.fit.correlation import correlation_growth
 from smoother.fit.magnetic_model import field_n as magnetic_field_n
 from smoother.frames import wrap_angle
 from smoother.samples import MagSamples
@@ -29,7 +30,44 @@ DIRECTIONS = 4.0  # cosine and sine of the heading and of its double: hard and s
 FEWEST = 20  # headings; fewer cannot be judged
 SPACING = 1.0  # s between heading factors, since the field's errors last
 LONGEST_MEMORY = 30  # headings
+# Parts of the field's strength, beforehand: of what iron turns and stretches, in each entry, and of what it adds
+ANY_IRON, ANY_HARD_IRON = 0.15, 2.0
+TINY = 1e-6  # of the field: no reading is better
+COMMON_LEAN = np.radians(1.0)  # of all attitudes, by biases of force that stay
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
+
+
+@dataclass(frozen=True, eq=False)
+class FieldFit:
+    """measured = matrix @ field_s + iron, both in the unit of the readings: (3, 3), (3,); field_s is a unit vector.
+
+    matrix_sigma (3, 3), iron_sigma (3,): their sigmas.
+    """
+
+    matrix: Array
+    iron: Array
+    matrix_sigma: Array
+    iron_sigma: Array
+
+    @property
+    def strength(self) -> float:
+        """Strength of the field in the unit of the readings: the mean size of the matrix."""
+        return float(abs(np.linalg.det(self.matrix)) ** (1.0 / 3.0))
+
+    @property
+    def soft_iron(self) -> Array:
+        """What takes readings without `iron` to the field as it is but for its strength, as of a calibration."""
+        return np.asarray(self.strength * np.linalg.inv(self.matrix))
+
+    @property
+    def soft_iron_sigma(self) -> Array:
+        """Sigma (3, 3) of each of its values, by those of the matrix: d(A^-1) = -A^-1 dA A^-1."""
+        inverse = np.linalg.inv(self.matrix)
+        return np.asarray(self.strength * np.sqrt(inverse**2 @ self.matrix_sigma**2 @ inverse**2))
+
+    def correct(self, measured: Array) -> Array:
+        """Return the field (N, 3) without iron."""
+        return np.asarray(np.linalg.solve(self.matrix, (measured - self.iron).T).T, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +75,7 @@ class Heading:
     """Heading measurements at the left keyframe of intervals (N,): corrected field_s (N, 3), any unit.
 
     field_yaw rad is the direction of the horizontal field in n, sigma rad of each. offset_sigma rad of what they have
-    in common; without has_offset that is in field_yaw already.
+    in common; without has_offset that is in field_yaw already. fit: what corrected them, None of a calibrated field.
     """
 
     interval: IntArray
@@ -46,6 +84,7 @@ class Heading:
     sigma: float
     offset_sigma: float
     has_offset: bool = True
+    fit: FieldFit | None = None
 
 
 def heading_from_field(mag: MagSamples, state: ChainState, declination: float, inclination: float) -> Heading | None:
@@ -62,7 +101,8 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     matrix, iron, weight = _fit(expected, measured)
     if np.linalg.cond(matrix) > 20.0:
         return None
-    corrected = np.asarray(np.linalg.solve(matrix, (measured - iron).T).T, dtype=np.float64)
+    fit = _with_sigmas(matrix, iron, expected, measured, weight)
+    corrected = fit.correct(measured)
     step = max(1, round(SPACING / state.interval))
     at, (before, after, weight) = _averages(state, step, t, R_ns, (measured, corrected), weight)
     if len(at) < FEWEST:
@@ -79,7 +119,7 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
     sigma = float(np.sqrt(FLOOR**2 + beyond + (repeating(int(np.count_nonzero(keep))) if fitted else 0.0)))
-    return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma)
+    return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit if fitted else None)
 
 
 def repeating(count: int) -> float:
@@ -159,3 +199,25 @@ def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:
         distance = np.linalg.norm(measured - design @ solution, axis=1)
         weight = 1.0 / (1.0 + (distance / (2.0 * np.median(distance) + 1e-12)) ** 2)
     return solution[:3].T, solution[3], weight
+
+
+def _with_sigmas(matrix: Array, iron: Array, expected: Array, measured: Array, weight: Array) -> FieldFit:
+    """The fit of `expected` (N, 3) to `measured` (N, 3), weights (N,), with its sigmas by what is left of the readings.
+
+    A kart stays level: what iron does upwards, laps hardly tell from what it adds, and both are as unsure as iron
+    beforehand. Errors of neighbouring readings are alike; those of the attitude are the same in all. What is left is
+    mostly the engine's, whose current has a mean, and which comes back at the same headings in every lap.
+    """
+    design = np.concatenate([expected, np.ones((len(expected), 1))], axis=1)
+    residual = measured - expected @ matrix.T - iron
+    information, sigma = (design * weight[:, None]).T @ design, np.empty((3, 4))
+    scale = float(abs(np.linalg.det(matrix)) ** (1.0 / 3.0))
+    beforehand = np.diag((np.array([ANY_IRON, ANY_IRON, ANY_IRON, ANY_HARD_IRON]) * scale) ** -2.0)
+    for axis in range(3):
+        variance = float(np.average(residual[:, axis] ** 2, weights=weight))
+        alike = correlation_growth(residual[:, axis] * np.sqrt(weight)) ** 2
+        seen = information / max(variance * alike, (TINY * scale) ** 2)
+        sigma[axis] = np.sqrt(np.diag(np.linalg.inv(seen + beforehand)))
+    left = np.average(np.mean(residual**2, axis=1), weights=weight)
+    sigma = np.sqrt(sigma**2 + (COMMON_LEAN * scale) ** 2 + left)
+    return FieldFit(matrix, iron, sigma[:, :3], sigma[:, 3])

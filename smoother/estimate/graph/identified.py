@@ -7,25 +7,33 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
+from smoother.estimate.gnss_offset import OffsetModel
+from smoother.estimate.graph.components import SMALLEST_POSITION
+from smoother.estimate.graph.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.slip import MOST as MOST_SLIP
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
     COURSE_DELAY,
+    HEADING_OFFSET,
     LEVER_ARM,
     RECTIFICATION,
     VELOCITY_RESPONSE,
     Constants,
 )
+from smoother.estimate.noise_of_fixes import noise_of_fixes, wander_of_fixes
+from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
-# s^2, of the response: what an antenna half a metre above a box that leans by 1.5 mrad to a m/s^2 shows of its own
-ANTENNA_LEANS = 0.8e-3
+ANY_SLIP = 0.5 * MOST_SLIP  # rad: how much it differs from corner to corner, beforehand
+# s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
+ANTENNA_LEANS = 1.1e-3
 # m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
 ROUND_THE_COLUMN = 0.1
 # s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
@@ -91,6 +99,26 @@ def identified_values(
         **_noise(noise, config),
         **_offset(noise, unseen),
     }
+
+
+def field_values(heading: Heading | None, constants: Constants, covariance: Array) -> dict[str, Identified]:
+    """Return what was found of the magnetometer; nothing where it is not used. covariance (31, 31) of `constants`.
+
+    Hard and soft iron only where the graph had to find them: those of a calibration are not asked for.
+    """
+    if heading is None:
+        return {}
+    sigma, out = float(np.sqrt(covariance[HEADING_OFFSET, HEADING_OFFSET][0, 0])), {}
+    observable = sigma < OBSERVABLE * heading.offset_sigma
+    out["mag_heading_offset"] = _value(constants.heading_offset, sigma, "rad", observable, False)
+    if (fit := heading.fit) is None:
+        return out
+    seen = bool(np.all(fit.iron_sigma < OBSERVABLE * ANY_HARD_IRON * fit.strength))
+    out["mag_hard_iron"] = _value(fit.iron.tolist(), fit.iron_sigma.tolist(), "of the readings", seen, False)
+    soft, of_soft = fit.soft_iron, fit.soft_iron_sigma
+    seen = bool(np.median(of_soft) < OBSERVABLE * ANY_IRON)
+    source = "identified" if seen else "default"
+    return {**out, "mag_soft_iron": Identified(soft.tolist(), of_soft.tolist(), "1", seen, source)}
 
 
 def _of_the_receiver(
@@ -184,30 +212,28 @@ def _noise(noise: Noise, config: SessionConfig) -> dict[str, Identified]:
     out: dict[str, Identified] = {}
     if noise.slip is not None:
         # not what slip has in common: its process takes a part of that over, and yaw is the same
-        out["slip_sigma"] = _value(noise.slip.sigma, None, "rad", True, False)
-    inertial = noise.inertial
-    out["accel_noise"] = _value(inertial.accel, None, "m/s^2/sqrt(Hz)", True, config.imu.accel_noise is not None)
-    out["gyro_noise"] = _value(inertial.gyro, None, "rad/s/sqrt(Hz)", True, config.imu.gyro_noise is not None)
-    out["gps_position_noise"] = _value(noise.position.tolist(), None, "m", True, False)
-    # with what lasts of them: laps add it up, and a stream has it beside the noise of force that was found with it
-    out["gps_velocity_noise"] = _value(noise.of_velocities.tolist(), None, "m/s", True, False)
-    return out
+        sigma = noise.slip.unsure_sigma
+        out["slip_sigma"] = _value(noise.slip.sigma, sigma, "rad", sigma < OBSERVABLE * ANY_SLIP, False)
+    inertial, told, stated = noise.inertial, noise.told, config.imu
+    for name, value, spread, unit, given in (
+        ("accel_noise", inertial.accel, told.accel, "m/s^2/sqrt(Hz)", stated.accel_noise),
+        ("gyro_noise", inertial.gyro, told.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),
+    ):
+        out[name] = _value(value, value * spread, unit, spread < OBSERVABLE * ANY_NOISE, given is not None)
+    white = np.sqrt(np.maximum(noise.position**2 - told.wandered, SMALLEST_POSITION**2))
+    out["gps_position_noise"] = noise_of_fixes(white, told.position, "m")
+    # with what lasts of them: laps add it up, and a stream has it beside the noise of force that was found with it.
+    # That it lasts on the drive as it does at rest, no drive shows
+    with_lasting = noise.of_velocities
+    velocity = noise_of_fixes(with_lasting, told.velocity, "m/s", with_lasting - noise.velocity)
+    return {**out, "gps_velocity_noise": velocity}
 
 
 def _offset(noise: Noise, unseen: Array) -> dict[str, Identified]:
-    """How far fixes wander, and how long that lasts.
-
-    How large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best.
-    """
-    sigma_offset, shown = np.sqrt(noise.offset_sigma**2 + unseen), bool(unseen[0] == 0.0)
-    told = math.isfinite(noise.offset_tau_spread)
-    sigma_tau, source = (noise.offset_tau * noise.offset_tau_spread, "identified") if told else (None, "default")
-    return {
-        "gps_offset_sigma": Identified(
-            sigma_offset.tolist(), None, "m", shown and told, "identified" if shown else "default"
-        ),
-        "gps_offset_tau": Identified(noise.offset_tau, sigma_tau, "s", told, source),
-    }
+    """How far fixes wander, and how long that lasts."""
+    sigma = np.sqrt(noise.offset_sigma**2 + unseen)
+    offset = OffsetModel(sigma, noise.offset_tau, noise.offset_tau_spread)
+    return wander_of_fixes(offset, noise.told.hidden)
 
 
 def _value(

@@ -18,9 +18,27 @@ from smoother.estimate.graph.state import (
     RECTIFICATION,
 )
 from smoother.estimate.pauses import NO_PAUSES, Pauses
+from smoother.fit.noise_spread import ANY_NOISE
 
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
 LEVELS_SIZE = 11  # densities of force and rate; sigmas of position, velocity and offset per axis
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """How well a session tells its noise: sigmas of the logarithms of densities of force and rate, and per axis of the
+    sigmas of position and velocity, (3,).
+
+    wandered (3,) m^2: what the offset of the fixes adds to their white noise by going its way between keyframes, beside
+    the straight line that is taken for it there. hidden (3,) m: how far it may go unseen beneath that noise.
+    """
+
+    accel: float = ANY_NOISE
+    gyro: float = ANY_NOISE
+    position: Array = field(default_factory=lambda: np.full(3, ANY_NOISE))
+    velocity: Array = field(default_factory=lambda: np.full(3, ANY_NOISE))
+    wandered: Array = field(default_factory=lambda: np.zeros(3))
+    hidden: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +53,7 @@ class Noise:
     offset_most (3,) m: what offset_sigma may be found to be at most, of a receiver that fixes carrier phases.
     sensor_error (3,): spread of the entries of accel_error and gyro_error (scale and misalignment, no unit) and of
         rectification, m/s^2.
-    slip: of the wheels, None where they are not asked.
+    slip: of the wheels, None where they are not asked. told: how well it is known.
     """
 
     inertial: InertialNoise
@@ -48,6 +66,7 @@ class Noise:
     slip: SlipNoise | None = None
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
     counted: float = 1.0
+    told: Told = field(default_factory=Told)
 
     @property
     def of_velocities(self) -> Array:

@@ -39,6 +39,10 @@ HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
 # Sigma of the process at HARD to begin with. Simulated karts have 0.6 deg. Of cars 0.1 to 1 deg were seen, of real
 # karts none yet: the two recorded ones had the box on the steering wheel, where this is 7 deg.
 FIRST = 0.6 * DEG
+# Of the sigma that is found: that of how much corners differ, of what shows less, since its constants take over what
+# they have in common, to what shows more, since tyres that answer late differ too; and rad. 90 karts with as much as
+# nobody has seen, drawn at random, had rms 0.7 of that (benchmarks/random_karts.py, draws 1600 to 1689).
+UNLIKE = 0.5, 5e-3
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
 DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
 ROUND_IT, OUT_OF_IT = 0.6, 0.3  # of a hard corner's lateral acceleration, between which one corner becomes another
@@ -69,6 +73,11 @@ class SlipNoise:
     moments: Array
     different: float
     apart: float = 0.0
+
+    @property
+    def unsure_sigma(self) -> float:
+        """Sigma, rad, of `sigma`, by how far it was from what simulated karts were given: see :data:`UNLIKE`."""
+        return math.hypot(UNLIKE[0] * self.sigma, UNLIKE[1])
 
     @property
     def nose_variance(self) -> float:

@@ -26,6 +26,7 @@ from smoother.estimate.gnss_turned import disagreement, disagreement_problems, i
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
+from smoother.estimate.graph.identified import field_values
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
@@ -33,7 +34,6 @@ from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.output import build_trajectory, row_times
 from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
-from smoother.estimate.graph.solve import Solution
 from smoother.estimate.graph.start import Start, have_samples, on_the_wheel
 from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.stated import (
@@ -44,7 +44,6 @@ from smoother.estimate.graph.stated import (
 )
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
-from smoother.estimate.graph.windows import WindowsSolution
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
@@ -178,8 +177,7 @@ class GraphSmoother:
                     steered = look(session, start, options, watch.say, on_the_wheel)
                 with watch("output"):
                     trajectory, solved = _output(session, steered, options), steered
-        start, solution = solved.start, solved.solution
-        report = _completed_report(given, begun, start, solution, trajectory)
+        report = _completed_report(given, begun, solved, trajectory)
         report = replace(report, problems=(*report.problems, *_contradicted(session, solved)))
         trajectory = replace(trajectory, report=replace(report, timings=watch.seconds))
         if not len(pauses):
@@ -374,15 +372,14 @@ def _turns_with_a_wheel(trajectory: Trajectory, solved: Looked) -> bool:
     return on_wheel and not solved.found.state.constants.is_steered and unsteadiness(gyro) < 1.0
 
 
-def _completed_report(
-    given: Session, begun: Begun, start: Start, solution: Solution | WindowsSolution, trajectory: Trajectory
-) -> EstimateReport:
+def _completed_report(given: Session, begun: Begun, solved: Looked, trajectory: Trajectory) -> EstimateReport:
     """Report of the trajectory, with what was found out before there was one, and what speaks against it."""
-    told = trajectory.report
+    told, start, found, solution = trajectory.report, solved.start, solved.found, solved.solution
     return replace(
         told,
         identified={
             **of_both_sides(told.identified, begun.steps),
+            **field_values(solution.heading, found.state.constants, found.constants_covariance),
             "accel_delay": identified_delay(begun.delay),
             "imu_clock_drift": identified_drift(begun.drift),
         },

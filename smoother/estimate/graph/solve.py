@@ -13,7 +13,7 @@ from smoother.estimate.graph.chain import NotPositiveDefiniteError, solve_chain
 from smoother.estimate.graph.coarse import FOR_CONSTANTS, near_solution
 from smoother.estimate.graph.components import OWN_SCATTER, Scatter, bias_walks, slip_update, update_noise
 from smoother.estimate.graph.first_noise import scatter_of
-from smoother.estimate.graph.heading import heading_from_field
+from smoother.estimate.graph.heading import Heading, heading_from_field
 from smoother.estimate.graph.imu import MOSTLY_MISSING, BinnedImu
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
@@ -56,12 +56,13 @@ Say = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved session, and what it was solved with."""
+    """A solved session, and what it was solved with; heading: of the magnetometer, None where that is not used."""
 
     solved: Solved
     noise: Noise
     priors: Priors
     problems: tuple[Problem, ...]
+    heading: Heading | None = None
 
 
 def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solution:
@@ -96,7 +97,7 @@ def solve_whole(session: Session, start: Start, noise: Noise, options: GraphOpti
             graph = batch.graph(solved.state, noise)
             state = batch.approach(graph, solved.state, noise, *STREAM_ROLLING)
             solved = batch.step(graph, state, noise, held=held)
-    return Solution(solved, noise, priors, problems)
+    return Solution(solved, noise, priors, problems, data.heading)
 
 
 def _is_worse(noise: Noise, other: Noise) -> bool:

@@ -23,6 +23,7 @@ from smoother.disc import roomy, settle
 from smoother.estimate.graph.batch import Batch, Solved
 from smoother.estimate.graph.coarse import NEAR, near_solution
 from smoother.estimate.graph.estimated import Estimated, are_made_up, common_attitude
+from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.incremental import solve_as_stream
 from smoother.estimate.graph.inertial import InertialGraph
 from smoother.estimate.graph.inputs import Data, Noise, Priors
@@ -76,6 +77,7 @@ class WindowsSolution:
     noise: Noise
     priors: Priors
     problems: tuple[Problem, ...]
+    heading: Heading | None = None
 
 
 def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
@@ -84,7 +86,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
     in_one = replace(options, solver="batch")  # a stream takes the constants as they are
     main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
-    priors, problems = main.priors, main.problems
+    priors, problems, heading = main.priors, main.problems, main.heading
     noise = replace(main.noise, inertial=main.noise.inertial.everywhere())
     common = _common_attitude(main.solved, start, are_made_up(busiest.binned))
     del main, busiest  # the windows need its room
@@ -99,7 +101,7 @@ def solve_in_windows(session: Session, start: Start, noise: Noise, options: Grap
             values[window.first : window.last] = getattr(known, name)
         settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / len(windows))
-    return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems)
+    return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems, heading)
 
 
 def _common_attitude(main: Solved, start: Start, made_up: BoolArray | None) -> Array:

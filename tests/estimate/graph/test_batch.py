@@ -19,7 +19,6 @@ from smoother.estimate.graph.components import (
     USUAL_VELOCITY,
     USUAL_VELOCITY_COUNT,
     Scatter,
-    posterior_variance,
     unseen_offset,
     update_noise,
 )
@@ -30,6 +29,7 @@ from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
 from smoother.estimate.graph.preintegration import preintegrate
+from smoother.estimate.graph.row_components import posterior_variance
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.state import (
     ACCEL_BIAS,

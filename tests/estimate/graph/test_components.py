@@ -10,7 +10,6 @@ from smoother.estimate.graph.components import (
     LOCAL,
     LOCAL_BOUNDS,
     USUAL_SPREAD,
-    RowComponent,
     _of_means,
     _shape,
     _share,
@@ -21,6 +20,7 @@ from smoother.estimate.graph.components import (
 from smoother.estimate.graph.inertial import VarianceComponent
 from smoother.estimate.graph.inertial_noise import ROUND
 from smoother.estimate.graph.response import passed_noise
+from smoother.estimate.graph.row_components import RowComponent
 from smoother.estimate.graph.rows import prior_row
 from smoother.estimate.graph.state import Constants
 

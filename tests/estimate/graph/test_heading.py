@@ -74,6 +74,31 @@ def test_any_box_and_any_iron_within_a_kart_s_reach(seed: int) -> None:
     assert np.sqrt(np.mean(heading_error(state, heading) ** 2)) < 2.5 * DEG
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_iron_that_was_found_is_within_its_sigmas(seed: int) -> None:
+    """In any unit, with attitudes that all lean by a degree as those of a biased accelerometer do."""
+    rng = np.random.default_rng(10 + seed)
+    state = laps(so3.exp(2.0 * rng.normal(size=3)))
+    hard, crooked = rng.uniform(-30.0, 30.0, 3), rng.uniform(-0.1, 0.1, (3, 3))
+    soft = np.eye(3) + crooked + crooked.T
+    leaning = replace(state, R_ns=so3.exp(np.array([0.7, 0.7, 0.0]) * DEG) @ state.R_ns)
+    heading = heading_from_field(readings(state, hard, soft, unit=0.01), leaning, DECLINATION, INCLINATION)
+    assert heading is not None
+    assert heading.fit is not None
+    correction = np.linalg.inv(soft) * np.linalg.det(soft) ** (1.0 / 3.0)
+    of_iron = (heading.fit.iron - 0.01 * hard) / heading.fit.iron_sigma
+    of_matrix = (heading.fit.soft_iron - correction) / heading.fit.soft_iron_sigma
+    assert np.max(np.abs(np.append(of_iron, of_matrix.ravel()))) < 2.6
+    assert np.all(heading.fit.iron_sigma < 0.3 * 0.47)  # what laps tell, within a third of the field
+
+
+def test_a_calibrated_field_says_nothing_of_iron() -> None:
+    state = laps()
+    heading = heading_from_field(readings(state, np.zeros(3), np.eye(3)), state, DECLINATION, INCLINATION)
+    assert heading is not None
+    assert heading.fit is None
+
+
 def test_its_rows_read_zero_at_the_true_attitude() -> None:
     state = laps()
     heading = heading_from_field(readings(state, noise=0.0), state, DECLINATION, INCLINATION)

@@ -1,14 +1,16 @@
 """What is reported of a session's constants."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from smoother.config import SessionConfig
-from smoother.estimate.graph.identified import identified_values
+from smoother.estimate.graph.heading import FieldFit, Heading
+from smoother.estimate.graph.identified import field_values, identified_values
 from smoother.estimate.graph.inertial_noise import InertialNoise
-from smoother.estimate.graph.inputs import Noise, Priors
+from smoother.estimate.graph.inputs import Noise, Priors, Told
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early, _velocities_early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
@@ -27,11 +29,15 @@ def told(
     is_steered: bool = False,
     gyro: float = 0.01,
     doubt: float = 0.0,
+    counted: float = 1.0,
+    noise_told: Told | None = None,
     **priors: bool,
 ) -> dict[str, Identified]:
     """Of latencies known to `sigma`, s, with priors of 0.25 s."""
     inertial, half = InertialNoise(0.1, gyro, 0.003, 1e-4), np.full(3, 0.5)
-    noise = Noise(inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread)
+    noise = Noise(
+        inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread, counted=counted, told=noise_told or Told()
+    )
     beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
     return identified_values(
         Constants(0.12, 0.2, np.array([0.3, 0.4, 0.0]), is_steered=is_steered),
@@ -71,7 +77,7 @@ def test_an_antenna_that_leans_looks_like_a_receiver_that_answers_late() -> None
     """Half a metre above the box; as the height of the arm is not known, neither is that."""
     known, unknown = told(0.0, sigma=2e-4), told(0.0, sigma=2e-4, holds_height=True)
     assert known["gps_velocity_response"].sigma == pytest.approx(2e-4)
-    assert unknown["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 0.8e-3))
+    assert unknown["gps_velocity_response"].sigma == pytest.approx(math.hypot(2e-4, 1.1e-3))
 
 
 def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> None:
@@ -104,6 +110,54 @@ def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
 def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, observable: bool) -> None:
     value = told(0.0, tau_spread=spread)["gps_offset_sigma"]
     assert value.observable == observable
+
+
+def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
+    """As any receiver's and box's where nothing tells it, and then it is a default."""
+    each = Told(0.1, 0.2, np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7]))
+    known, unknown = told(0.0, noise_told=each), told(0.0)
+    for name, spread in (("accel_noise", 0.1), ("gyro_noise", 0.2), ("gps_position_noise", each.position)):
+        assert known[name].sigma == pytest.approx(spread * np.asarray(known[name].value))
+        assert (known[name].observable, known[name].source) == (True, "identified")
+        beside = 0.3 if name == "gps_position_noise" else 0.0  # receivers are filtered, or are not
+        assert unknown[name].sigma == pytest.approx(np.hypot(0.7 * np.asarray(unknown[name].value), beside))
+        assert (unknown[name].observable, unknown[name].source) == (False, "default")
+
+
+def test_what_lasts_of_velocities_may_be_none_of_the_drive_s() -> None:
+    """It was seen at rest: velocities count half as much as they are white, or as that."""
+    each = Told(velocity=np.full(3, 0.1))
+    plain, lasting = (told(0.0, counted=counted, noise_told=each)["gps_velocity_noise"] for counted in (1.0, 2.0))
+    assert plain.value == pytest.approx([0.5, 0.5, 0.5])
+    assert plain.sigma == pytest.approx([0.05, 0.05, 0.05])
+    assert lasting.value == pytest.approx([1.0, 1.0, 0.5])
+    assert lasting.sigma == pytest.approx([math.hypot(0.1, 0.5), math.hypot(0.1, 0.5), 0.05])
+
+
+def test_what_the_wander_goes_between_keyframes_is_no_noise_of_fixes() -> None:
+    value = told(0.0, noise_told=Told(wandered=np.array([0.09, 0.09, 1.0])))["gps_position_noise"].value
+    assert value == pytest.approx([0.4, 0.4, 0.02])
+
+
+def test_a_wander_may_hide_beneath_the_noise() -> None:
+    hidden = told(0.0, noise_told=Told(hidden=np.array([1.0, 1.0, 2.0])))["gps_offset_sigma"]
+    assert hidden.sigma == pytest.approx(np.hypot(0.25, [1.0, 1.0, 2.0]))
+
+
+def test_a_compass_that_is_not_used_has_no_values() -> None:
+    constants, covariance = Constants(0.0, 0.0, np.zeros(3), heading_offset=0.1), 1e-4 * np.eye(CONSTANTS_SIZE)
+    assert field_values(None, constants, covariance) == {}
+    calibrated = Heading(np.arange(3), np.zeros((3, 3)), 0.0, 0.1, 0.012)
+    values = field_values(calibrated, constants, covariance)
+    assert list(values) == ["mag_heading_offset"]  # iron is the calibration's
+    offset = values["mag_heading_offset"]
+    assert (offset.value, offset.sigma, offset.observable) == (0.1, pytest.approx(0.01), False)
+    fit = FieldFit(40.0 * np.eye(3), np.ones(3), np.full((3, 3), 1.0), np.full(3, 2.0))
+    values = field_values(replace(calibrated, fit=fit, offset_sigma=0.8), constants, covariance)
+    assert values["mag_heading_offset"].observable
+    assert values["mag_hard_iron"].sigma == [2.0, 2.0, 2.0]
+    np.testing.assert_allclose(values["mag_soft_iron"].value, np.eye(3))
+    np.testing.assert_allclose(values["mag_soft_iron"].sigma, 1.0 / 40.0)
 
 
 @pytest.mark.parametrize(("value", "said"), [(-0.8, True), (-0.06, False), (0.1, False)])

@@ -81,6 +81,37 @@ class TestIdentified:
         np.testing.assert_allclose(found["gps_velocity_noise"].value[:2], 0.15, rtol=0.1)
 
 
+def test_every_value_has_a_sigma_and_is_within_it() -> None:
+    """Noise, wander, slip and iron, as delays and arm: what was found, less the truth, over its own sigma."""
+    normalised, white = [], []
+    for preset, seed in (("kart", 31), ("kart", 32), ("kart", 33), ("kart_harsh", 34)):
+        simulation = simulate_preset(preset, seed, duration=150.0)
+        scenario, gnss = simulation.scenario, simulation.scenario.gnss
+        found = GraphSmoother().estimate(prepare(simulation.raw)).report.identified
+        for name, value in found.items():
+            assert value.sigma is not None, name
+            assert np.all(np.isfinite(value.sigma)) and np.all(np.asarray(value.sigma) > 0.0), name
+        assert scenario.mag is not None
+        motion, iron = scenario.motion, scenario.mag.soft_iron
+        for name, level, true in (
+            ("gps_position_noise", slice(None), [gnss.white_horizontal, gnss.white_horizontal, gnss.white_up]),
+            ("gps_velocity_noise", slice(0, 2), gnss.velocity_sigma),
+            ("gps_offset_sigma", slice(None), [gnss.offset_horizontal, gnss.offset_horizontal, gnss.offset_up]),
+            ("gps_offset_tau", slice(None), gnss.offset_tau),
+            ("slip_sigma", slice(None), 10.0 * motion.slip_per_acceleration * motion.slip_sigma),
+            ("mag_hard_iron", slice(None), scenario.mag.hard_iron_s),
+            ("mag_soft_iron", slice(None), np.linalg.inv(iron) * np.linalg.det(iron) ** (1.0 / 3.0)),
+            ("mag_heading_offset", slice(None), 0.0),
+        ):
+            value, sigma = (np.atleast_1d(figure)[level] for figure in (found[name].value, found[name].sigma))
+            normalised.append(np.ravel((value - np.asarray(true)) / sigma))
+            assert np.max(np.abs(normalised[-1])) < 2.6, (preset, seed, name)
+        white.append(np.ravel(found["gps_position_noise"].value)[0] / gnss.white_horizontal)
+    assert 0.3 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.2
+    # a twentieth of the noise would be the way that the wander goes between keyframes
+    assert np.mean(white[:3]) == pytest.approx(1.0, abs=0.035)
+
+
 def shaken(session: Session, push: np.ndarray) -> Session:
     """The session as if an engine of 31 Hz shook it, whose vibration's power swells and fades, and pushes by as much.
 

@@ -1,0 +1,62 @@
+"""What to report of the noise and the wander of fixes, whoever found them: with a graph, or from the fixes alone."""
+
+import math
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.gnss_offset import BIN, TIMES, OffsetModel
+from smoother.fit.noise_spread import ANY_NOISE
+from smoother.trajectory import Identified
+
+OBSERVABLE = 0.5  # as of all values: a sigma below this share of its prior's
+# Sigmas of the logarithms of wander and time where no session tells them: receivers wander by half to twice of what is
+# usual, and forget it within 30 to 150 s.
+ANY_WANDER, ANY_TIME = 0.5, 0.6
+# Of the white noise of fixes that no session tells, by its unit: receivers that filter have centimetres, others metres.
+ANY_SCATTER = {"m": 0.3, "m/s": 0.15}
+UNSEEN_WALK = 0.1  # of the walk of Doppler that is added up
+
+
+def noise_of_fixes(sigma: Array, spread: Array, unit: str, beyond: Array | None = None) -> Identified:
+    """Return the white noise per axis, sigma (3,) in `unit`, of which the logarithms are known to spread (3,).
+
+    beyond (3,), in `unit`: what else may be wrong with it. It is observable where it is on the level: few receivers
+    tell a vertical velocity.
+    """
+    own = np.hypot(sigma * spread, 0.0 if beyond is None else beyond)
+    own = np.hypot(own, np.where(spread < OBSERVABLE * ANY_NOISE, 0.0, ANY_SCATTER[unit]))
+    observable = bool(np.all(spread[:2] < OBSERVABLE * ANY_NOISE))
+    return Identified(sigma.tolist(), own.tolist(), unit, observable, "identified" if observable else "default")
+
+
+def hidden_wander(white: Array, velocity: Array, interval: float, duration: float, tau: float) -> Array:
+    """Return the wander (3,) m that may go unseen over tau s, with fixes one in `interval` s, for `duration` s.
+
+    Beneath the mean of their white noise, `white` (3,) m, and beneath the walk that noise of `velocity` (3,) m/s adds
+    up to, a tenth of which is not seen to be missing. And the fewer tau there are, the more of it may be chance.
+    """
+    of_doppler = 0.5 * tau * UNSEEN_WALK * velocity**2 * interval
+    by_chance = 1.0 + TIMES * tau / max(duration, BIN)
+    return np.asarray(np.sqrt((white**2 * min(1.0, interval / tau) + of_doppler) * by_chance))
+
+
+def wander_of_fixes(offset: OffsetModel, hidden: Array) -> dict[str, Identified]:
+    """Return how far fixes wander, and how long that lasts.
+
+    How large the offset is shows with how long it lasts, in sessions of many times that; else it is a guess at best.
+    hidden (3,) m: see :func:`hidden_wander`.
+    """
+    told = math.isfinite(offset.tau_spread)
+    spread, source = (offset.tau_spread, "identified") if told else (ANY_TIME, "default")
+    of_sigma = min(spread, ANY_WANDER)
+    return {
+        "gps_offset_sigma": Identified(
+            offset.sigma.tolist(),
+            np.hypot(of_sigma * offset.sigma, hidden).tolist(),
+            "m",
+            told,
+            source,
+        ),
+        "gps_offset_tau": Identified(offset.tau, spread * offset.tau, "s", told, source),
+    }

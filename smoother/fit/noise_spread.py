@@ -1,0 +1,114 @@
+"""How well a noise is known that was found as squared residuals over redundancy: variance components and their spread.
+
+What residuals of white noise amount to, a variance is known to by their number. But a source of noise that leaves
+little of itself in the residuals is told by what is left only, and of a change of it they show less than all. Where one
+time of a session is noisier than another, which no such number knows, blocks of time scatter by more.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+
+# Sigma of the logarithm of a noise that nothing tells: receivers and boxes of one sort are within half to twice of one
+# another, and all but a few of those that a noise is guessed for.
+ANY_NOISE = 0.7
+BLOCKS = 24  # of time, whose scatter is known to a seventh
+FEWEST = 5  # residuals in each
+# What the model itself leaves open, in sigmas of a logarithm. Found on 90 simulated karts whose every figure was drawn
+# at random (benchmarks/random_karts.py, draws 1600 to 1689); 180 others, and what they show, stand in docs/accuracy.md.
+OF_FORCE, OF_FORCE_ALONE = 0.12, 0.3  # flexing, leaning, bumps; without Doppler the wander of positions passes for it
+OF_RATE = 0.06
+OF_FIXES = 0.02
+# What is not in residuals is split between a noise and what it is told from, the wander of fixes and the way between
+# velocities, as these were modelled: per share of that to the share that is.
+BY_WANDER, BY_FORCE, BY_JERK = 0.7, 0.2, 0.6
+LEAST_SHARE = 0.01
+
+
+def told_as_white(share: float) -> float:
+    """Part of a small change of white noise that residuals show, which leave `share` of it.
+
+    Against a random walk: the mean over all frequencies of the square of what is left, over the mean. With w, the part
+    that the walk takes over, and w = 1 - share these are (1 - w)^2 (1 + w / 2) and 1 - w.
+    """
+    return share * (1.5 - 0.5 * share)
+
+
+def told_as_walk(share: float) -> float:
+    """Likewise of the noise of a random walk beside white noise: (w + w^3) / 2 over w = share."""
+    return 0.5 * (1.0 + share**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What tells a noise: what residuals add, in order of time (N,), to `squares` over their variances, and to what is
+    `expected` of these; `count` of them, of which `expected` in all is what is left.
+    """
+
+    squares: Array
+    expected: Array
+    count: float
+
+    @property
+    def redundancy(self) -> float:
+        """How many independent ones they amount to."""
+        return float(np.sum(self.expected))
+
+    @property
+    def share(self) -> float:
+        """Share, 0 to 1, of the noise that is left in them."""
+        return min(1.0, max(self.redundancy, 0.0) / max(self.count, 1.0))
+
+
+def of_positions(residuals: Residuals) -> float:
+    """Sigma of the logarithm of the white noise of positions, beside a wander."""
+    own, share = _spread(residuals, told_as_white), max(residuals.share, LEAST_SHARE)
+    return min(ANY_NOISE, math.hypot(own, OF_FIXES, BY_WANDER * ((1.0 - share) / share) ** 2))
+
+
+def of_velocities(residuals: Residuals, by_path: float = BY_FORCE) -> float:
+    """Likewise of velocities, beside what says how one of them goes on to the next: samples, or a smooth path."""
+    own, share = _spread(residuals, told_as_white), max(residuals.share, LEAST_SHARE)
+    return min(ANY_NOISE, math.hypot(own, OF_FIXES, by_path * (1.0 - share) / share))
+
+
+def of_force(residuals: Residuals, *, has_doppler: bool) -> float:
+    """Likewise of the force that is measured between fixes."""
+    own = _spread(residuals, told_as_walk)
+    return min(ANY_NOISE, math.hypot(own, OF_FORCE if has_doppler else OF_FORCE_ALONE))
+
+
+def of_rate(residuals: Residuals) -> float:
+    """Likewise of the rate."""
+    return min(ANY_NOISE, math.hypot(_spread(residuals, told_as_walk), OF_RATE))
+
+
+def _spread(residuals: Residuals, told: Callable[[float], float]) -> float:
+    """Sigma of the logarithm of a sigma that was found as sqrt(squares / expected); ANY_NOISE where nothing tells it.
+
+    told: what of a small change residuals show, by the share that is left.
+    Squares of residuals vary by twice the mean square of what is left of the noise over all frequencies: `told` parts
+    of the redundancy. Sources: Foerstner 1979; Huber 1967 (from blocks, if that is more).
+    """
+    redundancy = residuals.redundancy
+    if redundancy < 1.0 or float(np.sum(residuals.squares)) <= 0.0:
+        return ANY_NOISE
+    shown = told(residuals.share)
+    relative = max(math.sqrt(2.0 * shown / redundancy), _scatter_of_blocks(residuals))
+    return min(ANY_NOISE, 0.5 * relative / shown)
+
+
+def _scatter_of_blocks(residuals: Residuals) -> float:
+    """Sigma of squares over expected relative to it, by how blocks of time differ; 0 for too few of them."""
+    squares, expected = residuals.squares, residuals.expected
+    blocks = min(BLOCKS, len(squares) // FEWEST)
+    if blocks < 2:
+        return 0.0
+    first = np.arange(blocks) * len(squares) // blocks
+    found, of_them = np.add.reduceat(squares, first), np.add.reduceat(expected, first)
+    apart = found - of_them * (np.sum(found) / np.sum(of_them))
+    return math.sqrt(float(np.sum(apart**2)) * blocks / (blocks - 1)) / float(np.sum(found))
