@@ -102,16 +102,12 @@ class GnssSmoother:
 
 
 def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> tuple[OffsetModel, OffsetModel]:
-    """The slow offset of the fixes as far as Doppler tells, else the population's; and what is to be said of it.
-
-    Where nothing tells, that is what receivers do: one that scatters by metres may wander by metres, too.
-    """
+    """The slow offset of the fixes as far as Doppler tells, else the population's; and what is to be said of it."""
     usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
     white = float(path.position_sigma[0])
     found = offset_model(session.gnss.t, path, usual, white < UNFILTERED)
-    if not is_told(session.gnss.t, path):
-        return found, replace(found, sigma=np.maximum(found.sigma, usual.sigma))
-    unseen = unseen_variance(found, white, usual.sigma, len(session.gnss))
+    has_doppler = is_told(session.gnss.t, path)
+    unseen = unseen_variance(found, white, usual.sigma, len(session.gnss), has_doppler=has_doppler)
     return found, replace(found, sigma=np.sqrt(found.sigma**2 + unseen))
 
 

@@ -183,10 +183,10 @@ def _component_of(solved: Solved, name: str, counts: BoolArray) -> RowComponent:
     return RowComponent.of(rows, solved.solution).only(counts[rows.interval])
 
 
-def unseen_offset(noise: Noise, population: Array, n_fixes: int) -> Array:
+def unseen_offset(noise: Noise, population: Array, n_fixes: int, *, has_doppler: bool = True) -> Array:
     """Variance (3,) m^2 of the GPS offset beyond what the session shows, see :func:`unseen_variance`."""
     offset = OffsetModel(noise.offset_sigma, noise.offset_tau, noise.offset_tau_spread)
-    return unseen_variance(offset, float(noise.position[0]), population, n_fixes)
+    return unseen_variance(offset, float(noise.position[0]), population, n_fixes, has_doppler=has_doppler)
 
 
 def _of_means(component: RowComponent, rows: Rows, several: int) -> RowComponent:

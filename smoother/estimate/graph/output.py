@@ -6,6 +6,7 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.disc import release
+from smoother.estimate.gnss_offset import LEAST_DOPPLER
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.claims import claims_of
 from smoother.estimate.graph.components import unseen_offset
@@ -60,7 +61,8 @@ def build_trajectory(
     pauses: where time is cut out of the session; the rows that fall into them are left out. doubt: see
     :func:`identified_values`.
     """
-    unseen = unseen_offset(noise, population, len(session.gnss))
+    has_doppler = float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) > LEAST_DOPPLER
+    unseen = unseen_offset(noise, population, len(session.gnss), has_doppler=has_doppler)
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
     found = _with_wander_shared(session, found, noise)
     source = _source(session, found, noise, binned, pauses)

@@ -414,3 +414,14 @@ def test_positions_that_a_receiver_averages_over_seconds_fail_the_gate_and_are_n
     trajectory = GraphSmoother().estimate(session)
     (text,) = [p.text for p in trajectory.report.problems if p.code == "gps_velocity_early"]
     assert text.partition(": ")[0] in assess(session, trajectory).reasons
+
+
+def test_fixes_that_scatter_without_doppler_may_wander_unseen() -> None:
+    """Nothing shows it: a few decimetres of sigma were said of places that were metres off."""
+    ratio = []
+    for seed in (11, 12, 13):
+        changes = {"gnss_white_horizontal": 1.5, "gnss_offset_horizontal": 2.0, "gnss_velocity": False}
+        found = smoothed(simulate_preset("kart", seed, duration=150.0, gnss_outages=(), **changes))
+        assert found.trajectory.sigmas is not None
+        ratio.append(found.error_n[:, :2] / found.trajectory.sigmas.position_n[:, :2])
+    assert np.sqrt(np.mean(np.concatenate(ratio) ** 2)) < 1.3
