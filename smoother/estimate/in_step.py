@@ -15,8 +15,9 @@ from smoother.fit.force_delay import ForceDelay, force_delay
 from smoother.samples import ImuSamples, Session
 from smoother.trajectory import Identified
 
-# s: of one chip both are within 3 ms, by its two filters; of loggers with two of them 15 and 30 ms were seen
-USUAL = 0.01
+# s, where the samples do not tell it: sensors of one chip, as loggers have them, are within 3 ms by its two filters, which
+# is what the sigmas of the GPS delays count on. (Of two chips it may be ten times that, and then those are off by it.)
+USUAL = 3e-3
 
 
 def in_step(session: Session) -> tuple[Session, ForceDelay]:

@@ -67,7 +67,7 @@ def test_what_is_reported_is_what_was_taken_out() -> None:
     none = identified(ForceDelay(0.003, 0.004, True))
     assert (none.value, none.sigma, none.observable, none.source) == (0.0, pytest.approx(0.005), True, "default")
     unknown = identified(UNSEEN)
-    assert (unknown.value, unknown.sigma, unknown.observable, unknown.source) == (0.0, 0.01, False, "default")
+    assert (unknown.value, unknown.sigma, unknown.observable, unknown.source) == (0.0, 0.003, False, "default")
 
 
 def wheel(delay: float) -> Simulation:
