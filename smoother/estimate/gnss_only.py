@@ -21,7 +21,7 @@ from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, G
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.left_out import without_positions
-from smoother.estimate.noise_of_fixes import hidden_wander, noise_of_fixes, wander_of_fixes
+from smoother.estimate.noise_of_fixes import hidden_wander, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -36,7 +36,6 @@ UNUSUAL, UNUSUAL_SHARE, LEAST_UNUSUAL = 3.0, 95.0, 3.0  # times the percentile o
 STEP_REACH = 1.5  # fixes on either side of a step whose path it bends
 ANY_ARM = 0.5  # m, along each axis: of the antenna from a box whose place nobody knows, as of a graph's prior
 ANY_TURN = np.pi / np.sqrt(3.0)  # rad, about each axis: any turn
-UNSURE_WALK = 0.5  # of what the wander between nodes takes off the noise of fixes
 ACCEPTED = 0.5  # robust weight below which a fix counts as rejected
 
 
@@ -258,9 +257,8 @@ def _of_fixes(session: Session, path: GnssPath, offset: OffsetModel) -> dict[str
     step = path.t[after] - path.t[after - 1]
     gone = np.clip((t - path.t[after - 1]) / step, 0.0, 1.0)
     wandered = 2.0 * offset.sigma**2 / offset.tau * np.mean(step * gone * (1.0 - gone))
-    white = np.sqrt(np.maximum(path.position_sigma**2 - wandered, LEAST_SIGMA[[0, 0, 1]] ** 2))
-    beyond = UNSURE_WALK * (path.position_sigma - white)
-    found = {"gps_position_noise": noise_of_fixes(white, path.position_spread, "m", beyond)}
+    least = LEAST_SIGMA[[0, 0, 1]]
+    found = {"gps_position_noise": scatter_of_fixes(path.position_sigma, path.position_spread, wandered, least)}
     if _has_velocity(path):
         found["gps_velocity_noise"] = noise_of_fixes(path.velocity_sigma, path.velocity_spread, "m/s")
     return found

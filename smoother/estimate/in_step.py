@@ -15,7 +15,7 @@ from smoother.fit.force_delay import ForceDelay, force_delay
 from smoother.samples import ImuSamples, Session
 from smoother.trajectory import Identified
 
-# s, where the samples do not tell it: sensors of one chip, as loggers have them, are within 3 ms by its two filters, which
+# s, where the samples do not tell it: sensors of one chip, as loggers have them, are within 3 ms by its filters, which
 # is what the sigmas of the GPS delays count on. (Of two chips it may be ten times that, and then those are off by it.)
 USUAL = 3e-3
 

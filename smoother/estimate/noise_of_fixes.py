@@ -15,6 +15,8 @@ OBSERVABLE = 0.5  # as of all values: a sigma below this share of its prior's
 ANY_WANDER, ANY_TIME = 0.5, 0.6
 # Of the white noise of fixes that no session tells, by its unit: receivers that filter have centimetres, others metres.
 ANY_SCATTER = {"m": 0.3, "m/s": 0.15}
+DIGIT = 0.01  # m, and m/s: less than that no receiver says, and what is found to be less is not told
+UNSURE_WALK = 0.5  # of what the wander between keyframes takes off the noise of fixes
 UNSEEN_WALK = 0.1  # of the walk of Doppler that is added up
 
 
@@ -25,9 +27,18 @@ def noise_of_fixes(sigma: Array, spread: Array, unit: str, beyond: Array | None 
     tell a vertical velocity.
     """
     own = np.hypot(sigma * spread, 0.0 if beyond is None else beyond)
-    own = np.hypot(own, np.where(spread < OBSERVABLE * ANY_NOISE, 0.0, ANY_SCATTER[unit]))
+    own = np.hypot(own, np.where(spread < OBSERVABLE * ANY_NOISE, DIGIT, ANY_SCATTER[unit]))
     observable = bool(np.all(spread[:2] < OBSERVABLE * ANY_NOISE))
     return Identified(sigma.tolist(), own.tolist(), unit, observable, "identified" if observable else "default")
+
+
+def scatter_of_fixes(sigma: Array, spread: Array, wandered: Array, least: Array | float) -> Identified:
+    """Return :func:`noise_of_fixes` of positions with sigma (3,) m, no less than `least` m, beside their wander.
+
+    wandered (3,) m^2: what their offset adds to it by going its way between keyframes, which is no noise.
+    """
+    white = np.sqrt(np.maximum(sigma**2 - wandered, np.square(least)))
+    return noise_of_fixes(white, spread, "m", UNSURE_WALK * (sigma - white))
 
 
 def hidden_wander(white: Array, velocity: Array, interval: float, duration: float, tau: float) -> Array:

@@ -24,7 +24,7 @@ from smoother.estimate.graph.state import (
     VELOCITY_RESPONSE,
     Constants,
 )
-from smoother.estimate.noise_of_fixes import noise_of_fixes, wander_of_fixes
+from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
@@ -220,8 +220,7 @@ def _noise(noise: Noise, config: SessionConfig) -> dict[str, Identified]:
         ("gyro_noise", inertial.gyro, told.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),
     ):
         out[name] = _value(value, value * spread, unit, spread < OBSERVABLE * ANY_NOISE, given is not None)
-    white = np.sqrt(np.maximum(noise.position**2 - told.wandered, SMALLEST_POSITION**2))
-    out["gps_position_noise"] = noise_of_fixes(white, told.position, "m")
+    out["gps_position_noise"] = scatter_of_fixes(noise.position, told.position, told.wandered, SMALLEST_POSITION)
     # with what lasts of them: laps add it up, and a stream has it beside the noise of force that was found with it.
     # That it lasts on the drive as it does at rest, no drive shows
     with_lasting = noise.of_velocities

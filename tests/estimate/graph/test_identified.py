@@ -117,7 +117,8 @@ def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
     each = Told(0.1, 0.2, np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7]))
     known, unknown = told(0.0, noise_told=each), told(0.0)
     for name, spread in (("accel_noise", 0.1), ("gyro_noise", 0.2), ("gps_position_noise", each.position)):
-        assert known[name].sigma == pytest.approx(spread * np.asarray(known[name].value))
+        digit = 0.01 if name == "gps_position_noise" else 0.0
+        assert known[name].sigma == pytest.approx(np.hypot(spread * np.asarray(known[name].value), digit))
         assert (known[name].observable, known[name].source) == (True, "identified")
         beside = 0.3 if name == "gps_position_noise" else 0.0  # receivers are filtered, or are not
         assert unknown[name].sigma == pytest.approx(np.hypot(0.7 * np.asarray(unknown[name].value), beside))
@@ -129,14 +130,17 @@ def test_what_lasts_of_velocities_may_be_none_of_the_drive_s() -> None:
     each = Told(velocity=np.full(3, 0.1))
     plain, lasting = (told(0.0, counted=counted, noise_told=each)["gps_velocity_noise"] for counted in (1.0, 2.0))
     assert plain.value == pytest.approx([0.5, 0.5, 0.5])
-    assert plain.sigma == pytest.approx([0.05, 0.05, 0.05])
+    assert plain.sigma == pytest.approx(np.hypot([0.05, 0.05, 0.05], 0.01))
     assert lasting.value == pytest.approx([1.0, 1.0, 0.5])
-    assert lasting.sigma == pytest.approx([math.hypot(0.1, 0.5), math.hypot(0.1, 0.5), 0.05])
+    assert lasting.sigma == pytest.approx(np.hypot([math.hypot(0.1, 0.5), math.hypot(0.1, 0.5), 0.05], 0.01))
 
 
 def test_what_the_wander_goes_between_keyframes_is_no_noise_of_fixes() -> None:
-    value = told(0.0, noise_told=Told(wandered=np.array([0.09, 0.09, 1.0])))["gps_position_noise"].value
-    assert value == pytest.approx([0.4, 0.4, 0.02])
+    """And half of what is taken off may be wrong."""
+    each = Told(position=np.full(3, 0.1), wandered=np.array([0.09, 0.09, 1.0]))
+    found = told(0.0, noise_told=each)["gps_position_noise"]
+    assert found.value == pytest.approx([0.4, 0.4, 0.02])
+    assert found.sigma == pytest.approx(np.sqrt(np.square([0.04, 0.04, 2e-3]) + np.square([0.05, 0.05, 0.24]) + 1e-4))
 
 
 def test_a_wander_may_hide_beneath_the_noise() -> None:
