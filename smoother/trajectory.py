@@ -44,7 +44,10 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Identified:
-    """A value of the whole session. `source` is configured, identified or default; `observable`: the data pinned it."""
+    """A value of the whole session. `source` is configured, identified or default; `observable`: the data pinned it.
+
+    sigma has the shape of the value, but for `R_bs`, a rotation (3, 3), of which it is that of turns (3,) about b, rad.
+    """
 
     value: float | list[float] | list[list[float]]
     sigma: float | list[float] | list[list[float]] | None

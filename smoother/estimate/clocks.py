@@ -53,7 +53,7 @@ LAG, DRIFT = np.array([1.0, 0.0]), np.array([0.0, 1.0])  # of what axes say
 ONE = np.ones(1)  # likewise of the delay alone
 TINY = 1e-12  # s^2
 
-USUAL_DRIFT = 5e-5  # of a quartz against GPS, where nothing tells it
+USUAL_DRIFT = 5e-5  # of a quartz against GPS, beforehand
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,8 @@ def identified_drift(found: ClockDrift) -> Identified:
     """What to report, in ppm: the drift taken out; 0 where there is none, and how far off that may be."""
     if found.is_found:
         return Identified(1e6 * found.drift, 1e6 * found.sigma, "ppm", True, "identified")
-    sigma = math.hypot(found.drift, found.sigma) if math.isfinite(found.sigma) else USUAL_DRIFT
+    told = math.hypot(found.drift, found.sigma)
+    sigma = 1.0 / math.hypot(1.0 / told, 1.0 / USUAL_DRIFT) if told > 0.0 else USUAL_DRIFT
     return Identified(0.0, 1e6 * sigma, "ppm", False, "default")
 
 

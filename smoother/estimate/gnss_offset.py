@@ -116,20 +116,18 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     return _walked(seen, usual) if is_filtered else OffsetModel(np.minimum(own, usual.sigma), usual.tau)
 
 
-def unseen_variance(
-    offset: OffsetModel, white: float, population: Array, n_fixes: int, *, has_doppler: bool = True
-) -> Array:
+def unseen_variance(offset: OffsetModel, white: float, population: Array, n_fixes: int, hidden: float = 0.0) -> Array:
     """Variance (3,) m^2 of the offset beyond what a session's `offset` shows, to be added to absolute positions.
 
     A receiver with little white noise (m) has filtered its fixes. They wander slowly, by more than a drive can show,
     since neither integrated Doppler nor the inertial samples are judges of minutes: what is seen is a lower bound, and
     the population (3,) m says the rest. With white noise beyond a metre the fixes are not filtered, and the data may
     find that there is no offset at all, where there are so many fixes that it would be seen; if they show one, it is as
-    others are. Without Doppler nothing shows it, and they may wander as all do. A session that lasts for many times the
-    time over which its offset is forgotten is its own judge.
+    others are. Less than `hidden` m, infinite without Doppler, nothing would show, and where that is much they may
+    wander as all do. A session that lasts for many times the time over which its offset is forgotten is its own judge.
     """
-    seen = white / math.sqrt(max(n_fixes, 1)) < SHOWN * population[0]
-    shows_none = seen and has_doppler and white > UNFILTERED and offset.sigma[0] < SHOWN * population[0]
+    seen = max(white / math.sqrt(max(n_fixes, 1)), hidden) < SHOWN * population[0]
+    shows_none = seen and white > UNFILTERED and offset.sigma[0] < SHOWN * population[0]
     if shows_none or math.isfinite(offset.tau_spread):
         return np.zeros(3)
     return np.maximum(population**2 - offset.sigma**2, 0.0)

@@ -16,12 +16,18 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.gnss_noise import LEAST_SIGMA
-from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, is_told, offset_model, unseen_variance
+from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
 from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.left_out import without_positions
-from smoother.estimate.noise_of_fixes import hidden_wander, noise_of_fixes, scatter_of_fixes, wander_of_fixes
+from smoother.estimate.noise_of_fixes import (
+    hidden_wander,
+    noise_of_fixes,
+    scatter_of_fixes,
+    unseen_wander,
+    wander_of_fixes,
+)
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -105,8 +111,8 @@ def _offset(session: Session, path: GnssPath, options: GnssPathOptions) -> tuple
     usual = OffsetModel(np.asarray(options.offset_sigma), options.offset_tau)
     white = float(path.position_sigma[0])
     found = offset_model(session.gnss.t, path, usual, white < UNFILTERED)
-    has_doppler = is_told(session.gnss.t, path)
-    unseen = unseen_variance(found, white, usual.sigma, len(session.gnss), has_doppler=has_doppler)
+    hidden = unseen_wander(session.gnss.t, path, usual.tau)
+    unseen = unseen_variance(found, white, usual.sigma, len(session.gnss), hidden)
     return found, replace(found, sigma=np.sqrt(found.sigma**2 + unseen))
 
 
@@ -231,7 +237,11 @@ def _identified(
             lag.source if stated or lag.source == "configured" else "default",
         ),
         "gps_velocity_lag": Identified(
-            lag.value, lag.sigma, "s", lag.observable or lag.source == "configured", lag.source
+            lag.value,
+            None if lag.source == "configured" else lag.sigma,
+            "s",
+            lag.observable or lag.source == "configured",
+            lag.source,
         ),
     }
     if _has_velocity(path):

@@ -15,7 +15,7 @@ from smoother.fit.force_delay import ForceDelay, force_delay
 from smoother.samples import ImuSamples, Session
 from smoother.trajectory import Identified
 
-# s, where the samples do not tell it: sensors of one chip, as loggers have them, are within 3 ms by its filters, which
+# s, beforehand: sensors of one chip, as loggers have them, are within 3 ms by its filters, which
 # is what the sigmas of the GPS delays count on. (Of two chips it may be ten times that, and then those are off by it.)
 USUAL = 3e-3
 
@@ -69,5 +69,6 @@ def identified(found: ForceDelay) -> Identified:
     """What to report: the delay taken out; 0 where there is none, and how far off that may be."""
     if found.is_found:
         return Identified(found.delay, found.sigma, "s", True, "identified")
-    sigma = math.hypot(found.delay, found.sigma) if found.is_seen else USUAL
-    return Identified(0.0, sigma, "s", found.is_seen, "default")
+    told = math.hypot(found.delay, found.sigma) if found.is_seen else math.inf
+    sigma = 1.0 / math.hypot(1.0 / told, 1.0 / USUAL) if told > 0.0 else USUAL
+    return Identified(0.0, sigma, "s", sigma < 0.5 * USUAL, "default")

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_offset import BIN, TIMES, OffsetModel
+from smoother.estimate.gnss_offset import BIN, TIMES, OffsetModel, is_told
+from smoother.estimate.gnss_path import GnssPath
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.trajectory import Identified
 
@@ -27,7 +28,7 @@ def noise_of_fixes(sigma: Array, spread: Array, unit: str, beyond: Array | None 
     tell a vertical velocity.
     """
     own = np.hypot(sigma * spread, 0.0 if beyond is None else beyond)
-    own = np.hypot(own, np.where(spread < OBSERVABLE * ANY_NOISE, DIGIT, ANY_SCATTER[unit]))
+    own = np.hypot(own, DIGIT + ANY_SCATTER[unit] * (spread / ANY_NOISE) ** 2)
     observable = bool(np.all(spread[:2] < OBSERVABLE * ANY_NOISE))
     return Identified(sigma.tolist(), own.tolist(), unit, observable, "identified" if observable else "default")
 
@@ -50,6 +51,17 @@ def hidden_wander(white: Array, velocity: Array, interval: float, duration: floa
     of_doppler = 0.5 * tau * UNSEEN_WALK * velocity**2 * interval
     by_chance = 1.0 + TIMES * tau / max(duration, BIN)
     return np.asarray(np.sqrt((white**2 * min(1.0, interval / tau) + of_doppler) * by_chance))
+
+
+def unseen_wander(t: Array, path: GnssPath, tau: float) -> float:
+    """Return the level wander, m, that fixes of `path`, stamped t (M,) s, may have unseen; infinite without Doppler.
+
+    However long they go on: what may be chance in a short session is not in it.
+    """
+    if not is_told(t, path):
+        return math.inf
+    interval = float(t[-1] - t[0]) / len(t)
+    return float(hidden_wander(path.position_sigma, path.velocity_sigma, interval, math.inf, tau)[0])
 
 
 def wander_of_fixes(offset: OffsetModel, hidden: Array) -> dict[str, Identified]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, are_near, median, runs_of
 from smoother.disc import release
+from smoother.estimate.gnss_path import GnssPathOptions
 from smoother.estimate.resample import between_rows, bracket, position_at
 from smoother.fit.running import gaussian_mean
 from smoother.samples import DEAD_AXES, STUCK_AXES, Session
@@ -29,7 +30,7 @@ from smoother.words import counted
 
 # residuals by which nothing is judged: a kart may slide for long, and samples are as noisy as they were found to be
 NOT_JUDGED = ("slip", "inertial", "bias_walk")
-USUAL_WANDER = 2.0  # m, of receivers in general, which says nothing of these fixes
+USUAL_WANDER = GnssPathOptions.offset_sigma[0]  # m, of receivers in general, which says nothing of these fixes
 ROW = 0.1  # s, between the rows that are asked about attitude
 
 

@@ -19,7 +19,7 @@ ANY_NOISE = 0.7
 BLOCKS = 24  # of time, whose scatter is known to a seventh
 FEWEST = 5  # residuals in each
 # What the model itself leaves open, in sigmas of a logarithm. Found on 90 simulated karts whose every figure was drawn
-# at random (benchmarks/random_karts.py, draws 1600 to 1689); 180 others, and what they show, stand in docs/accuracy.md.
+# at random (benchmarks/random_karts.py, draws 1600 to 1689); 120 others, and what they show, stand in docs/accuracy.md.
 OF_FORCE, OF_FORCE_ALONE = 0.12, 0.3  # flexing, leaning, bumps; without Doppler the wander of positions passes for it
 OF_RATE = 0.06
 OF_FIXES = 0.02

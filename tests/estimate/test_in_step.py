@@ -65,7 +65,9 @@ def test_what_is_reported_is_what_was_taken_out() -> None:
     found = identified(ForceDelay(0.05, 0.002, True))
     assert (found.value, found.sigma, found.observable, found.source) == (0.05, 0.002, True, "identified")
     none = identified(ForceDelay(0.003, 0.004, True))
-    assert (none.value, none.sigma, none.observable, none.source) == (0.0, pytest.approx(0.005), True, "default")
+    assert (none.value, none.observable, none.source) == (0.0, False, "default")
+    assert none.sigma == pytest.approx(1.0 / np.hypot(1.0 / 0.005, 1.0 / 0.003))  # never more than beforehand
+    assert identified(ForceDelay(0.0005, 0.0005, True)).observable
     unknown = identified(UNSEEN)
     assert (unknown.value, unknown.sigma, unknown.observable, unknown.source) == (0.0, 0.003, False, "default")
 

@@ -20,7 +20,7 @@ from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise
 from smoother.estimate.graph.response import PassedNoise, passed_noise
 from smoother.estimate.graph.row_components import RowComponent, posterior_variance
 from smoother.estimate.graph.rows import Rows
-from smoother.estimate.graph.slip import FIRST, SlipNoise, remembered
+from smoother.estimate.graph.slip import FIRST, SLIP_COUNT, SlipNoise, remembered
 from smoother.estimate.graph.state import ACCEL_BIAS, EVENNESS, GYRO_BIAS, VELOCITY_RESPONSE
 from smoother.estimate.graph.told import told_by
 from smoother.fit.running import running_mean
@@ -59,7 +59,6 @@ LOCAL_EVERY = 0.4  # s from one interval that tells it to the next
 LOCAL_COUNT = 10.0  # residuals, of about 6 to an interval, that say that it is as everywhere
 LOCAL_BOUNDS = 0.25, 4.0  # of the variance
 WALK_COUNT = 2.0  # residuals that say that biases walk as those of such sensors do
-SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
 
 
 @dataclass(frozen=True)
@@ -183,10 +182,10 @@ def _component_of(solved: Solved, name: str, counts: BoolArray) -> RowComponent:
     return RowComponent.of(rows, solved.solution).only(counts[rows.interval])
 
 
-def unseen_offset(noise: Noise, population: Array, n_fixes: int, *, has_doppler: bool = True) -> Array:
+def unseen_offset(noise: Noise, population: Array, n_fixes: int, hidden: float = 0.0) -> Array:
     """Variance (3,) m^2 of the GPS offset beyond what the session shows, see :func:`unseen_variance`."""
     offset = OffsetModel(noise.offset_sigma, noise.offset_tau, noise.offset_tau_spread)
-    return unseen_variance(offset, float(noise.position[0]), population, n_fixes, has_doppler=has_doppler)
+    return unseen_variance(offset, float(noise.position[0]), population, n_fixes, hidden)
 
 
 def _of_means(component: RowComponent, rows: Rows, several: int) -> RowComponent:
@@ -397,7 +396,7 @@ def slip_update(solved: Solved, noise: SlipNoise) -> SlipNoise:
         squares += float(np.sum(share * component.squares))
         expected += float(np.sum(share * component.expected))
     ratio = float(np.clip(math.sqrt(squares / expected) ** HASTE, 1.0 / 2.5, 2.5))
-    return replace(noise, sigma=max(noise.least, sigma * ratio))
+    return replace(noise, sigma=max(noise.least, sigma * ratio), shown=max(expected - SLIP_COUNT, 0.0))
 
 
 def _error_ratio(solved: Solved, noise: Noise) -> Array:

@@ -32,6 +32,9 @@ SPACING = 1.0  # s between heading factors, since the field's errors last
 LONGEST_MEMORY = 30  # headings
 # Parts of the field's strength, beforehand: of what iron turns and stretches, in each entry, and of what it adds
 ANY_IRON, ANY_HARD_IRON = 0.15, 2.0
+# Second largest eigenvalue of the covariance of the field's direction in s, from which on its fit is one: laps have
+# 0.05 where the field is steep, a kart that never drives less than 0.0001
+TURNED = 0.005
 TINY = 1e-6  # of the field: no reading is better
 COMMON_LEAN = np.radians(1.0)  # of all attitudes, by biases of force that stay
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
@@ -41,13 +44,19 @@ RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 class FieldFit:
     """measured = matrix @ field_s + iron, both in the unit of the readings: (3, 3), (3,); field_s is a unit vector.
 
-    matrix_sigma (3, 3), iron_sigma (3,): their sigmas.
+    matrix_sigma (3, 3), iron_sigma (3,): their sigmas. turned: how much field_s turned about in s, see :data:`TURNED`.
     """
 
     matrix: Array
     iron: Array
     matrix_sigma: Array
     iron_sigma: Array
+    turned: float
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the kart turned about enough to tell iron from the field."""
+        return self.turned > TURNED
 
     @property
     def strength(self) -> float:
@@ -220,4 +229,5 @@ def _with_sigmas(matrix: Array, iron: Array, expected: Array, measured: Array, w
         sigma[axis] = np.sqrt(np.diag(np.linalg.inv(seen + beforehand)))
     left = np.average(np.mean(residual**2, axis=1), weights=weight)
     sigma = np.sqrt(sigma**2 + (COMMON_LEAN * scale) ** 2 + left)
-    return FieldFit(matrix, iron, sigma[:, :3], sigma[:, 3])
+    turned = float(np.linalg.eigvalsh(np.cov(expected.T, aweights=weight))[1])
+    return FieldFit(matrix, iron, sigma[:, :3], sigma[:, 3], turned)

@@ -13,7 +13,7 @@ from smoother.estimate.graph.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.slip import MOST as MOST_SLIP
+from smoother.estimate.graph.slip import ANY_SLIP
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import (
     ACCEL_ERROR,
@@ -31,7 +31,6 @@ from smoother.trajectory import Identified
 from smoother.units import DEG
 
 OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
-ANY_SLIP = 0.5 * MOST_SLIP  # rad: how much it differs from corner to corner, beforehand
 # s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
 ANTENNA_LEANS = 1.1e-3
 # m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
@@ -104,14 +103,16 @@ def identified_values(
 def field_values(heading: Heading | None, constants: Constants, covariance: Array) -> dict[str, Identified]:
     """Return what was found of the magnetometer; nothing where it is not used. covariance (31, 31) of `constants`.
 
-    Hard and soft iron only where the graph had to find them: those of a calibration are not asked for.
+    Hard and soft iron only where the graph had to find them, and the kart turned about: those of a calibration are not
+    asked for, and at a place nothing tells them.
     """
     if heading is None:
         return {}
     sigma, out = float(np.sqrt(covariance[HEADING_OFFSET, HEADING_OFFSET][0, 0])), {}
     observable = sigma < OBSERVABLE * heading.offset_sigma
     out["mag_heading_offset"] = _value(constants.heading_offset, sigma, "rad", observable, False)
-    if (fit := heading.fit) is None:
+    fit = heading.fit
+    if fit is None or not fit.is_told:
         return out
     seen = bool(np.all(fit.iron_sigma < OBSERVABLE * ANY_HARD_IRON * fit.strength))
     out["mag_hard_iron"] = _value(fit.iron.tolist(), fit.iron_sigma.tolist(), "of the readings", seen, False)

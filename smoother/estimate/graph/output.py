@@ -6,7 +6,6 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.disc import release
-from smoother.estimate.gnss_offset import LEAST_DOPPLER
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.claims import claims_of
 from smoother.estimate.graph.components import unseen_offset
@@ -54,15 +53,15 @@ def build_trajectory(
     population: Array,
     pauses: Pauses = NO_PAUSES,
     doubt: float = 0.0,
+    hidden: float = 0.0,
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
     pauses: where time is cut out of the session; the rows that fall into them are left out. doubt: see
-    :func:`identified_values`.
+    :func:`identified_values`. hidden m: wander that these fixes may have unseen, see :func:`unseen_variance`.
     """
-    has_doppler = float(np.mean(np.isfinite(session.gnss.velocity_n[:, 0]))) > LEAST_DOPPLER
-    unseen = unseen_offset(noise, population, len(session.gnss), has_doppler=has_doppler)
+    unseen = unseen_offset(noise, population, len(session.gnss), hidden)
     unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
     found = _with_wander_shared(session, found, noise)
     source = _source(session, found, noise, binned, pauses)

@@ -44,6 +44,8 @@ FIRST = 0.6 * DEG
 # nobody has seen, drawn at random, had rms 0.7 of that (benchmarks/random_karts.py, draws 1600 to 1689).
 UNLIKE = 0.5, 5e-3
 MOST = 4.0 * DEG  # of anything that is fixed to a chassis on wheels
+ANY_SLIP = 0.5 * MOST  # how much it differs from corner to corner, beforehand
+SLIP_COUNT = 5.0  # residuals that say that slip is FIRST
 DIFFERENT = 12.0  # corners of a track, each of which has a slip of its own
 ROUND_IT, OUT_OF_IT = 0.6, 0.3  # of a hard corner's lateral acceleration, between which one corner becomes another
 # s of driving, whose median slip is away from that of all others by at most APART, rms, beyond what attitudes are
@@ -64,7 +66,8 @@ class SlipNoise:
     attitudes of a solution without wheels leave unsure of it, in the mean.
 
     moments (4, 4): means of the products of slopes by its constants, over `different` times that are not alike. apart,
-    rad: how far the nose, as the mean of all slip has it, is from where the process of the slip has it.
+    rad: how far the nose, as the mean of all slip has it, is from where the process of the slip has it. shown: how many
+    independent residuals tell `sigma`.
     """
 
     sigma: float
@@ -73,11 +76,13 @@ class SlipNoise:
     moments: Array
     different: float
     apart: float = 0.0
+    shown: float = 0.0
 
     @property
     def unsure_sigma(self) -> float:
         """Sigma, rad, of `sigma`, by how far it was from what simulated karts were given: see :data:`UNLIKE`."""
-        return math.hypot(UNLIKE[0] * self.sigma, UNLIKE[1])
+        guessed = SLIP_COUNT / (SLIP_COUNT + self.shown)
+        return math.hypot(UNLIKE[0] * self.sigma, UNLIKE[1], guessed * ANY_SLIP)
 
     @property
     def nose_variance(self) -> float:

@@ -47,6 +47,7 @@ from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
+from smoother.estimate.noise_of_fixes import unseen_wander
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
@@ -357,6 +358,7 @@ def _output(session: Session, solved: Looked, options: GraphOptions) -> Trajecto
         np.array(options.offset_sigma) * start.receiver,
         start.pauses,
         solved.doubt,
+        unseen_wander(session.gnss.t, start.path, solution.noise.offset_tau),
     )
 
 

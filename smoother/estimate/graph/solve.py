@@ -296,6 +296,7 @@ def on_wheels(
         better = slip_update(found, slip)
         size = moved(found.solution, variances(found.solution))
         if size < ROLLED or (size < FAR and abs(math.log(better.sigma / slip.sigma)) < ALIKE):
+            slip = replace(slip, shown=better.shown)
             break
         slip, state = better, found.state
         del found  # two do not fit

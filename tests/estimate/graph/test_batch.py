@@ -1,5 +1,6 @@
 """The whole batch against GTSAM itself, and the noise it estimates against the noise that was put in."""
 
+import math
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -468,7 +469,8 @@ class TestNoise:
         np.testing.assert_allclose(unseen_offset(noise, population, 1000), [2.0**2 - 0.5**2, 2.0**2 - 0.5**2, 0.0])
         white = replace(noise, position=np.full(3, 2.5), offset_sigma=np.array([0.1, 0.1, 0.2]))
         np.testing.assert_array_equal(unseen_offset(white, population, 1000), np.zeros(3))
-        alone = unseen_offset(white, population, 1000, has_doppler=False)  # nothing would show an offset
+        np.testing.assert_array_equal(unseen_offset(white, population, 1000, 0.3), np.zeros(3))
+        alone = unseen_offset(white, population, 1000, math.inf)  # without Doppler nothing would show an offset
         np.testing.assert_allclose(alone, population**2 - white.offset_sigma**2)
         few = 20  # whose mean is no judge of an offset of two metres
         np.testing.assert_allclose(unseen_offset(white, population, few), population**2 - white.offset_sigma**2)

@@ -14,6 +14,7 @@ from smoother.estimate.graph.inputs import Noise, Priors, Told
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early, _velocities_early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
+from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
@@ -113,34 +114,34 @@ def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, obs
 
 
 def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
-    """As any receiver's and box's where nothing tells it, and then it is a default."""
+    """As any box's where nothing tells it, and then it is a default."""
     each = Told(0.1, 0.2, np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7]))
     known, unknown = told(0.0, noise_told=each), told(0.0)
-    for name, spread in (("accel_noise", 0.1), ("gyro_noise", 0.2), ("gps_position_noise", each.position)):
-        digit = 0.01 if name == "gps_position_noise" else 0.0
-        assert known[name].sigma == pytest.approx(np.hypot(spread * np.asarray(known[name].value), digit))
+    for name, spread in (("accel_noise", 0.1), ("gyro_noise", 0.2)):
+        assert known[name].sigma == pytest.approx(spread * np.asarray(known[name].value))
         assert (known[name].observable, known[name].source) == (True, "identified")
-        beside = 0.3 if name == "gps_position_noise" else 0.0  # receivers are filtered, or are not
-        assert unknown[name].sigma == pytest.approx(np.hypot(0.7 * np.asarray(unknown[name].value), beside))
+        assert unknown[name].sigma == pytest.approx(0.7 * np.asarray(unknown[name].value))
         assert (unknown[name].observable, unknown[name].source) == (False, "default")
+    half = np.full(3, 0.5)
+    assert known["gps_position_noise"] == noise_of_fixes(half, each.position, "m", np.zeros(3))
+    assert known["gps_velocity_noise"] == noise_of_fixes(half, each.velocity, "m/s", np.zeros(3))
 
 
 def test_what_lasts_of_velocities_may_be_none_of_the_drive_s() -> None:
     """It was seen at rest: velocities count half as much as they are white, or as that."""
-    each = Told(velocity=np.full(3, 0.1))
-    plain, lasting = (told(0.0, counted=counted, noise_told=each)["gps_velocity_noise"] for counted in (1.0, 2.0))
-    assert plain.value == pytest.approx([0.5, 0.5, 0.5])
-    assert plain.sigma == pytest.approx(np.hypot([0.05, 0.05, 0.05], 0.01))
+    spread, half = np.full(3, 0.1), np.full(3, 0.5)
+    lasting = told(0.0, counted=2.0, noise_told=Told(velocity=spread))["gps_velocity_noise"]
     assert lasting.value == pytest.approx([1.0, 1.0, 0.5])
-    assert lasting.sigma == pytest.approx(np.hypot([math.hypot(0.1, 0.5), math.hypot(0.1, 0.5), 0.05], 0.01))
+    assert lasting == noise_of_fixes(np.array([1.0, 1.0, 0.5]), spread, "m/s", half * [1.0, 1.0, 0.0])
+    assert isinstance(lasting.sigma, list)
+    assert lasting.sigma[0] > 0.5 > 0.1 > lasting.sigma[2]
 
 
 def test_what_the_wander_goes_between_keyframes_is_no_noise_of_fixes() -> None:
-    """And half of what is taken off may be wrong."""
     each = Told(position=np.full(3, 0.1), wandered=np.array([0.09, 0.09, 1.0]))
     found = told(0.0, noise_told=each)["gps_position_noise"]
     assert found.value == pytest.approx([0.4, 0.4, 0.02])
-    assert found.sigma == pytest.approx(np.sqrt(np.square([0.04, 0.04, 2e-3]) + np.square([0.05, 0.05, 0.24]) + 1e-4))
+    assert found == scatter_of_fixes(np.full(3, 0.5), each.position, each.wandered, 0.02)
 
 
 def test_a_wander_may_hide_beneath_the_noise() -> None:
@@ -156,12 +157,14 @@ def test_a_compass_that_is_not_used_has_no_values() -> None:
     assert list(values) == ["mag_heading_offset"]  # iron is the calibration's
     offset = values["mag_heading_offset"]
     assert (offset.value, offset.sigma, offset.observable) == (0.1, pytest.approx(0.01), False)
-    fit = FieldFit(40.0 * np.eye(3), np.ones(3), np.full((3, 3), 1.0), np.full(3, 2.0))
+    fit = FieldFit(40.0 * np.eye(3), np.ones(3), np.full((3, 3), 1.0), np.full(3, 2.0), turned=0.1)
     values = field_values(replace(calibrated, fit=fit, offset_sigma=0.8), constants, covariance)
     assert values["mag_heading_offset"].observable
     assert values["mag_hard_iron"].sigma == [2.0, 2.0, 2.0]
     np.testing.assert_allclose(values["mag_soft_iron"].value, np.eye(3))
     np.testing.assert_allclose(values["mag_soft_iron"].sigma, 1.0 / 40.0)
+    stands = replace(calibrated, fit=replace(fit, turned=1e-3))
+    assert list(field_values(stands, constants, covariance)) == ["mag_heading_offset"]
 
 
 @pytest.mark.parametrize(("value", "said"), [(-0.8, True), (-0.06, False), (0.1, False)])
