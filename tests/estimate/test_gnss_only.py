@@ -263,3 +263,41 @@ def test_real_recordings_stay_with_their_fixes(data_directory: Path, name: str) 
     assert accuracy is not None
     assert np.all(distance < np.fmax(5.0, 3.0 * np.nan_to_num(accuracy[:-1])))
     assert assess(session, estimate).passed
+
+
+def alone(seed: int, **changes: Any) -> Session:
+    """A simulated kart whose inertial sensor was left at home."""
+    simulation = simulate_preset("kart", seed, duration=200.0, gnss_outages=(), gnss_jumps=(), **changes)
+    return prepare(replace(simulation.raw, imu=None, mag=None))
+
+
+def test_noise_of_quick_fixes_is_found_within_its_sigma_beside_a_large_wander() -> None:
+    """Four fixes share a node, between which their offset goes its way: it passed for noise of twice as much."""
+    for seed in (3, 4):
+        changes = {"gnss_rate": 20.0, "gnss_white_horizontal": 0.05, "gnss_white_up": 0.09}
+        session = alone(seed, gnss_offset_horizontal=3.0, gnss_offset_up=5.0, gnss_velocity_sigma=0.1, **changes)
+        found = GnssSmoother().estimate(session).report.identified
+        noise = found["gps_position_noise"]
+        assert (noise.observable, noise.source) == (True, "identified")
+        error = np.asarray(noise.value) - [0.05, 0.05, 0.09]
+        assert np.all(np.abs(error) < 2.6 * np.asarray(noise.sigma))
+        assert np.all(np.asarray(noise.sigma) < np.asarray(noise.value))
+        velocity = found["gps_velocity_noise"]
+        assert abs(np.ravel(velocity.value)[0] - 0.1) < 2.6 * np.ravel(velocity.sigma)[0]
+
+
+def test_fixes_that_scatter_without_doppler_may_wander_unseen() -> None:
+    changes = {"gnss_white_horizontal": 1.5, "gnss_white_up": 2.5, "gnss_velocity": False}
+    session = alone(5, gnss_offset_horizontal=2.0, **changes)
+    found = GnssSmoother().estimate(replace(session, config=STATED))
+    assert found.report.identified["gps_offset_sigma"].value == pytest.approx([2.0, 2.0, 3.4])
+    assert found.sigmas is not None
+    assert np.min(found.sigmas.position_n[:, :2]) > 1.9
+
+
+def test_what_is_stated_of_fixes_alone_has_no_sigma() -> None:
+    session = alone(3)
+    stated = SessionConfig(gps=GnssTiming(position_latency=0.1, velocity_latency=0.2))
+    for name, value in GnssSmoother().estimate(replace(session, config=stated)).report.identified.items():
+        assert value.sigma is None or np.all(np.asarray(value.sigma) > 0.0), name
+        assert value.source != "configured" or value.sigma is None, name

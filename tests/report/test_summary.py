@@ -10,7 +10,7 @@ from smoother import so3
 from smoother.estimate.quality import Quality
 from smoother.frames import euler_from_rotation
 from smoother.report.files import to_json
-from smoother.report.summary import distance_driven, mounting_angles, summary, told_problems
+from smoother.report.summary import distance_driven, is_told, mounting_angles, summary, told_problems
 from smoother.samples import Problem, Session
 from smoother.trajectory import EstimateReport, Identified, Sigmas, Trajectory
 
@@ -94,3 +94,10 @@ def test_the_distance_is_that_of_the_antenna_over_ground(session: Session, traje
     path = float(((steps**2).sum(axis=1) ** 0.5).sum())
     # the path of the true positions: chords of 20 ms are shorter than the arc by less than 1e-4 of it
     assert distance_driven(trajectory) == pytest.approx(path, rel=1e-3)
+
+
+def test_nine_numbers_of_the_compass_are_for_the_document_alone() -> None:
+    soft = Identified(np.eye(3).tolist(), np.full((3, 3), 0.1).tolist(), "1", True, "identified")
+    hard = Identified([1.0, 2.0, 3.0], [0.1, 0.1, 0.1], "of the readings", True, "identified")
+    assert not is_told("mag_soft_iron", soft, "full")
+    assert is_told("mag_hard_iron", hard, "full")

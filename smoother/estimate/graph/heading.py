@@ -35,7 +35,6 @@ ANY_IRON, ANY_HARD_IRON = 0.15, 2.0
 # Second largest eigenvalue of the covariance of the field's direction in s, from which on its fit is one: laps have
 # 0.05 where the field is steep, a kart that never drives less than 0.0001
 TURNED = 0.005
-TINY = 1e-6  # of the field: no reading is better
 COMMON_LEAN = np.radians(1.0)  # of all attitudes, by biases of force that stay
 RIDGE = 0.003  # weight of the prior on the matrix, relative to the data
 
@@ -213,20 +212,22 @@ def _fit(expected: Array, measured: Array) -> tuple[Array, Array, Array]:
 def _with_sigmas(matrix: Array, iron: Array, expected: Array, measured: Array, weight: Array) -> FieldFit:
     """The fit of `expected` (N, 3) to `measured` (N, 3), weights (N,), with its sigmas by what is left of the readings.
 
-    A kart stays level: what iron does upwards, laps hardly tell from what it adds, and both are as unsure as iron
-    beforehand. Errors of neighbouring readings are alike; those of the attitude are the same in all. What is left is
-    mostly the engine's, whose current has a mean, and which comes back at the same headings in every lap.
+    A kart stays level: what iron does upwards, laps hardly tell from what it adds, and the fit leaves it where it was
+    drawn to. So both are as unsure as iron beforehand, as far as the fit is drawn. Errors of neighbouring readings are
+    alike; those of the attitude are the same in all. What is left is mostly the engine's, whose current has a mean, and
+    which comes back at the same headings in every lap. Source: Hoerl & Kennard 1970 (covariance of a ridge estimate).
     """
     design = np.concatenate([expected, np.ones((len(expected), 1))], axis=1)
     residual = measured - expected @ matrix.T - iron
     information, sigma = (design * weight[:, None]).T @ design, np.empty((3, 4))
     scale = float(abs(np.linalg.det(matrix)) ** (1.0 / 3.0))
-    beforehand = np.diag((np.array([ANY_IRON, ANY_IRON, ANY_IRON, ANY_HARD_IRON]) * scale) ** -2.0)
+    drawn = RIDGE * len(design) * np.diag([1.0, 1.0, 1.0, 0.0])
+    inverse, by_iron = np.linalg.inv(information + drawn), (ANY_IRON * scale * drawn) @ drawn * ANY_IRON * scale
     for axis in range(3):
         variance = float(np.average(residual[:, axis] ** 2, weights=weight))
         alike = correlation_growth(residual[:, axis] * np.sqrt(weight)) ** 2
-        seen = information / max(variance * alike, (TINY * scale) ** 2)
-        sigma[axis] = np.sqrt(np.diag(np.linalg.inv(seen + beforehand)))
+        of_fit = inverse @ (variance * alike * information + by_iron) @ inverse
+        sigma[axis] = np.sqrt(np.diag(of_fit))
     left = np.average(np.mean(residual**2, axis=1), weights=weight)
     sigma = np.sqrt(sigma**2 + (COMMON_LEAN * scale) ** 2 + left)
     turned = float(np.linalg.eigvalsh(np.cov(expected.T, aweights=weight))[1])

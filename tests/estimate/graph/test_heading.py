@@ -92,6 +92,21 @@ def test_the_iron_that_was_found_is_within_its_sigmas(seed: int) -> None:
     assert np.all(heading.fit.iron_sigma < 0.3 * 0.47)  # what laps tell, within a third of the field
 
 
+def test_iron_is_as_unsure_as_attitudes_that_lean_and_as_the_engine_s_current() -> None:
+    """However many readings there are: both are the same in all of them, or come back in every lap."""
+    state = laps()
+    quiet = heading_from_field(readings(state, noise=0.01), state, DECLINATION, INCLINATION)
+    readings_of_engine = readings(state, noise=0.01)
+    current = 12.0 * (1.0 + np.sin(1.1 * readings_of_engine.t))  # uT, of which the mean is never seen
+    engine = replace(readings_of_engine, field_s=readings_of_engine.field_s + current[:, None] * [0.6, 0.0, 0.8])
+    disturbed = heading_from_field(engine, state, DECLINATION, INCLINATION)
+    assert quiet is not None and quiet.fit is not None
+    assert disturbed is not None and disturbed.fit is not None
+    assert np.min(quiet.fit.matrix_sigma) > 47.0 * 1.0 * DEG
+    assert np.all(np.abs(disturbed.fit.iron - HARD_IRON) < 2.6 * disturbed.fit.iron_sigma)
+    assert np.all(disturbed.fit.iron_sigma > 1.15 * quiet.fit.iron_sigma)
+
+
 def test_a_calibrated_field_says_nothing_of_iron() -> None:
     state = laps()
     heading = heading_from_field(readings(state, np.zeros(3), np.eye(3)), state, DECLINATION, INCLINATION)
