@@ -10,7 +10,7 @@ from smoother.estimate.gnss_path import GnssPath
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.trajectory import Identified
 
-OBSERVABLE = 0.5  # as of all values: a sigma below this share of its prior's
+OBSERVABLE = 0.5  # any value is observable when its sigma is below this share of its prior's
 # Sigmas of the logarithms of wander and time where no session tells them: receivers wander by half to twice of what is
 # usual, and forget it within 30 to 150 s.
 ANY_WANDER, ANY_TIME = 0.5, 0.6

@@ -73,10 +73,6 @@ class FieldFit:
         inverse = np.linalg.inv(self.matrix)
         return np.asarray(self.strength * np.sqrt(inverse**2 @ self.matrix_sigma**2 @ inverse**2))
 
-    def correct(self, measured: Array) -> Array:
-        """Return the field (N, 3) without iron."""
-        return np.asarray(np.linalg.solve(self.matrix, (measured - self.iron).T).T, dtype=np.float64)
-
 
 @dataclass(frozen=True, eq=False)
 class Heading:
@@ -106,13 +102,12 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     t, measured = mag.t[inside], mag.field_s[inside]
     R_ns = _attitude(state, t)
     expected = np.einsum("kji,j->ki", R_ns, magnetic_field_n(declination, inclination))
-    matrix, iron, weight = _fit(expected, measured)
+    matrix, iron, of_fit = _fit(expected, measured)
     if np.linalg.cond(matrix) > 20.0:
         return None
-    fit = _with_sigmas(matrix, iron, expected, measured, weight)
-    corrected = fit.correct(measured)
+    corrected = np.asarray(np.linalg.solve(matrix, (measured - iron).T).T, dtype=np.float64)
     step = max(1, round(SPACING / state.interval))
-    at, (before, after, weight) = _averages(state, step, t, R_ns, (measured, corrected), weight)
+    at, (before, after, weight) = _averages(state, step, t, R_ns, (measured, corrected), of_fit)
     if len(at) < FEWEST:
         return None
     offset_sigma, field_s, fitted = CALIBRATED_OFFSET, before, False
@@ -127,7 +122,8 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
     # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
     sigma = float(np.sqrt(FLOOR**2 + beyond + (repeating(int(np.count_nonzero(keep))) if fitted else 0.0)))
-    return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit if fitted else None)
+    fit = _with_sigmas(matrix, iron, expected, measured, of_fit) if fitted else None
+    return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit)
 
 
 def repeating(count: int) -> float:
@@ -222,7 +218,7 @@ def _with_sigmas(matrix: Array, iron: Array, expected: Array, measured: Array, w
     information, sigma = (design * weight[:, None]).T @ design, np.empty((3, 4))
     scale = float(abs(np.linalg.det(matrix)) ** (1.0 / 3.0))
     drawn = RIDGE * len(design) * np.diag([1.0, 1.0, 1.0, 0.0])
-    inverse, by_iron = np.linalg.inv(information + drawn), (ANY_IRON * scale * drawn) @ drawn * ANY_IRON * scale
+    inverse, by_iron = np.linalg.inv(information + drawn), (ANY_IRON * scale * drawn) ** 2
     for axis in range(3):
         variance = float(np.average(residual[:, axis] ** 2, weights=weight))
         alike = correlation_growth(residual[:, axis] * np.sqrt(weight)) ** 2

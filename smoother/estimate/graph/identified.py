@@ -24,13 +24,12 @@ from smoother.estimate.graph.state import (
     VELOCITY_RESPONSE,
     Constants,
 )
-from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes, wander_of_fixes
+from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
 
-OBSERVABLE = 0.5  # a value is observable when its sigma is below this share of its prior's
 # s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
 ANTENNA_LEANS = 1.1e-3
 # m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
