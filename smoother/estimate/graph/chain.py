@@ -123,28 +123,30 @@ def solve_chain(
     _check(system)
     rhs = np.concatenate([system.border, system.rhs[:, :, None]], axis=2)
 
-    levels, offsets, root = _reduce(system.diagonal, system.upper, rhs)
-    x = _substitute(levels, offsets, root[1])
-    K, n, m = system.border.shape
-    inner = rhs.reshape(K * n, m + 1)[:, :m].T @ x.reshape(K * n, m + 1)
-    influence, solution = np.ascontiguousarray(x[:, :, :m]), x[:, :, m].copy()
-    del rhs, x, offsets  # a long session needs the room for its covariance
+    levels, offsets, (root, last), inner = _reduce(system.diagonal, system.upper, rhs)
+    del rhs
+    m = system.border.shape[2]
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
+    own, pull = system.corner - inner[:m, :m], system.rhs_constants - inner[:m, m]
     if held is not None:
         constants_covariance = held
         if free is not None:
-            own, pull = system.corner - inner[:, :m], system.rhs_constants - inner[:, m]
             constants[free], constants_covariance = _but_for(free, held, own, pull)
-            solution = solution - influence @ constants
     elif m:
-        constants_covariance = _inverse_from_cholesky(_cholesky((system.corner - inner[:, :m])[None]))[0]
-        constants = constants_covariance @ (system.rhs_constants - inner[:, m])
-        solution = solution - influence @ constants
+        constants_covariance = _inverse_from_cholesky(_cholesky(own[None]))[0]
+        constants = constants_covariance @ pull
+    if with_covariance:
+        x = _substitute(levels, offsets, last)
+    else:
+        x = _substitute(levels, [_beside(offset, constants) for offset in offsets], _beside(last, constants))
+    del offsets, last  # a long session needs the room for its covariance
+    solution = x[:, :, -1] - x[:, :, :-1] @ constants if with_covariance else x[:, :, 0]
     if not np.isfinite(np.sum(solution)):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
 
+    influence = x[:, :, :m]
     if with_covariance:
-        covariance, cross = _selected_inverse(levels, root[0])
+        covariance, cross = _selected_inverse(levels, root)
         constants_cross = _add_constants(covariance, cross, influence, constants_covariance)
     else:
         covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
@@ -155,7 +157,7 @@ def solve_chain(
         cross,
         constants_covariance,
         constants_cross,
-        ChainFactor(levels, root[0][0], influence, constants_covariance) if with_covariance else None,
+        ChainFactor(levels, root[0], influence, constants_covariance) if with_covariance else None,
     )
 
 
@@ -192,24 +194,35 @@ def _check(system: ChainSystem) -> None:
         raise NotPositiveDefiniteError("an unknown has no information at all")
 
 
-def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array]]:
+def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], list[Array], tuple[Array, Array], Array]:
     """Eliminate odd nodes until one is left.
 
-    Returns the levels, D^-1 rhs (M, n, m + 1) of each, and (inverse, solution) of the last node.
+    Returns the levels, D^-1 rhs (M, n, m + 1) of each, (inverse, solution) of the last node, and rhs' H^-1 rhs
+    (m + 1, m + 1) of the whole system H.
     """
     levels: list[_Level] = []
     offsets: list[Array] = []
+    inner = np.zeros((rhs.shape[2], rhs.shape[2]))
     while diagonal.shape[0] > 1:
-        level, offset, (diagonal, upper, rhs) = _eliminate_odd(diagonal, upper, rhs)
+        level, offset, (diagonal, upper, rhs) = _eliminate_odd(diagonal, upper, rhs, inner)
         levels.append(level)
         offsets.append(offset)
     inverse = _inverse_from_cholesky(_cholesky(diagonal))
-    return levels, offsets, (inverse, inverse @ rhs)
+    last = inverse @ rhs
+    return levels, offsets, (inverse, last), inner + rhs[0].T @ last[0]
 
 
-def _eliminate_odd(diagonal: Array, upper: Array, rhs: Array) -> tuple[_Level, Array, tuple[Array, Array, Array]]:
+def _beside(solved: Array, constants: Array) -> Array:
+    """D^-1 of the right hand side (M, n, 1) that is left beside known constants (m,); solved (M, n, m + 1)."""
+    return np.asarray(solved @ np.append(-constants, 1.0)[:, None])
+
+
+def _eliminate_odd(
+    diagonal: Array, upper: Array, rhs: Array, inner: Array
+) -> tuple[_Level, Array, tuple[Array, Array, Array]]:
     """Eliminate every second node. Returns what is left behind, D^-1 rhs, and the system of the even nodes.
 
+    What it takes out of rhs' H^-1 rhs is added to `inner` (m + 1, m + 1), in place.
     In pieces whose matrices stay in the processor's cache, and in the same memory: each odd node takes part in a dozen
     small products, and fresh memory for them would cost as much as they do.
     """
@@ -231,7 +244,9 @@ def _eliminate_odd(diagonal: Array, upper: Array, rhs: Array) -> tuple[_Level, A
         inverse = _inverse_from_cholesky(_cholesky(diagonal[1::2][here]), level.inverse[here], square[0, :n_here])
         to_left = np.matmul(inverse, left.transpose(0, 2, 1), out=level.to_left[here])
         to_right = np.matmul(inverse[:n_beside], right, out=level.to_right[beside])
-        solved = np.matmul(inverse, rhs[1::2][here], out=offset[here])
+        np.copyto(wide[:n_here], rhs[1::2][here])
+        solved = np.matmul(inverse, wide[:n_here], out=offset[here])
+        inner += wide[:n_here].reshape(n_here * n, -1).T @ solved.reshape(n_here * n, -1)
         even_diagonal[here] -= np.matmul(left, to_left, out=square[0, :n_here])
         even_rhs[here] -= np.matmul(left, solved, out=wide[:n_here])
         across = np.matmul(left[:n_beside], to_right, out=even_upper[beside])
