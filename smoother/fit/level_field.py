@@ -174,7 +174,8 @@ def _ellipse(points: Array) -> Array:
 
 def _covariance(t: Array, points: Array, parameters: Array) -> Array:
     """Covariance (5, 5) from the scores summed over blocks of time (sandwich), because disturbances last."""
-    J = so3.numerical_jacobian(lambda x: _distance(x, points), parameters, 1e-6 * float(np.max(np.abs(parameters))))
+    unit = np.concatenate([np.full(2, 1.0 / np.max(parameters[2:])), np.full(3, np.max(parameters[2:]))])  # of each
+    J = so3.numerical_jacobian(lambda x: _distance(x * unit, points), parameters / unit, 1e-6) / unit
     residual = _distance(parameters, points)
     exact = 1e-6 / float(np.max(parameters[2:]))  # of the radius; data without noise have no scatter to go by
     limit = 4.0 * MAD_TO_SIGMA * max(float(np.median(np.abs(residual))), exact)

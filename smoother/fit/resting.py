@@ -18,6 +18,7 @@ BATCH = 0.5  # s; longer than the correlation of any low-pass filter in such sen
 SHORTEST = 2.0  # s, of a position without its edges
 SAME_DIRECTION = np.radians(20.0)
 FEWEST_BATCHES = 4
+HARMONICS = 30  # of the error of rounding: those beyond are a fiftieth of it, where there is no noise at all
 MOST_SORTED = 20_000  # readings by which the size of a count is judged
 
 
@@ -109,12 +110,13 @@ def rounding_variance(values: Array, step: Array) -> Array:
     """Variance (D,) that rounding to `step` (D,) leaves in the mean of values (N, D), however many they are.
 
     Noise smaller than a count hides what lies between two counts. Source: Widrow and Kollar, Quantization Noise: the
-    first harmonic of the error of a rounded Gaussian.
+    harmonics of the error of a rounded Gaussian; without noise they add up to a twelfth.
     """
     spread = np.maximum(np.var(values, axis=0) - step**2 / 12.0, 0.0)
+    k = np.arange(1.0, HARMONICS + 1.0)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        hidden = np.where(step > 0.0, np.exp(-4.0 * np.pi**2 * spread / step**2), 0.0)
-    return np.asarray(step**2 * np.minimum(hidden / (2.0 * np.pi**2), 1.0 / 12.0))
+        hidden = np.sum(np.exp(-4.0 * (np.pi * k) ** 2 * spread / step**2) / (2.0 * (np.pi * k) ** 2), axis=0)
+    return np.asarray(np.where(step > 0.0, step**2 * hidden, 0.0))
 
 
 def distinct_directions(force: Array) -> Array:

@@ -64,13 +64,13 @@ class AccelFit:
         return np.asarray((force - self.offset) @ self.matrix)
 
 
-def fit_accelerometer(positions: Sequence[RestingPosition], gravity: float = STANDARD_GRAVITY) -> AccelFit:
+def fit_accelerometer(positions: Sequence[RestingPosition]) -> AccelFit:
     """Fit offset, scale and misalignment to resting positions; a position that contradicts the others is left out.
 
     Gravity is that of the navigation frame (`frames.GRAVITY_N`), not the place's: an estimator that assumes the one
     must be given samples scaled by it. Raises FitError when the positions do not determine offset and scale.
     """
-    force = np.array([p.force for p in positions]).reshape(-1, 3)
+    gravity, force = STANDARD_GRAVITY, np.array([p.force for p in positions]).reshape(-1, 3)
     if not np.all(np.isfinite(force)):
         raise FitError("some mean forces are not finite numbers; drop those readings first")
     noise = np.array([p.force_covariance for p in positions]).reshape(-1, 3, 3)

@@ -71,16 +71,14 @@ TURNED_SIGMAS = 4.0  # of the mean rate of some blocks, by their scatter
 ENOUGH = 1 << 12  # samples, evenly taken, to know the usual value
 
 
-def session_standstill(
-    session: Session, options: StandstillOptions | None = None, gyro_bias: Array | None = None
-) -> BoolArray:
+def session_standstill(session: Session, gyro_bias: Array | None = None) -> BoolArray:
     """Mask (N,) of the inertial samples at which the kart stood still; (0,) without inertial samples.
 
     gyro_bias (3,) rad/s, in the axes of the samples, where it is known.
     """
-    options = StandstillOptions() if options is None else options
     if session.imu is None:
         return np.zeros(0, dtype=np.bool_)
+    options = StandstillOptions()
     speed, limit = fix_speeds(session.gnss, session.origin, options)
     imu = session.imu
     fixes_t = session.gnss.t

@@ -58,11 +58,20 @@ def sample_timing(t: Array) -> Timing:
     steps = np.diff(base.t)
     holes = find_gaps(base)
     lost = float(np.sum(steps[holes]) - np.count_nonzero(holes) * base.period)
-    period = (base.t[-1] - base.t[0] - lost) / (len(t) - 1)
-    # A straight line through N jittered stamps; its slope is this well known (least squares).
-    sigma = np.sqrt(12.0 / len(t) ** 3) * base.jitter / period**2
+    period, lever = _common_slope(np.split(t, np.flatnonzero(holes) + 1))
+    sigma = base.jitter / np.sqrt(lever) / period**2
     longest = float(np.max(steps[holes], initial=0.0))
     return Timing(1.0 / period, sigma, base.jitter, int(np.count_nonzero(holes)), longest, lost, base.is_steady)
+
+
+def _common_slope(stretches: list[Array]) -> tuple[float, float]:
+    """Slope per row of parallel straight lines through stretches (N,) of values, and the sum of squares that tells it.
+
+    By least squares: values with independent errors of sigma know it to sigma over the root of that sum.
+    """
+    rows = [np.arange(len(values)) - 0.5 * (len(values) - 1) for values in stretches]
+    lever = float(sum(row @ row for row in rows))
+    return sum(float(row @ (values - values[0])) for row, values in zip(rows, stretches, strict=True)) / lever, lever
 
 
 def clipped_share(values: Array, full_scale: float | None = None) -> Array:

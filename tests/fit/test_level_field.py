@@ -80,6 +80,14 @@ def test_drives_that_show_too_little_are_refused(readings, says):
         fit_level_field(*readings, UP, np.radians(60.0))
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])  # readings in mT and in nT instead of uT
+def test_the_unit_of_the_readings_changes_no_sigma(unit):
+    t, field = ring()
+    one, other = (fit_level_field(t, field * scale, UP, np.radians(60.0)) for scale in (1.0, unit))
+    np.testing.assert_allclose(other.centre_sigma / unit, one.centre_sigma, rtol=1e-3)
+    assert other.shape_sigma == pytest.approx(one.shape_sigma, rel=1e-3)
+
+
 def test_a_box_that_never_turned_shows_no_up():
     t = np.arange(1000) / 100.0
     with pytest.raises(FitError, match="no turning about one axis"):

@@ -22,6 +22,16 @@ def test_rate_jitter_and_gaps_of_a_stream():
     assert found.is_steady
 
 
+@pytest.mark.parametrize(("count", "jitter"), [(2000, 1e-3), (20_000, 1e-3), (6000, 2e-4)])
+def test_a_rate_is_as_unsure_as_it_says(count, jitter):
+    rng, z = np.random.default_rng(2), []
+    for _ in range(40):
+        t = np.sort(np.arange(count) / 104.0 + jitter * rng.standard_normal(count))
+        found = sample_timing(np.delete(t, slice(count // 3, count // 3 + 30)))
+        z.append((found.rate - 104.0) / found.rate_sigma)
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.4  # 99.9 % of the rms of 40, and what sorting takes from jitter
+
+
 def test_a_handful_of_samples_has_no_rate():
     with pytest.raises(FitError, match="5 samples are too few"):
         sample_timing(np.arange(5.0))
@@ -57,6 +67,17 @@ def test_delay_and_turned_axes_of_a_magnetometer_are_found(outliers):
     assert abs(found.delay - 0.017) < 4.0 * found.delay_sigma < 0.004
     assert np.all(np.abs(found.turn - axes) < 4.0 * found.turn_sigma)
     assert np.all(found.turn_sigma < 0.004)
+
+
+def test_delay_and_turned_axes_are_as_unsure_as_they_say():
+    z = []
+    for seed in range(20, 28):
+        rng = np.random.default_rng(seed)
+        delay, axes = rng.uniform(-0.03, 0.03), rng.normal(0.0, 0.02, 3)
+        bench = recording(delay, axes, seed=seed)
+        found = magnetometer_against_gyro(bench.imu.t, bench.imu.gyro, bench.mag.t, bench.mag.field / 47.4)
+        z += [(found.delay - delay) / found.delay_sigma, *(found.turn - axes) / found.turn_sigma]
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.35  # 32 values: 1 within 0.13
 
 
 def test_a_box_that_was_not_turned_shows_no_delay():
