@@ -141,19 +141,19 @@ class FixedLag:
         self._imu.append(imu)
         self._newest = float(imu.t[-1])
         while self._newest - self._t > self._options.longest_step + 1.0:
-            self._extend(self._t + self._options.longest_step, None, 1.0)
+            self._extend(self._t + self._options.longest_step, None)
         self._carry_on(imu)
 
-    def add_fix(self, t: float, position_n: Array, velocity_n: Array, scale: float = 1.0) -> None:
-        """Take in a fix stamped t s: position_n, velocity_n (3,), NaN where unknown. scale multiplies its sigmas."""
+    def add_fix(self, t: float, position_n: Array, velocity_n: Array) -> None:
+        """Take in a fix stamped t s: position_n, velocity_n (3,), NaN where unknown."""
         at = t - self._start.velocity_latency
         if at < self._t + self._options.shortest_step or at > self._newest:
             self.fixes_late += 1
             return
         while at - self._t > 1.5 * self._options.longest_step:
-            self._extend(self._t + self._options.longest_step, None, 1.0)
+            self._extend(self._t + self._options.longest_step, None)
         self.fixes_used += 1
-        self._extend(at, np.concatenate([position_n, velocity_n]), scale)
+        self._extend(at, np.concatenate([position_n, velocity_n]))
 
     def state(self) -> LagState:
         """Return the newest state, carried on by inertial samples to the last of them."""
@@ -212,7 +212,7 @@ class FixedLag:
         covariance[rows.LEVER_ARM, rows.LEVER_ARM] = s.R_bs.T @ level @ s.R_bs
         return mean, covariance
 
-    def _extend(self, t: float, fix: Array | None, scale: float) -> None:
+    def _extend(self, t: float, fix: Array | None) -> None:
         """Add a keyframe at t, with a fix (6,) or without one."""
         s, k = self._start, self._k
         n_bins = max(1, round((t - self._t) / self._options.bin))
@@ -235,7 +235,7 @@ class FixedLag:
         values.insert(V(k + 1), predicted.velocity())
         values.insert(O(k + 1), phi * self._offset)
         if fix is not None and np.any(np.isfinite(fix)):
-            graph.add(self._fix_factor(k + 1, fix, self._reading(t, predicted.attitude().matrix()), scale))
+            graph.add(self._fix_factor(k + 1, fix, self._reading(t, predicted.attitude().matrix())))
         self._felt, self._k, self._t = felt, k + 1, t
         self._update(graph, values)
         self._forget(t - 2.0 * _AVERAGED)
@@ -250,10 +250,10 @@ class FixedLag:
         walk = np.repeat([s.inertial.accel_bias_walk, s.inertial.gyro_bias_walk], 3) * np.sqrt(step)
         graph.add(rows.bias_step(B(k - 1), B(k), C(0), felt - self._felt, walk))
 
-    def _fix_factor(self, k: int, fix: Array, reading: rows.Reading, scale: float) -> gtsam.NonlinearFactor:
+    def _fix_factor(self, k: int, fix: Array, reading: rows.Reading) -> gtsam.NonlinearFactor:
         """One factor for position and velocity: GTSAM calls Python for each. Its rows are whitened there."""
         s, keys = self._start, [X(k), V(k), O(k), C(0)]
-        sigma, known = scale * np.concatenate([s.position_sigma, s.velocity_sigma]), np.flatnonzero(np.isfinite(fix))
+        sigma, known = np.concatenate([s.position_sigma, s.velocity_sigma]), np.flatnonzero(np.isfinite(fix))
         error = rows.FixError(keys, fix, sigma, known, reading, s.velocity_latency, self._options.robust)
         return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(known.size), keys, error)
 
@@ -297,6 +297,9 @@ class FixedLag:
         F[_VELOCITY, _ROTATION], F[_POSITION, _ROTATION] = -so3.skew(by_force), -so3.skew(moved)
         F[_POSITION, _VELOCITY] = np.eye(3) * dt
         F[_POSITION, 9:12], F[_VELOCITY, 9:12], F[_ROTATION, 12:15] = -0.5 * dt**2 * R_ns, -dt * R_ns, -dt * R_ns
+        # more and more turned by the bias of the rate, the force pushes elsewhere
+        F[_VELOCITY, 12:15] = dt / 2.0 * so3.skew(by_force) @ R_ns
+        F[_POSITION, 12:15] = dt / 3.0 * so3.skew(moved) @ R_ns
         noise, Q = self._start.inertial, np.zeros((9, 9))
         Q[_ROTATION, _ROTATION], Q[_VELOCITY, _VELOCITY] = (np.eye(3) * d**2 * dt for d in (noise.gyro, noise.accel))
         Q[_POSITION, _POSITION] = Q[_VELOCITY, _VELOCITY] * dt**2 / 3.0

@@ -5,7 +5,6 @@ import time
 from collections import deque
 from dataclasses import dataclass, replace
 
-from smoother.errors import SmootherError
 from smoother.live.sources import Source
 
 MOST_WAITING = 256 << 10  # bytes not yet taken; a minute of the usual stream
@@ -46,7 +45,7 @@ class Receiver:
         self._lock = threading.Lock()
         self._arrived = threading.Event()
         self._stop = threading.Event()
-        self._failure: SmootherError | None = None
+        self._failure: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
 
     def __enter__(self) -> "Receiver":
@@ -59,7 +58,7 @@ class Receiver:
 
     @property
     def status(self) -> LinkStatus:
-        """The connection now. Raises the SmootherError that the source was opened with."""
+        """The connection now. Raises what ended the thread: a SmootherError of the source, or whatever was wrong."""
         if self._failure is not None:
             raise self._failure
         return self._status
@@ -81,13 +80,16 @@ class Receiver:
         return chunks
 
     def _run(self) -> None:
+        try:
+            self._follow()
+        except Exception as error:  # kept for who asks for the status: else nobody would know that nothing comes
+            self._failure = error
+
+    def _follow(self) -> None:
         was_open = False
         while not self._stop.is_set():
             try:
                 self._source.open()
-            except SmootherError as error:
-                self._failure = error
-                return
             except OSError as error:
                 self._set(is_open=False, error=str(error))
                 self._stop.wait(RETRY_EVERY)

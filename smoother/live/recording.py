@@ -4,6 +4,7 @@ The file is a whole session at every moment: what has come is written at once, a
 written again, in place, as they fill. So whatever ends the program, what had come is kept.
 """
 
+import contextlib
 import os
 import queue
 import threading
@@ -130,7 +131,8 @@ class Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._batches.put(None)
+        with contextlib.suppress(queue.Full):  # of a disc that takes nothing; the thread ends with the program
+            self._batches.put(None, timeout=ENDS_WITHIN)
         self._thread.join(ENDS_WITHIN)
 
     @property

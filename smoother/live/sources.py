@@ -53,7 +53,7 @@ class Source(Protocol):
 
 @dataclass
 class SerialSource:
-    """A serial port; a pseudo-terminal is one too."""
+    """A serial port; a pseudo-terminal is one too, and what pyserial reaches by an address (socket://host:port)."""
 
     port: str
     baud: int = DEFAULT_BAUD
@@ -68,7 +68,7 @@ class SerialSource:
     def open(self) -> None:
         """Raise OSError if there is no such port."""
         try:
-            self._serial = serial.Serial(self.port, self.baud, timeout=WAIT, exclusive=False)
+            self._serial = serial.serial_for_url(self.port, baudrate=self.baud, timeout=WAIT, exclusive=False)
         except (serial.SerialException, ValueError) as error:
             raise OSError(_reason(error)) from error
 

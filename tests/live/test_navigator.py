@@ -1,9 +1,12 @@
 """Samples and fixes reach the smoother in the order of their times, however they came."""
 
 import numpy as np
+import pytest
 
-from smoother.live.identify import Foreground
-from smoother.live.navigator import LONGEST_GAP, PIECE, Item, Navigator, in_order
+from smoother.laps.results import Line
+from smoother.live.identify import Done, Foreground, Job, Window
+from smoother.live.lag import LagStart
+from smoother.live.navigator import LONGEST_GAP, PIECE, WINDOW, Item, Navigator, in_order
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, ImuSamples
 
@@ -44,3 +47,41 @@ def test_the_smoother_runs_on_a_stream_in_lumps_and_is_given_up_over_a_long_gap(
     navigator.take([later], 2.0)
     assert navigator.look().lag is None
     assert "nothing came for 16 s" in navigator._flaw
+
+
+class Busy(Foreground):
+    """A worker that never comes to an end with an identification, and finds no line."""
+
+    def identify(self, window: Window) -> Job[LagStart | str]:
+        class Never(Done[LagStart | str]):
+            def done(self) -> bool:
+                return False
+
+        return Never("")
+
+    def find_line(self, *_: object) -> Job[Line | None]:
+        return Done(None)
+
+
+def driving(t: float) -> list[Item]:
+    """A tenth of a second of samples until t s, and a fix there at 10 m/s north."""
+    samples = t + np.array([-0.05, 0.0])
+    one, velocity_n = np.array([t]), np.array([[10.0, 0.0, 0.0]])
+    fix = GnssFixes(one, 45.0 + one * 10.0 / 111e3, 12.0 + 0.0 * one, 0.0 * one, velocity_n)
+    return [ImuSamples(samples, np.tile([0.0, 0.0, 9.8], (2, 1)), np.zeros((2, 3))), fix]
+
+
+def test_what_is_being_identified_on_is_kept_however_long_that_takes() -> None:
+    navigator = Navigator(Busy())
+    for t in np.arange(1.0, WINDOW + 60.0, 0.5):
+        navigator.take(driving(float(t)), float(t))
+        navigator.work()
+    assert navigator._imu[0].t[0] == navigator._identified_from < 2.0  # older than the window by now
+    assert navigator._fixes[0].t[0] < 2.0
+
+
+def test_a_silence_of_the_receiver_is_no_driving() -> None:
+    navigator = Navigator(Busy())
+    for t in (1.0, 1.2, 31.2, 31.4):
+        navigator.take(driving(t), t)
+    assert navigator._driven == pytest.approx(0.2 + 1.0 + 0.2)

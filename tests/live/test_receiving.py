@@ -6,7 +6,7 @@ import pty
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -172,6 +172,32 @@ def test_a_pipe_ends_when_the_other_side_closes() -> None:
         wait_until(lambda: receiver.status.is_over)
         assert [chunk.data for chunk in receiver.take()] == [b"abc"]
     os.close(reading)
+
+
+def test_a_port_may_be_an_address_that_pyserial_knows() -> None:
+    source = source_for("loop://")
+    assert isinstance(source, SerialSource)
+    source.open()
+    assert source._serial is not None
+    source._serial.write(b"abc")
+    assert source.read() == b"abc"
+    source.close()
+
+
+def test_what_is_wrong_with_a_source_ends_the_loop_instead_of_leaving_it_waiting(tmp_path: Path) -> None:
+    class Broken(ReplaySource):
+        def open(self) -> None: ...
+
+        def read(self) -> bytes | None:
+            raise ZeroDivisionError("a mistake")
+
+    with Receiver(Broken(tmp_path)) as receiver, pytest.raises(ZeroDivisionError, match="a mistake"):
+        run(receiver, Engine(Aboard(Foreground())), Shown(), stop=stopped_after(5.0))
+
+
+def stopped_after(seconds: float) -> Callable[[], bool]:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
 
 
 def test_a_folder_and_a_name_that_is_nothing_are_refused(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from io import FileIO
 from pathlib import Path
@@ -202,6 +203,30 @@ def test_without_a_view_a_terminal_is_told_how_far_a_file_is(
     assert run_command(["live", str(capture), "--speed", "max", "--headless"]) == 0
     wanted, text, share = told[-1]
     assert wanted and text.startswith("capture.bin ") and share == 0.99
+
+
+def test_a_disc_that_hangs_does_not_keep_the_program_from_ending(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "MOST_WAITING", 2)
+    monkeypatch.setattr(recording, "ENDS_WITHIN", 0.2)
+    hangs, has_room = threading.Event(), threading.Event()
+
+    class Hanging(SessionWriter):
+        def sync(self) -> None:
+            hangs.set()
+            has_room.wait(10.0)
+
+    monkeypatch.setattr(recording, "SYNC_EVERY", -1.0)
+    recorder, began = Recorder(Hanging(tmp_path, np.random.default_rng(7))), time.monotonic()
+    with recorder:
+        recorder.add([])
+        assert hangs.wait(5.0)
+        for _ in range(3):
+            recorder.add([])
+    assert "nothing for minutes" in recorder.status.flaw
+    assert time.monotonic() - began < 5.0
+    has_room.set()
 
 
 def test_speeds_that_are_none_are_refused() -> None:
