@@ -249,7 +249,7 @@ def _laps(
     lines: tuple[Line, ...],
     best: int | None,
 ) -> tuple[Lap, ...]:
-    times = line_times(given.path, circuit, passages, lines)
+    times = line_times(given.path, circuit, passages, lines, _beside(given.trajectory))
     sigma, sector_sigma, gap_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors, best)
     raw, speeds = _raw_times(given, circuit, passages), _speeds(given, passages)
     return tuple(

@@ -41,17 +41,22 @@ def _braking_place(corner: Corner, counting: BoolArray) -> float:
     return float(np.median(points)) if points.size else corner.segment[0]
 
 
-def line_times(path: PlanPath, circuit: Circuit, passages: tuple[Passage, ...], lines: tuple[Line, ...]) -> Array:
-    """Times (L, S + 1) s at which each lap passed the start, each sector line and the finish; NaN where it did not."""
+def line_times(
+    path: PlanPath, circuit: Circuit, passages: tuple[Passage, ...], lines: tuple[Line, ...], beside: float
+) -> Array:
+    """Times (L, S + 1) s at which each lap passed the start, each sector line and the finish; NaN where it did not.
+
+    beside m: how far beyond the ends of a line its passage may seem to lie, as for :func:`find_passages`.
+    """
     out = np.full((len(passages), len(lines) + 2), np.nan)
     for i, lap in enumerate(passages):
         out[i, 0] = lap.start if lap.starts_at_line else np.nan
         out[i, -1] = lap.end if lap.ends_at_line else np.nan
     for column, line in enumerate(lines, start=1):
         if circuit.finish_line is None:
-            passed = crossings(path, circuit.followed, circuit.curve.length, line).t
+            passed = crossings(path, circuit.followed, circuit.curve.length, line, beside).t
         else:
-            passed = gate_crossings(path, line, 0.0)
+            passed = gate_crossings(path, line, beside)
         for i, lap in enumerate(passages):
             within = passed[(passed > lap.start) & (passed < lap.end)]
             out[i, column] = within[0] if within.size else np.nan

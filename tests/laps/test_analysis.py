@@ -206,7 +206,7 @@ def test_the_usual_loss_is_no_surer_than_the_lap_compared_with(
         assert corner.usual_lost == pytest.approx(float(np.median(corner.time_lost[others])))
         of_median = np.pi / 2.0 if len(others) > 2 else 1.0
         expected = np.sqrt(0.5 + 0.5 * of_median / len(others)) * cell.mean()
-        assert corner.usual_lost_sigma == pytest.approx(expected, rel=0.1)
+        assert corner.usual_lost_sigma == pytest.approx(expected, rel=0.04)  # that of a mean would be 0.07 less
 
 
 def test_of_luck_alone_hardly_anything_is_real_however_much_is_compared() -> None:

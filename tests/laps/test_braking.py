@@ -28,10 +28,10 @@ def ramp(at: float, over: float, to: float, until: float = 120.0) -> Array:
 
 
 def test_a_hard_stop_begins_between_two_places_and_is_as_sure_as_the_place() -> None:
-    stops = laps(ramp(64.2, 32.0, 8.0), ramp(65.2, 32.0, 8.0), place_sigma=0.5)
+    stops = laps(ramp(64.2, 32.0, 8.0), ramp(65.2, 32.0, 8.0), place_sigma=1.5)
     point, sigma = braking_points(stops, 40.0, 130.0)
     np.testing.assert_allclose(point, [68.2, 69.2], atol=0.1)  # where 1 m/s^2 is passed
-    np.testing.assert_allclose(sigma, np.hypot(0.5, 2.0), atol=0.1)  # and 0.5 and 1.5 are
+    np.testing.assert_allclose(sigma, np.hypot(1.5, 2.0), atol=0.1)  # and 0.5 and 1.5 are
 
 
 def test_who_hardly_brakes_does_so_nobody_knows_where() -> None:

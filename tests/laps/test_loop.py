@@ -268,6 +268,14 @@ def test_runs_from_start_to_finish_are_timed_where_the_two_are_apart(make: Made,
     assert found.finish_line is not None
 
 
+def test_a_run_that_passes_all_its_gates_three_metres_outside_has_its_sectors(make: Made, fixes: Fixes) -> None:
+    t = np.arange(0.0, 60.0, 0.02)
+    run = make(t, np.stack([15.0 * t, np.full(len(t), 8.0)], axis=1))
+    start, sector, finish = (np.array([[north, -5.0], [north, 5.0]]) for north in (150.0, 450.0, 750.0))
+    (lap,) = analyse(run, fixes(run), LapOptions(lines=GivenLines(start, (sector,), finish))).laps
+    assert lap.sector_time == pytest.approx([20.0, 20.0], abs=0.01)
+
+
 def _between(a: Array, b: Array) -> Array:
     share = np.linspace(0.0, 1.0, 1200)[1:-1, None]
     return np.asarray(a + share * (b - a))
