@@ -107,9 +107,9 @@ class Calibration:
             return MagSamples(raw.t, raw.field)
         return MagSamples(raw.t, (raw.field - self.hard_iron) @ self.soft_iron.T, is_calibrated=True)
 
-    def with_magnetometer(self, hard_iron: Array, soft_iron: Array, source: str | None = None) -> "Calibration":
+    def with_magnetometer(self, hard_iron: Array, soft_iron: Array) -> "Calibration":
         """Return a copy with hard_iron (3,) and soft_iron (3, 3)."""
-        return replace(self, hard_iron=hard_iron, soft_iron=soft_iron, source=self.source if source is None else source)
+        return replace(self, hard_iron=hard_iron, soft_iron=soft_iron)
 
     def applied(self, has_imu: bool = True, has_mag: bool = True) -> tuple[AppliedValue, ...]:
         """What :meth:`apply` changes in a recording that has these sensors; nothing for values that change nothing."""

@@ -480,12 +480,12 @@ def _with_steps(x: Array, y: Array, off_a_line: float) -> tuple[float, float, Ar
 
 
 def _has_hole(imu_t: Array, step: _DelayStep, t_receive: Array, utc: Array) -> bool:
-    """Whether stamps of samples (S,) s leave out half of a step of the delays, or go back, where it may have been."""
+    """Whether stamps of samples (S,) s, increasing, leave out half of a step of the delays where it may have been."""
     first, last = np.interp([step.first - SHORTEST_BIN, step.last + SHORTEST_BIN], utc, t_receive)
     near = np.diff(imu_t[(imu_t > first) & (imu_t < last)])
     if near.size == 0:
         return True
-    return bool(near.max() - np.median(near) > 0.5 * abs(step.size) or near.min() < 0.0)
+    return bool(near.max() - np.median(near) > 0.5 * abs(step.size))
 
 
 def _theil_sen(x: Array, y: Array) -> tuple[float, float]:

@@ -82,6 +82,14 @@ def test_the_sigmas_of_the_figures_are_honest():
     np.testing.assert_allclose(rms, 1.0, atol=0.45)
 
 
+def test_the_density_of_white_noise_is_as_unsure_as_it_says():
+    rng, z = np.random.default_rng(11), []
+    for _ in range(20):
+        found = fit_noise(rng.normal(0.0, 0.1, (20_000, 6)) * np.sqrt(RATE), RATE)
+        z.append((found.value[:, 0] - 0.1) / found.sigma[:, 0])
+    assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.25  # of 120; that drift is none from below makes it a little less
+
+
 def test_the_fitted_figures_draw_the_curve():
     values = noise(6.0, 0.1, 0.06, 0.02, np.random.default_rng(6))
     curve = allan_deviation(values, RATE)

@@ -82,6 +82,14 @@ def test_the_dependence_on_temperature_is_found_with_honest_sigmas():
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.2  # 240 values
 
 
+def test_of_few_means_two_are_spent_on_the_line():
+    temperature, rate = warming(np.random.default_rng(9), np.full(3, 1e-3), count=15)
+    fit = fit_temperature(temperature, rate)
+    for axis in range(3):  # so few have no growth: neighbours that are alike do not show
+        _, covariance = np.polyfit(temperature - fit.temperature, rate[:, axis], 1, cov=True)
+        np.testing.assert_allclose([fit.slope_sigma[axis], fit.bias_sigma[axis]], np.sqrt(np.diag(covariance)))
+
+
 def test_a_temperature_that_was_not_seen_counts_as_the_nearest_that_was():
     fit = fit_temperature(*warming(np.random.default_rng(8), np.full(3, 1e-3)))
     np.testing.assert_array_equal(fit.at(np.array([80.0])), fit.at(np.array([fit.span[1]])))

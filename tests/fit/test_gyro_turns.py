@@ -73,6 +73,28 @@ def test_the_jacobian_of_a_turn_is_the_numerical_one():
     np.testing.assert_allclose(ours, np.linalg.norm(across - np.outer(at, at @ across), axis=0), rtol=0.02, atol=0.01)
 
 
+def test_the_biases_of_both_rests_turn_the_prediction_by_numerical_slopes():
+    _, t, rate, positions, accel = handled(2)
+    up = _directions(positions, accel)
+    turn = _turns(t, rate, positions, up)[3]
+    k = turn.first
+
+    def predicted(biases):
+        moved = list(positions)
+        for i, by in enumerate(np.split(biases, 2)):
+            moved[k + i] = replace(moved[k + i], rate=moved[k + i].rate + by)
+        R = np.eye(3)
+        for step in so3.exp(_turns(t, rate, moved, up)[3].increments):
+            R = R @ step
+        return R.T @ up[k]
+
+    sources = _rows(turn, up, accel, np.eye(3), len(positions)).sources
+    ours = np.linalg.norm(sources[:, np.r_[6 * k + 3 : 6 * k + 6, 6 * k + 9 : 6 * k + 12]], axis=0)
+    at, slopes = predicted(np.zeros(6)), so3.numerical_jacobian(predicted, np.zeros(6), 1e-6)
+    across = slopes - np.outer(at, at @ slopes)  # in a basis across the direction, whose length is the same
+    np.testing.assert_allclose(ours, np.linalg.norm(across, axis=0), rtol=0.02, atol=0.01)
+
+
 def test_few_turns_are_refused():
     _, t, rate, positions, accel = handled(3)
     with pytest.raises(FitError, match="between resting positions: too few"):

@@ -80,6 +80,8 @@ def test_positions_that_all_scatter_make_the_sigmas_larger():
     fit = fit_accelerometer(claimed)
     assert 20.0 < fit.scatter < 100.0
     assert np.all(np.abs(fit.offset - OFFSET) < 5.0 * fit.offset_sigma)
+    # what twenty-two lengths tell beside nine values, in sigmas of a millimetre per second squared, as claimed
+    assert fit.scatter == pytest.approx(np.sqrt(np.sum((fit.residual / 1e-3) ** 2) / (22 - 9)), rel=0.03)
 
 
 def test_the_jacobian_of_the_lengths_is_the_numerical_one():

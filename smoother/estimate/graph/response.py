@@ -59,10 +59,8 @@ def response_of(path: DensePath, felt: ExpectedMotion, session: Constants, t: Ar
             values = low_passed(values, dt, tau)
         return at_times(path, _level(values), t + tau)
 
-    def even(values: Array, times: int = 1) -> Array:
-        for _ in range(times):
-            values = evened(values, dt, tau)
-        return at_times(path, _level(values), t)
+    def even(values: Array) -> Array:
+        return at_times(path, _level(evened(values, dt, tau)), t)
 
     antenna_n, jerk_n = _antenna_velocity(path, motion, session), _jerk(felt.slow, dt)
     filtered, by_filter, by_evenness = late(antenna_n), late(jerk_n, 2), simple.by_evenness_n

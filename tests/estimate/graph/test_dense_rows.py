@@ -6,13 +6,23 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.dense_rows import DenseRows, _between_samples, _bridge
 from smoother.estimate.graph.imu import BinnedImu
+from smoother.estimate.graph.inertial import LinearInertial
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, TRANSLATION, VELOCITY, ChainState, Constants
-from smoother.estimate.graph.uncertainty import bend_covariance, track_variance
+from smoother.estimate.graph.state import (
+    CONSTANTS_SIZE,
+    KEYFRAME_SIZE,
+    LEVER_ARM,
+    TRANSLATION,
+    VELOCITY,
+    ChainState,
+    Constants,
+)
+from smoother.estimate.graph.uncertainty import bend_covariance, track_variance, uncertainty_of
 
 K, T = 4, 0.2
 TIMES = np.linspace(0.0, (K - 1) * T, K)
@@ -80,6 +90,35 @@ def test_the_line_is_that_of_the_antenna_whose_arm_errs_with_the_motion() -> Non
     variance = track_variance(state, solution)
     np.testing.assert_allclose(variance[:, 0], 0.5 * np.sum(line**2, axis=(1, 2)), rtol=1e-3)
     np.testing.assert_allclose(variance[:-1, 1], 0.5 * np.sum(line[:-1] * line[1:], axis=(1, 2)), rtol=2e-3, atol=1e-4)
+
+
+def test_the_antenna_errs_with_attitude_motion_and_arm() -> None:
+    """Turning, by numerical slopes of where the antenna is and how fast it goes; the rate itself is held."""
+    rng = np.random.default_rng(8)
+    R_ns = so3.exp(rng.normal(size=3)) @ so3.exp(T * np.arange(K)[:, None] * np.array([0.3, -0.2, 1.5]))
+    arm_s, size, m = np.array([-0.5, 0.4, 0.3]), K * KEYFRAME_SIZE, CONSTANTS_SIZE
+    state = chain(R_ns)
+    state = replace(state, constants=replace(state.constants, lever_arm_s=arm_s))
+    root = rng.normal(size=(size + m, 2 * size)) * 1e-2
+    of_keyframes, of_constants = root[:size].reshape(K, KEYFRAME_SIZE, -1), root[size:]
+    own = np.einsum("kir,kjr->kij", of_keyframes, of_keyframes)
+    cross = np.einsum("kir,kjr->kij", of_keyframes[:-1], of_keyframes[1:])
+    with_constants = np.einsum("kir,jr->kij", of_keyframes, of_constants)
+    no = np.zeros((K, KEYFRAME_SIZE))
+    solution = ChainSolution(no, np.zeros(m), own, cross, of_constants @ of_constants.T, with_constants)
+    solved = Solved(state, state, solution, LinearInertial(np.empty((K - 1, 15, 46))), {})
+    antenna = uncertainty_of(solved, None).antenna
+    for k in range(K):
+        turn_n = R_ns[k] @ [0.3, -0.2, 1.5]
+
+        def errors(x: Array, R: Array = R_ns[k], turn_n: Array = turn_n) -> Array:
+            turned = so3.exp(R @ x[0:3])
+            arm_n = R @ (arm_s + x[9:12])
+            return np.concatenate([R @ x[0:3], x[6:9] + turned @ np.cross(turn_n, arm_n), R @ x[3:6] + turned @ arm_n])
+
+        J = so3.numerical_jacobian(errors, np.zeros(12))
+        moved = J @ np.concatenate([of_keyframes[k, :9], of_constants[LEVER_ARM]])
+        np.testing.assert_allclose(antenna[k], moved @ moved.T, rtol=1e-5, atol=1e-8)
 
 
 def test_the_line_is_unsure_by_the_walk_of_the_offset_but_for_what_a_fix_tells_of_it() -> None:

@@ -124,6 +124,19 @@ def test_a_kart_that_stays_level_has_gtsam_s_slopes() -> None:
         np.testing.assert_allclose(found.by_rotation_left[:, rows], linear.by_rotation_left[:, rows], atol=1e-12)
 
 
+def test_a_kart_that_accelerates_steadily_as_expected_has_gtsam_s_slopes() -> None:
+    drive = Drive(1, 0.0)
+    acceleration_n, t = np.array([4.0, -7.0, 0.5]), drive.state.t[:, None]
+    state = replace(
+        drive.state,
+        velocity_n=drive.state.velocity_n[0] + acceleration_n * t,
+        position_n=drive.state.position_n[0] + drive.state.velocity_n[0] * t + 0.5 * acceleration_n * t**2,
+    )
+    linear = linearize_increments(drive.increments(), state)
+    found = as_expected(linear, state, np.tile(acceleration_n, (K - 1, 1)))
+    np.testing.assert_allclose(found.by_rotation_left, linear.by_rotation_left, atol=1e-12)
+
+
 def test_a_part_of_the_intervals_is_that_part_of_all() -> None:
     drive, J, some = Drive(0, 0.01), np.zeros((K - 1, 15, 30)), np.zeros((1, 15, 30))
     linear = linearize_increments(drive.increments(), drive.state)

@@ -18,6 +18,7 @@ from smoother.estimate.graph.inertial import (
     LinearInertial,
     _force_covariance,
     _posterior_covariance,
+    _rate_covariance,
     _root_information,
     add_inertial,
     empty_system,
@@ -357,15 +358,32 @@ def test_what_white_force_does_to_a_factor_is_its_covariance_without_rate_noise(
         np.testing.assert_allclose(have / scale / scale[:, None], want[3:9, 3:9] / scale / scale[:, None], atol=near)
 
 
+def test_what_white_rate_does_to_a_factor_is_its_covariance_without_noise_of_force() -> None:
+    force, n_bins = np.array([1.0, 3.0, 9.8]), 200
+    shape = (1, n_bins, 3)
+    steady = BinnedImu(np.array([0.0, T]), T / n_bins, np.broadcast_to(force, shape), np.zeros(shape), np.zeros(1))
+    rate_only = replace(NOISE, accel=1e-9, accel_bias_walk=1e-9, gyro_bias_walk=1e-9)
+    (measured,) = preintegrate(steady, rate_only, np.zeros((1, 3)), np.zeros((1, 3)))
+    found, want = _rate_covariance(NOISE.gyro**2 * np.eye(3)[None], force[None], T)[0], measured.preintMeasCov()
+    scale = np.sqrt(np.diag(want)[:9] + 1e-30)
+    # GTSAM adds up steps of a two hundredth of the interval, each from its beginning
+    np.testing.assert_allclose(found[:9, :9] / scale / scale[:, None], want[:9, :9] / scale / scale[:, None], atol=0.03)
+
+
 def random_covariance() -> tuple[np.ndarray, ChainSolution]:
     """Any covariance, dense and as the chain would hold it."""
+    A = np.random.default_rng(0).normal(size=(K * KEYFRAME_SIZE + CONSTANTS_SIZE,) * 2)
+    P = A @ A.T / len(A)
+    return P, in_blocks(P)
+
+
+def in_blocks(P: np.ndarray) -> ChainSolution:
+    """A dense covariance as the chain would hold it."""
     n, m, c = KEYFRAME_SIZE, CONSTANTS_SIZE, K * KEYFRAME_SIZE
-    A = np.random.default_rng(0).normal(size=(c + m, c + m))
-    P = A @ A.T / (c + m)
     blocks, k = P[:c, :c].reshape(K, n, K, n).transpose(0, 2, 1, 3), np.arange(K)
     cross = P[:c, c:].reshape(K, n, m)
     empty = np.zeros((K, n)), np.zeros(m)
-    return P, ChainSolution(*empty, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross)
+    return ChainSolution(*empty, blocks[k, k], blocks[k[:-1], k[1:]], P[c:, c:], cross)
 
 
 def test_posterior_covariance_is_that_of_the_dense_one() -> None:
@@ -410,6 +428,23 @@ class TestVarianceComponents:
         force, rate = self.ratios(1.0, 1.5)
         assert force == pytest.approx(1.0, abs=0.1)
         assert rate == pytest.approx(1.5, abs=0.1)
+
+    def test_what_a_solution_takes_up_is_not_expected_of_its_residuals(self) -> None:
+        state, binned = drive(0, crooked=0.0)
+        linear, rng, sums = linearized(state, binned), np.random.default_rng(2), np.zeros((2, 2))
+        J, c = dense_jacobian(linear), K * KEYFRAME_SIZE
+        prior = np.sqrt(np.diag(J.T @ J) + 1.0)  # as much is known of everything beforehand
+        P = np.linalg.inv(J.T @ J + np.diag(prior**2))
+        solution, densities = in_blocks(P), (np.full(K - 1, NOISE.accel), np.full(K - 1, NOISE.gyro))
+        for _ in range(500):
+            noise, before = rng.normal(size=len(J)), rng.normal(size=len(P))
+            x = -P @ (J.T @ noise + prior * before)
+            drawn = LinearInertial(np.concatenate([linear.jacobian, noise.reshape(K - 1, INERTIAL, 1)], axis=2))
+            moved = replace(solution, x=x[:c].reshape(K, -1), constants=x[c:])
+            components = inertial_components(state, drawn, moved, densities, (ROUND, ROUND), ALL >= 0)
+            sums += [[part.squares, part.redundancy] for part in components]
+        np.testing.assert_allclose(sums[:, 0] / sums[:, 1], 1.0, atol=0.08)  # some thousand residuals, twice 2 %
+        assert np.all(sums[:, 1] < 0.9 * 500 * 3 * (K - 1))
 
     def test_without_any_interval_nothing_is_answered_for(self) -> None:
         state, binned = drive(0)

@@ -211,6 +211,17 @@ def hopping() -> tuple[ChainState, DensePath, Callable[[np.ndarray], np.ndarray]
     return state, path, velocity_n
 
 
+def test_the_slow_offset_is_that_of_the_receiver_s_own_time() -> None:
+    """Read as long before the stamp as fixes are usually late, however late these are found to be."""
+    state, path, felt, _ = swinging(Constants(0.11, 0.0, np.zeros(3)))
+    t, nothing = state.t[2:4] + 0.15, np.zeros((2, 3))  # the place is read at 0.04 of an interval, the offset at 0.09
+    rows = position_rows(state, path, felt, t, nothing, np.ones((2, 3)), 0.06)
+    np.testing.assert_allclose(rows.right[:, :, OFFSET], np.tile(0.09 / T * np.eye(3), (2, 1, 1)), atol=1e-9)
+    wandering = replace(state, offset_n=np.outer(state.t, [1.0, -2.0, 0.5]))
+    moved = position_rows(wandering, path, felt, t, nothing, np.ones((2, 3)), 0.06).residual - rows.residual
+    np.testing.assert_allclose(moved, np.outer(t - 0.06, [1.0, -2.0, 0.5]), atol=1e-9)
+
+
 @pytest.mark.parametrize("share", [0.2, 0.3, 0.7, 0.8])
 @pytest.mark.parametrize(("column", "most"), [(VELOCITY_LATENCY, 4e-3), (VELOCITY_RESPONSE, 1e-3)])
 def test_what_the_curve_misses_between_two_keyframes_is_no_property_of_the_receiver(

@@ -144,6 +144,16 @@ def test_the_rows_are_a_gauss_markov_process() -> None:
     np.testing.assert_allclose(steps.constants[:, 0, SLIP], slip.by_constants[1:] - phi * slip.by_constants[:-1])
 
 
+def test_bumps_are_beside_the_process_at_both_keyframes_of_a_step() -> None:
+    own, sigma, phi = np.random.default_rng(3).uniform(0.05, 0.4, 9), 0.3, remembered(T)
+    start, steps = slip_rows(replace(some_slip(np.ones(9, dtype=np.bool_)), own=own), T, sigma)
+    apart = T * np.abs(np.subtract.outer(np.arange(9), np.arange(9)))
+    covariance = sigma**2 * np.exp(-apart / MEMORY) + np.diag(own**2)
+    step = np.eye(9)[1:] - phi * np.eye(9)[:-1]
+    np.testing.assert_allclose(steps.sigma[:, 0] ** 2, np.diag(step @ covariance @ step.T))
+    assert start.sigma[0, 0] ** 2 == pytest.approx(covariance[0, 0])
+
+
 def test_the_process_starts_anew_after_a_stop() -> None:
     moves = np.array([0, 1, 1, 1, 0, 0, 1, 1, 0, 1], dtype=np.bool_)  # the last one has nothing after it
     start, steps = slip_rows(some_slip(moves), T, 0.1)
