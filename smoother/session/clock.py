@@ -229,7 +229,7 @@ def _period(t: Array) -> float:
     long = multiple > 1.0
     whole = np.abs(interval / typical - multiple) < WHOLE
     plain = np.mean(long) < LOSSY_SHARE and np.count_nonzero(long & whole) > 0.5 * np.count_nonzero(long)
-    number = np.concatenate([[0.0], np.cumsum(np.maximum(multiple, 1.0) if plain else np.ones(interval.size))])
+    number = np.concatenate([[0.0], np.cumsum(multiple if plain else np.ones(interval.size))])
     window = min(PERIOD_WINDOW, t.size // 4)
     return median((t[window:] - t[:-window]) / (number[window:] - number[:-window]))
 
@@ -291,20 +291,24 @@ def _steps_at_scale(lag: Array, window: int, period: float) -> list[int]:
     else:
         edge = np.diff(np.concatenate([[False], high, [False]]).astype(np.int8))
         starts, ends = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
-    steps = []
+    steps: list[int] = []
     for i, j in zip(starts, ends, strict=True):
         top = int(window + i + np.argmax(height[i:j]))  # the sample the step comes before
         near = np.arange(max(1, top - window // 2), min(lag.size, top + window // 2 + 1))
         step = int(near[np.argmax(lag[near] - lag[near - 1])])
-        if _stays(lag, step, height[i:j].max(), period):
+        since = steps[-1] if steps else 0
+        if step > since and _stays(lag, step, since, height[i:j].max(), period):
             steps.append(step)
     return steps
 
 
-def _stays(lag: Array, step: int, height: float, period: float) -> bool:
-    """Whether the lag never falls back to what it was: samples that only arrived late are made up for."""
+def _stays(lag: Array, step: int, since: int, height: float, period: float) -> bool:
+    """Whether the lag never falls back to what it was: samples that only arrived late are made up for.
+
+    What it was before the step at `since` says nothing: after a hole any late sample is far above that.
+    """
     jump = lag[step] - lag[step - 1]
-    before = np.min(lag[max(0, step - ENVELOPE_WINDOW) : step])
+    before = np.min(lag[max(since, step - ENVELOPE_WINDOW) : step])
     after = np.min(lag[step : step + ENVELOPE_WINDOW])
     return bool(after - before > max(SMALLEST_STEP * period, STAYING_SHARE * height) and jump > 0.5 * height)
 

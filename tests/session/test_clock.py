@@ -98,6 +98,22 @@ def test_samples_that_come_late_once_are_made_up_for_and_no_gap() -> None:
     assert np.max(np.abs(base.t[8000:8040] - true[8000:8040])) < 0.01 + 0.3 / 32 * 3  # 0.3 s late before
 
 
+def test_fixes_that_come_late_now_and_then_make_the_period_no_shorter() -> None:
+    rng, true = np.random.default_rng(3), sampled(3000, 0.2)
+    late = true + 0.004 * rng.standard_normal(true.size) + (rng.random(true.size) < 0.05) * rng.uniform(0.1, 0.25, 3000)
+    base = regularize(np.maximum.accumulate(late) + 1e-6 * np.arange(true.size))
+    assert base.period == pytest.approx(0.2, rel=2e-3)
+
+
+def test_a_late_sample_after_a_hole_is_no_step_of_its_own() -> None:
+    rng, true = np.random.default_rng(4), np.delete(sampled(1500, 0.2), slice(600, 625))
+    late = true + 0.004 * rng.standard_normal(true.size) + (rng.random(true.size) < 0.05) * rng.uniform(0.1, 0.25, 1475)
+    base = regularize(np.maximum.accumulate(late) + 1e-6 * np.arange(true.size))
+    assert np.count_nonzero(find_gaps(base)) == 1
+    error = base.t - true
+    assert np.max(np.abs(error - np.median(error))) < 0.05  # a false step is 0.1 to 0.2 s
+
+
 def test_a_sampling_that_is_itself_irregular_is_left_alone() -> None:
     t = np.cumsum(np.random.default_rng(RNG).uniform(0.005, 0.015, 20_000))
     base = regularize(t)
