@@ -78,23 +78,26 @@ class FieldFit:
 class Heading:
     """Heading measurements at the left keyframe of intervals (N,): corrected field_s (N, 3), any unit.
 
-    field_yaw rad is the direction of the horizontal field in n, sigma rad of each. offset_sigma rad of what they have
-    in common; without has_offset that is in field_yaw already. fit: what corrected them, None of a calibrated field.
+    field_yaw rad is the direction of the horizontal field in n, sigma rad of each, or of all. offset_sigma rad of what
+    they have in common; without has_offset that is in field_yaw already. fit: what corrected them, None of a calibrated
+    field.
     """
 
     interval: IntArray
     field_s: Array
     field_yaw: float
-    sigma: float
+    sigma: float | Array
     offset_sigma: float
     has_offset: bool = True
     fit: FieldFit | None = None
 
 
-def heading_from_field(mag: MagSamples, state: ChainState, declination: float, inclination: float) -> Heading | None:
+def heading_from_field(
+    mag: MagSamples, state: ChainState, declination: float, inclination: float, still: IntArray | None = None
+) -> Heading | None:
     """Return the usable headings, or None when the field disagrees with the attitude of `state`.
 
-    declination (east positive), inclination (down positive) rad.
+    declination (east positive), inclination (down positive) rad. still (S,): intervals at rest.
     """
     inside = (mag.t > state.t[0]) & (mag.t < state.t[-1])
     if np.count_nonzero(inside) < FEWEST:
@@ -121,12 +124,26 @@ def heading_from_field(mag: MagSamples, state: ChainState, declination: float, i
         return None
     # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
-    sigma = float(np.sqrt(FLOOR**2 + beyond + (repeating(int(np.count_nonzero(keep))) if fitted else 0.0)))
+    alike = 1.0 if still is None else _of_stand(at[keep], still, step)
+    sigma = np.sqrt(alike * (FLOOR**2 + beyond + (repeating(float(np.sum(keep[keep] / alike))) if fitted else 0.0)))
     fit = _with_sigmas(matrix, iron, expected, measured, of_fit) if fitted else None
     return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit)
 
 
-def repeating(count: int) -> float:
+def _of_stand(at: IntArray, still: IntArray, step: int) -> Array:
+    """How many headings (N,) at keyframes `at`, one in `step`, are of the same stand; 1 of a kart that drives.
+
+    While it stands every heading has the error of the one before: the iron of one direction, and an engine that idles
+    or is off, beside one that drove while the field was fitted. All of a stand tell what one does.
+    """
+    count = np.ones(len(at))
+    resting = np.flatnonzero(np.isin(at, still))
+    for stand in np.split(resting, np.flatnonzero(np.diff(at[resting]) > 2 * step) + 1):
+        count[stand] = len(stand)
+    return count
+
+
+def repeating(count: float) -> float:
     """Variance rad^2 of each of `count` headings of a fitted field, lest together they know more than there is to know.
 
     What is left of the iron depends on the heading and comes back in every lap, and the correction was fitted to the

@@ -225,7 +225,7 @@ def heading_rows(state: ChainState, heading: Heading) -> Rows:
     left[:, 0, ROTATION] = state.R_ns[interval][:, 2, :]  # the third row of R_ns takes a turn in s to its part about up
     constants[:, :, HEADING_OFFSET] = -1.0 if heading.has_offset else 0.0
     residual = wrap_angle(residual)[:, None]
-    sigma = np.full_like(residual, heading.sigma)
+    sigma = np.ones_like(residual) * np.reshape(heading.sigma, (-1, 1))
     return Rows("heading", interval, residual, sigma, left, right, constants, np.ones(len(interval)))
 
 

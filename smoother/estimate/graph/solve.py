@@ -377,7 +377,7 @@ def with_heading(session: Session, start: Start, state: ChainState) -> tuple[Dat
         return data, priors, ()
     earth, problems = session_field(session)
     mag = _readings_beside_samples(session.mag, start.binned)
-    heading = heading_from_field(mag, state, earth.declination, earth.inclination)
+    heading = heading_from_field(mag, state, earth.declination, earth.inclination, data.still)
     if heading is None:
         text = "the magnetometer disagrees with the gyro and the course; it was left out"
         return data, priors, (*problems, Problem("magnetometer_unused", text))

@@ -152,6 +152,23 @@ def test_many_headings_of_a_fitted_field_know_no_more_than_few() -> None:
     assert repeating(400) == pytest.approx(4.0 * repeating(100))
 
 
+def test_headings_of_one_stand_together_tell_what_one_does() -> None:
+    """The iron of one direction and an engine that idles err alike in all of them."""
+    driven = laps()
+    at_rest = np.arange(300, 600)
+    R_ns = driven.R_ns.copy()
+    R_ns[at_rest] = R_ns[300]
+    state = replace(driven, R_ns=R_ns)
+    heading = heading_from_field(readings(state), state, DECLINATION, INCLINATION, at_rest)
+    assert heading is not None
+    rests, sigma = np.isin(heading.interval, at_rest), np.asarray(heading.sigma)
+    assert np.count_nonzero(rests) == 60
+    assert np.ptp(sigma[rests]) == np.ptp(sigma[~rests]) == 0.0
+    assert np.sum(sigma[rests] ** -2.0) == pytest.approx(sigma[~rests][0] ** -2.0)
+    rows = heading_rows(state, heading)
+    np.testing.assert_allclose(rows.sigma[:, 0], sigma)
+
+
 def test_readings_are_averaged_around_their_keyframe_though_the_kart_turns() -> None:
     state = laps()
     noisy = heading_from_field(readings(state, np.zeros(3), np.eye(3), noise=3.0), state, DECLINATION, INCLINATION)
