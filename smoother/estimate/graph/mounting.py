@@ -275,12 +275,14 @@ def without_heading(mounting: FittedMounting) -> FittedMounting:
     return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]), is_observable=stated)
 
 
-def swing_on_the_wheel(keyframes: Keyframes) -> Array | None:
+def swing_on_the_wheel(keyframes: Keyframes, *, is_steered: bool = False) -> Array | None:
     """How far a box on the steering wheel stands off the kart, (3,) rad rms about the axes of b; None for other boxes.
 
     A wheel turned to the left turns the box to the left about the column, which leans to the driver: the box leans to
     the left as well, by much and at once. A kart in the same bend turns its nose to the left and leans to the right.
     What the kart itself leans and slides is in these figures too, and little beside the wheel.
+
+    is_steered: the samples themselves have told a wheel, so that attitudes that are unsure only have to go with it.
     """
     level = np.hypot(keyframes.velocity_n[:, 0], keyframes.velocity_n[:, 1])
     driving = level > 1.5 * MIN_SPEED
@@ -293,7 +295,7 @@ def swing_on_the_wheel(keyframes: Keyframes) -> Array | None:
     unsure = float(np.median(np.einsum("kii->ki", keyframes.covariance[driving, 0:3, 0:3])[:, :2]))
     swing = float(np.std(quick_lean))
     together = np.corrcoef(quick_lean, quick_slip)[0, 1]
-    is_swung = swing > SWING and swing**2 > 2.0 * unsure and together > STEERED
+    is_swung = swing > SWING and (is_steered or swing**2 > 2.0 * unsure) and together > STEERED
     if not (is_swung or _leans_with_the_hand(keyframes, lean, slip, driving, unsure)):
         return None
     return np.array([np.std(lean[driving]), 0.0, np.std(wrap_angle(slip[driving]))])

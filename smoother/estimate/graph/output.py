@@ -66,7 +66,7 @@ def build_trajectory(
     found = _with_wander_shared(session, found, noise)
     source = _source(session, found, noise, binned, pauses)
     keyframes = keyframes_of_kart(session, found, source, mounting, priors, unsure)
-    swing = swing_on_the_wheel(keyframes)
+    swing = swing_on_the_wheel(keyframes, is_steered=found.state.constants.is_steered)
     if swing is not None:
         widen(keyframes, swing)
     sampling = session.imu.sampling if session.imu is not None else Sampling(0.0)

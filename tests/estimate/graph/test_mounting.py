@@ -358,6 +358,14 @@ def test_no_other_box_is_taken_for_one_on_the_wheel(wheel: float, lean: float, u
     assert swing_on_the_wheel(keyframes_of_drive(wheel, lean, unsure)) is None
 
 
+def test_where_the_samples_tell_a_wheel_attitudes_may_be_as_unsure_as_it_swings() -> None:
+    unsure = keyframes_of_drive(10.0 * DEG, 0.5 * DEG, 9.0 * DEG)
+    swing = swing_on_the_wheel(unsure, is_steered=True)
+    assert swing is not None
+    assert swing[0] > 3.0 * DEG
+    assert swing_on_the_wheel(keyframes_of_drive(0.0, 0.5 * DEG, 9.0 * DEG), is_steered=True) is None
+
+
 def keyframes_of_calm_drive(
     wheel: float = 0.0,
     hand: float = 0.0,
