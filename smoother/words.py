@@ -55,6 +55,11 @@ def sigma_digits(sigma: float) -> int | None:
     return min(max(0, 1 - math.floor(math.log10(sigma))), MOST_DIGITS)
 
 
+def speed_digits(sigma: float) -> int:
+    """Return how many digits behind the point tell the sigma of a speed: one, or two where one would be zero."""
+    return 1 if sigma >= 0.05 else 2
+
+
 def loss_digits(sigma: float) -> int:
     """Return how many digits behind the point a lost time s is told with: two, or those that its sigma needs."""
     return max(2, (sigma_digits(sigma) or 0) - 1)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from smoother.errors import SessionError
-from smoother.words import counted, duration, listed, loss_digits, repeated, span
+from smoother.words import counted, duration, listed, loss_digits, repeated, span, speed_digits
 
 
 @pytest.mark.parametrize(
@@ -57,3 +57,8 @@ def test_an_error_quotes_no_control_characters() -> None:
 @pytest.mark.parametrize(("sigma", "digits"), [(0.5, 2), (0.03, 2), (0.004, 3), (0.0003, 4), (0.0, 2), (math.nan, 2)])
 def test_a_lost_time_has_the_digits_that_its_sigma_needs(sigma: float, digits: int) -> None:
     assert loss_digits(sigma) == digits
+
+
+@pytest.mark.parametrize(("sigma", "text"), [(0.3, "0.3"), (0.05, "0.1"), (0.047, "0.05"), (0.006, "0.01")])
+def test_no_speed_is_told_to_be_sure_to_nothing(sigma: float, text: str) -> None:
+    assert f"{sigma:.{speed_digits(sigma)}f}" == text

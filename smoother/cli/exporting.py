@@ -82,7 +82,7 @@ def write(results: Path, form: str, out: Path | None, rate: float | None, sessio
         chosen.write(source, path)
     except OSError as error:
         raise UsageError(str(unwritable(path, error)).replace("--out DIR", "--out FILE")) from error
-    if not source.has_utc:
+    if not source.has_utc and form != "tum":  # which has the times of the session either way
         warn(f"{path.name}: the time of day is not known; times count from the start")
     return path
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SPEED_UNITS: Mapping[str, float] = {"km/h": KMH, "mph": MPH}
 SIGMA_SOURCES = {
     "joint": "",
-    "stored": '± for a line given afterwards: a little rougher than those of "smooth"',
+    "stored": "± for a line given afterwards: from the session as a whole, not from each lap",
     "model": "± assumes a usual wander of the GPS, as this session cannot show its own",
     "none": "",
 }

@@ -54,7 +54,7 @@ def run(arguments: Sequence[str]) -> int:
         warn(str(error) or "stopped")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        print_to_nobody()  # keeps Python from complaining about it at exit
+        print_to_nobody(sys.stdout)  # keeps Python from complaining about it at exit
         return EXIT_DONE
     except OSError as error:
         if error.errno not in FULL or error.filename is not None:  # of files with names, their writers tell

@@ -7,6 +7,7 @@ Lines and pairs, which every command prints, do without.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import click
 
@@ -47,8 +48,11 @@ def say_json(document: str) -> None:
 
 
 def warn(text: str) -> None:
-    """Print one line on stderr."""
-    click.echo(f"smooth: {plain(text)}", err=True)
+    """Print one line on stderr; that nobody reads it, or its disk is full, changes nothing about what is done."""
+    try:
+        click.echo(f"smooth: {plain(text)}", err=True)
+    except OSError:
+        print_to_nobody(sys.stderr)
 
 
 def open_page(path: Path) -> None:
@@ -71,13 +75,17 @@ def open_page(path: Path) -> None:
 def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
     """Print a title and, below it, names with their values in two columns; long values are wrapped."""
     rows = [(plain(name), plain(value)) for name, value in pairs]
-    first = max([NAME_COLUMNS, *(len(name) for name, _ in rows)])
-    rest = max(shutil.get_terminal_size().columns - first - len(GUTTER), NAME_COLUMNS)
+    width = shutil.get_terminal_size().columns - len(GUTTER)
+    # names that would leave their values less than half a line are wrapped too
+    first = min(max([NAME_COLUMNS, *(len(name) for name, _ in rows)]), max(NAME_COLUMNS, width // 2))
+    rest = max(width - first, NAME_COLUMNS)
     lines = [_styled(plain(title), bold=True)]
-    for name, value in rows:
-        for part in textwrap.wrap(value, rest, break_on_hyphens=False) or [""]:
+    for pair in rows:
+        names, values = (
+            textwrap.wrap(text, n, break_on_hyphens=False) for text, n in zip(pair, (first, rest), strict=True)
+        )
+        for name, part in itertools.zip_longest(names or [""], values, fillvalue=""):
             lines.append(f"{_styled(name.ljust(first), dim=True)}{GUTTER}{part}".rstrip())
-            name = ""
     click.echo("\n".join(lines))
 
 
@@ -99,9 +107,9 @@ def say_table(title: str, header: list[str], rows: list[list[str]]) -> None:
     _console().print(table)
 
 
-def print_to_nobody() -> None:
-    """Print to nowhere from here on: the reader of our stdout has gone (`smooth .. | head`)."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def print_to_nobody(stream: TextIO) -> None:
+    """Print to nowhere from here on: the reader of our stdout has gone (`smooth .. | head`), or of our stderr."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _console() -> Console:

@@ -42,7 +42,7 @@ from smoother.cli.places import (
     unwritable,
 )
 from smoother.documents import staged
-from smoother.errors import ConfigError, SessionError, UsageError
+from smoother.errors import ConfigError, SessionError, SmootherError, UsageError
 from smoother.units import KMH
 from smoother.words import duration
 
@@ -124,7 +124,8 @@ def naming(path: Path) -> Iterator[None]:
     except (SessionError, ConfigError) as error:
         text, directory = str(error), session_directory(path)
         file, colon, rest = text.partition(":")
-        if Path(file).is_absolute() or text.startswith((str(path), str(directory))):
+        said = tuple(str(SmootherError(str(place))) for place in (path, directory))  # as errors write names
+        if Path(file).is_absolute() or text.startswith(said):
             raise
         if colon and file and (directory / file).exists():
             named = f"{directory / file}:{rest}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import count
 from pathlib import Path
 
@@ -100,7 +101,7 @@ def smooth(
         try:
             _report(outcomes[-1], path, as_json, is_only=len(wanted) == 1)
         except BrokenPipeError:
-            print_to_nobody()  # the results of the other sessions are wanted all the same
+            print_to_nobody(sys.stdout)  # the results of the other sessions are wanted all the same
     if as_json:
         say_json(_as_json([path for path, _ in wanted], outcomes))
     results = [outcome for outcome in outcomes if isinstance(outcome, Result)]

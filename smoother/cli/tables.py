@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from smoother.cli.lap_tables import show_laps
 from smoother.cli.output import number, say, say_pairs
 from smoother.units import DEG, KMH
-from smoother.words import counted, duration, measured, repeated
+from smoother.words import counted, duration, measured, repeated, speed_digits
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,7 +91,7 @@ def _calibrated(applied: list[AppliedValue]) -> list[tuple[str, str]]:
 def _driven(about: Any) -> str:
     kilometres, top = about["distance_m"] / 1000.0, about["top_speed_mps"] / KMH
     sigma = about.get("top_speed_sigma_mps")
-    sure = f" ± {sigma / KMH:.1f}" if sigma is not None and math.isfinite(sigma) else ""
+    sure = f" ± {sigma / KMH:.{speed_digits(sigma / KMH)}f}" if sigma is not None and math.isfinite(sigma) else ""
     return f"{duration(about['duration_s'])}, {kilometres:.2f} km, top speed {top:.1f}{sure} km/h"
 
 

@@ -192,7 +192,7 @@ def _best_laps(compared: Sequence[Compared]) -> list[Element]:
     note = f"Laps: how many count. Lost: to the best of all, with a star where it is real, {sure}. "
     note += "Top speed: of the best lap, not of the session."
     if any(one.statistics is not None and one.analysis.sigma_source == "stored" for one in compared):
-        note += " ± are those for a line given afterwards, a little rougher than in each session's own report."
+        note += " ± are those for a line given afterwards, from each session as a whole, not from each lap."
     told = table(heads, rows, class_="tight")
     without = [element("p", f"{one.name}: {one.why_not}", class_="soft") for one in compared if one.why_not]
     return [element("h2", "Best laps", id="laps"), element("p", note, class_="soft"), told, *without]

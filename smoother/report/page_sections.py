@@ -23,7 +23,7 @@ from smoother.samples import Session
 from smoother.trajectory import Trajectory
 from smoother.units import DEG, KMH
 from smoother.utc_clock import UtcClock
-from smoother.words import SLOWER_WHERE, counted, duration, loss_digits
+from smoother.words import SLOWER_WHERE, counted, duration, loss_digits, speed_digits
 
 SIGMA_SOURCES = {
     "joint": "The ± of lap, sector and corner times come from how the errors at both ends of each hang together.",
@@ -113,7 +113,7 @@ def summary(told: Told) -> Element:
             cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
     fastest = top_speed(smoothed)
     unit, sure = speed_unit(), fastest.sigma
-    below = element("span", "± ", speed_span(sure), " ", unit) if np.isfinite(sure) else unit
+    below = element("span", "± ", speed_span(sure, speed_digits(sure / KMH)), " ", unit) if np.isfinite(sure) else unit
     cards.append(_card("Top speed", speed_span(fastest.speed), below))
     length = float(smoothed.t[-1] - smoothed.t[0])
     driven = f"{distance_driven(smoothed) / 1000.0:.2f} km"

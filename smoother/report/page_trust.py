@@ -69,7 +69,8 @@ def _trust_sentences(told: Told) -> Iterator[Child]:
     if fixes is not None and len(fixes.index):
         doubted, used = int(np.sum(fixes.weight < 0.5)), len(fixes.index)
         unused = len(told.session.gnss) - used
-        yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {doubted} given little weight."
+        weighed = f"{doubted} given less than half their weight"
+        yield f"{used} of {len(told.session.gnss)} fixes were used, {unused} dropped, {weighed}."
 
 
 def _alike(laps: LapAnalysis | None) -> float:

@@ -66,7 +66,12 @@ class SessionFiles:
 
     def no_files(self, *wanted: str) -> dict[str, str]:
         """Return what is called as a wanted file and is none, by name: a folder, a link that leads nowhere, a pipe."""
-        called = sorted(entry for entry in self.directory.iterdir() if entry.name.lower() in wanted)
+        return {name: kind for name, kind in self.broken_recordings(*wanted).items() if name.lower() in wanted}
+
+    def broken_recordings(self, *others: str) -> dict[str, str]:
+        """The same of all that are called as recordings may be, and as others."""
+        called = sorted(self.directory.iterdir())
+        called = [entry for entry in called if entry.name.lower().endswith((*RECORDING_SUFFIXES, *others))]
         return {entry.name: _kind(entry) for entry in called if not entry.is_file()}
 
     def _chosen_as(self, role: Role) -> Path | None:

@@ -151,6 +151,7 @@ def _drop_without_fix(rows: RowFilter, c: FixColumns) -> None:
     rows.drop(~(np.isfinite(c.t) & np.isfinite(c.lat_deg) & np.isfinite(c.lon_deg)), "invalid", _UNREADABLE)
 
 
+NEAR_NULL = 1.0  # deg; of a track at the equator or Greenwich
 _UNREADABLE = "with an empty or unreadable time or position"
 
 
@@ -159,6 +160,9 @@ def _drop_impossible(rows: RowFilter, c: FixColumns) -> None:
         outside = (np.abs(c.lat_deg) > 90.0) | (c.lon_deg < -180.0) | (c.lon_deg > 360.0)
         rows.drop(outside, "absurd", "at a position that is not on Earth")
         rows.drop((c.lat_deg == 0.0) & (c.lon_deg == 0.0), "null_island", "at the position 0, 0 (no fix yet)")
+        for name, values in (("latitude", c.lat_deg), ("longitude", c.lon_deg)):
+            if np.any(np.abs(values[rows.keep]) > NEAR_NULL):  # else they may be those that are right
+                rows.drop(values == 0.0, "null_half", f"whose {name} is 0, far from that of others; mend that column")
         too_fast = _too_fast(c)
     if np.count_nonzero(too_fast & rows.keep) <= FEW_BAD_VALUES * np.count_nonzero(rows.keep):
         rows.drop(too_fast, "too_fast", f"with a speed above {ABSURD_SPEED:.0f} m/s")

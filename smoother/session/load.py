@@ -64,7 +64,8 @@ def load_raw(path: Path) -> RawSession:
         )
     if (table := files.unknown_table()) is not None:
         raise SessionError(f"{path}: no recording found, but {table.name}; {about_table(table)}")
-    raise SessionError(f"{path}: no recording found; wanted {wanted()}")
+    broken = "".join(f" ({name} is {kind})" for name, kind in files.broken_recordings().items())
+    raise SessionError(f"{path}: no recording found{broken}; wanted {wanted()}")
 
 
 def _read(files: SessionFiles, form: Format) -> Recording:

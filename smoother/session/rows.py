@@ -35,6 +35,7 @@ RESTART_STEP = 1.0  # s; a clock that falls back further, for good, was started 
 GOES_ON = 0.8  # share of the rows that go on in time around blocks of another recording; less may be two drives
 MOST_PIECES = 4000  # that are compared with one another
 SHUFFLE_DISTANCE = 64  # rows; a stream written in small shuffled batches is sorted, not thinned
+MOST_TURNS = 4  # from one run of rows to another for every fall, twice what batches in no order at all have
 STRAY_GAP = 600.0  # s; see _stray_ends
 LATEST = 1e10  # s; even seconds since 1970 are fewer
 LONGEST_GAP = 86400.0  # s; a few rows further from the others are of no recording
@@ -304,7 +305,7 @@ def _resolve_disorder(
     if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= tolerated:
         return index, t
     order = np.argsort(t, kind="stable")
-    if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE:
+    if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE and not _mixes(order, t):
         moved = int(np.count_nonzero(order != np.arange(t.size)))
         rows.say("reordered", f"{counted(moved, 'row')} slightly out of order; sorted by time", moved)
         return index[order], t[order]
@@ -337,6 +338,16 @@ def _resolve_disorder(
         rows.drop(_mask(rows, index[astray]), "astray", reason)
         return index[~astray], t[~astray]
     return _longest_piece(rows, index, t)
+
+
+def _mixes(order: IntArray, t: Array) -> bool:
+    """Whether this order, of times t (N,), takes rows by turns from before and after few falls of them.
+
+    A clock that was set back by seconds has two places for each of them, and a kart in both by turns drives nowhere.
+    Rows that were written in small shuffled batches have a fall for every few that change places.
+    """
+    block = np.cumsum(np.diff(t, prepend=t[:1]) < 0.0)
+    return bool(np.count_nonzero(np.diff(block[order])) > MOST_TURNS * (int(block[-1]) + 1))
 
 
 def is_even(t: Array) -> bool:

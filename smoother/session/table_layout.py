@@ -12,6 +12,7 @@ from smoother.session.column_names import meaning_of
 MOST_LINES = 60  # before the names, about the session
 SEPARATORS = ",;\t"  # of as many the first
 COMMENT = "#"
+OVERWRITTEN = "\0\ufffd"  # in rows that a card has lost, as in no text
 OWN_NAMES = ("lat_deg", "lon_deg")  # of this project's tables, which have a reader, or are results
 
 
@@ -60,7 +61,8 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
 def _with_rows(layout: Layout, lines: Sequence[str]) -> Layout | None:
     """The layout with the units below the names, if any are there; None where what follows is no row of such a table.
 
-    A separator at the end of the names only, or of the rows only, is no column.
+    A separator at the end of the names only, or of the rows only, is no column. Rows that are cut or overwritten are
+    passed over, as those further down are: the first that is whole tells.
     """
     below = [i for i in range(layout.lines, len(lines)) if lines[i].strip() and not lines[i].startswith(COMMENT)]
     names = tuple(meaning.unit if (meaning := meaning_of(name)) is not None else "" for name in layout.names)
@@ -72,15 +74,23 @@ def _with_rows(layout: Layout, lines: Sequence[str]) -> Layout | None:
         below = below[1:]
     else:
         layout = replace(layout, units=names)
-    if not below:
-        return layout
-    row = _cells(lines[below[0]], layout.separator)
+    for i in below:
+        row = _cells(lines[i], layout.separator)
+        fitted = _ending_as(row, layout)
+        if len(row) == len(fitted.names) and all(_is_number_or_blank(row[k]) for k in _places(fitted)):
+            return fitted
+        if len(row) == len(fitted.names) and not any(c in lines[i] for c in OVERWRITTEN):
+            break
+    return layout if not below or below[0] == len(lines) - 1 else None  # the last line may be cut
+
+
+def _ending_as(row: Sequence[str], layout: Layout) -> Layout:
+    """The layout with as many columns as a row, where that ends in a separator and the names do not, or they alone."""
     if len(row) == len(layout.names) + 1 and not row[-1]:
-        layout = replace(layout, names=(*layout.names, ""), units=(*layout.units, ""))
-    elif len(row) == len(layout.names) - 1 and not layout.names[-1]:
-        layout = replace(layout, names=layout.names[:-1], units=layout.units[:-1])
-    is_row = len(row) == len(layout.names) and all(_is_number_or_blank(row[i]) for i in _places(layout))
-    return layout if is_row or below[0] == len(lines) - 1 else None  # the last line may be cut
+        return replace(layout, names=(*layout.names, ""), units=(*layout.units, ""))
+    if len(row) == len(layout.names) - 1 and not layout.names[-1]:
+        return replace(layout, names=layout.names[:-1], units=layout.units[:-1])
+    return layout
 
 
 def _is_units(cells: Sequence[str], layout: Layout) -> bool:

@@ -19,7 +19,8 @@ def about_table(path: Path) -> str:
     if (places := _places(names)) is None:
         return f"{has}; wanted {NEEDED}, or t_s with ax, ay, az, gx, gy, gz (docs/formats.md)"
     lines = f", and leave out the {counted(place, 'line')} before the names" if place else ""
-    return f"{has}; wanted {NEEDED}: rename {' and '.join(places)} and the times{lines} (docs/formats.md)"
+    shown = " and ".join(listed([name]) for name in places)
+    return f"{has}; wanted {NEEDED}: rename {shown} and the times{lines} (docs/formats.md)"
 
 
 def holds_places(path: Path) -> bool:

@@ -81,6 +81,23 @@ def test_a_typed_line_a_track_file_and_a_known_track_are_the_same_line(
     assert times[0] == pytest.approx([lap["lap_time_s"] for lap in summary["laps"] if lap["valid"]], abs=2e-3)
 
 
+def test_a_line_that_was_not_passed_leaves_times_and_sigmas_as_they_were(
+    lapped: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    (a_lat, a_lon), (b_lat, b_lon) = TRACKS["tinbarn"].start_line_deg
+    away = f"{a_lat + 0.01},{a_lon};{b_lat + 0.01},{b_lon}"
+    recording = with_settings(lapped, tmp_path, "")
+    assert run([str(recording), *TABLES_ONLY]) == 0
+    summary = json.loads((recording / "smoothed" / "summary.json").read_text())
+    capsys.readouterr()
+    assert run(["laps", str(recording), "--line", away, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["laps"] == summary["laps"]
+    assert document["lap_analysis"]["sigma_source"] == "joint"
+    assert document["lap_analysis"]["problems"]  # which say so
+    assert summary["lap_analysis"]["problems"] == []
+
+
 def test_the_table_shows_every_lap_with_its_error_bar(lapped: Path, capsys: Captured) -> None:
     assert run(["laps", str(lapped / "saturday"), "--corners", "--units", "mph"]) == 0
     text = capsys.readouterr().out
@@ -165,13 +182,13 @@ def test_two_sessions_are_compared_on_one_line(lapped: Path, capsys: Captured) -
     assert run(["compare", str(lapped / "saturday"), str(lapped / "sunday")]) == 0
     text = capsys.readouterr().out
     assert "best laps, times of day in " in text and "lost against" in text
-    assert text.count('± for a line given afterwards: a little rougher than those of "smooth"') == 1
+    assert text.count("± for a line given afterwards: from the session as a whole, not from each lap") == 1
     assert "best lap's top km/h" in text  # that of the session is mostly another lap's
     page = Path(text.splitlines()[-1])
     assert page == lapped / "saturday" / "smoothed" / "comparison.html"
     assert "Top speed: of the best lap, not of the session." in page.read_text(encoding="utf-8")
     assert "Comparison on one reference line" in page.read_text(encoding="utf-8")
-    assert "a little rougher than in each session's own report" in html.unescape(page.read_text(encoding="utf-8"))
+    assert "from each session as a whole, not from each lap" in html.unescape(page.read_text(encoding="utf-8"))
 
 
 def test_a_session_without_a_whole_lap_has_dashes_in_a_comparison_and_a_reason(

@@ -29,6 +29,18 @@ def test_pairs_stand_in_two_columns_and_long_values_are_wrapped(
     assert "".join(values[4:]) == "x" * 100
 
 
+def test_names_longer_than_half_a_line_are_wrapped_beside_their_values(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    say_pairs("calibrated", [("a name " * 10, "a value " * 8), ("short", "one")])
+    _, *lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 60
+    assert " ".join(line[:29].strip() for line in lines[:-1]) == ("a name " * 10).strip()
+    assert " ".join(line[31:].strip() for line in lines[:-1]).split() == ["a", "value"] * 8
+    assert lines[-1].split() == ["short", "one"]
+
+
 def test_a_terminal_too_narrow_for_a_value_still_gets_all_of_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -475,6 +475,27 @@ def test_errors_may_have_nowhere_to_go(monday: Path) -> None:
     assert done.returncode == 0 and done.stdout.endswith("trajectory.csv\n")
 
 
+@pytest.mark.parametrize("to", ["a pipe that nobody reads", "a disk that is full"])
+def test_a_warning_that_cannot_be_written_stops_nothing(to: str, monday: Path) -> None:
+    (monday / "smoothed").write_text("in the way: a warning comes before anything is smoothed")
+    words = [console_script(), "monday", "--no-figures", "--no-baseline"]
+    if to == "a disk that is full":
+        if not Path("/dev/full").exists():
+            pytest.skip("needs a device that is full")
+        nowhere = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reader, nowhere = os.pipe()
+        os.close(reader)
+    (where := monday.parent / "elsewhere").mkdir()
+    words[1] = str(monday)
+    done = subprocess.run(words, cwd=where, stdout=subprocess.PIPE, stderr=nowhere, text=True, check=False)
+    refused = subprocess.run([console_script(), "nothere"], stderr=nowhere, check=False)
+    os.close(nowhere)
+    assert done.returncode == 0 and done.stdout.endswith("trajectory.csv\n")
+    assert (where / "smoothed" / "monday" / "trajectory.csv").exists()
+    assert refused.returncode == 2
+
+
 @pytest.mark.skipif(sys.platform == "darwin", reason="its file system knows no names that are not UTF-8")
 def test_a_folder_whose_name_is_not_utf8_is_a_session(monday: Path, capsys: Captured) -> None:
     folder = monday.rename(monday.with_name(os.fsdecode(b"M\xfcller")))
@@ -494,3 +515,9 @@ def test_an_empty_argument_is_not_taken_for_the_folder_one_stands_in(
     assert run([word.format(monday=monday) for word in words]) == 2
     assert capsys.readouterr().err == ("smooth: an argument is empty; is a variable not set that should hold a name?\n")
     assert not (monday / "smoothed").exists()
+
+
+def test_a_folder_with_a_line_end_in_its_name_is_named_once(tmp_path: Path, capsys: Captured) -> None:
+    (folder := tmp_path / "two\nlines").mkdir()
+    assert run([str(folder)]) == 2
+    assert capsys.readouterr().err.count("two lines") == 1

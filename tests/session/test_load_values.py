@@ -154,6 +154,24 @@ def test_a_link_that_leads_nowhere_is_said(folder: Folder, name: str, leads_to: 
     assert len(said) == 1 and said[0].startswith(f"{name}: a link that leads nowhere, where a ")
 
 
+@pytest.mark.parametrize("column", [1, 2])
+def test_rows_with_one_coordinate_of_zero_do_not_outvote_the_places(folder: Folder, column: int) -> None:
+    head, *rows = gps_csv(100).splitlines()
+    cells = [row.split(",") for row in rows]
+    for row in cells[40:]:
+        row[column] = "0"
+    folder.write(gps__csv="\n".join([head, *map(",".join, cells)]) + "\n")
+    raw = folder.load()
+    assert len(raw.gnss.t) == 40 and abs(raw.gnss.lat_deg[0] - 45.0) < 0.1
+    assert any(problem.code == "gps_null_half" and problem.count == 60 for problem in raw.problems)
+
+
+def test_a_link_that_leads_nowhere_is_named_where_there_is_nothing_else(folder: Folder) -> None:
+    (folder.path / "LOG00001.KLG").symlink_to("card/LOG00001.KLG")
+    with pytest.raises(SessionError, match=r"no recording found \(LOG00001.KLG is a link that leads nowhere\); wanted"):
+        folder.load()
+
+
 def test_fixes_that_are_a_folder_are_named_where_there_are_no_others(folder: Folder) -> None:
     folder.write(imu__csv=imu_csv())
     (folder.path / "gps.csv").mkdir()

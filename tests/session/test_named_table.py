@@ -408,6 +408,18 @@ def test_damage_leaves_the_rest(tmp_path: Path, name: str, seed: int) -> None:
     assert_outlives_damage(read_named_table, tmp_path / "x.csv", text_of(name), seed)
 
 
+@pytest.mark.parametrize("written", [b"\xff", b"\0"])
+@pytest.mark.parametrize("sectors", [1, 8])
+def test_rows_that_are_lost_right_below_the_names_leave_the_rest(tmp_path: Path, written: bytes, sectors: int) -> None:
+    rows = "".join(f"{i},{f.moment(ISO)}Z,{f.lat:.7f},{f.lon:.7f},{f.speed:.2f}\n" for i, f in enumerate(FIXES))
+    names = b"Record,Time,Latitude,Longitude,Speed (m/s)\n"
+    data, lost = names + rows.encode(), 512 * sectors
+    (tmp_path / "RaceBox.csv").write_bytes(names + written * lost + data[len(names) + lost :])
+    raw = load_raw(tmp_path)
+    assert len(raw.gnss.t) > COUNT - lost // 40
+    assert {"gps_row_damaged"} <= {problem.code for problem in raw.problems}
+
+
 def test_a_column_with_a_unit_in_every_cell_is_said_not_to_be_used(tmp_path: Path) -> None:
     rows = [f"{k / 10},{45 + 1e-4 * k:.7f},12.0,{80 + k % 5}.0 km/h" for k in range(100)]
     (tmp_path / "x.csv").write_text("\n".join(["time,lat,lon,speed", *rows]) + "\n")

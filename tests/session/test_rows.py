@@ -349,3 +349,14 @@ def test_samples_taken_in_short_drives_of_a_fast_sensor_are_no_readings() -> Non
     """2 kHz for a tenth of a second in each: nothing waits for as many as come."""
     stamps = (np.arange(200) / 2000.0 + np.arange(40)[:, None] * np.geomspace(0.15, 0.9, 40)[:, None]).ravel()
     np.testing.assert_array_equal(spread_coarse_times(rows_of(8000), stamps, np.arange(8000.0)[:, None]), stamps)
+
+
+@pytest.mark.parametrize("back", [2.634, 5.0])
+def test_a_clock_set_back_by_seconds_is_no_disorder(back: float) -> None:
+    """Sorted, rows from before and after would stand by turns: at ten a second, two places for each of the seconds."""
+    t = np.arange(1000) / 10.0
+    t[600:] -= back
+    rows = rows_of(1000)
+    index, ordered = put_in_time_order(rows, t)[1], put_in_time_order(rows_of(1000), t)[0]
+    np.testing.assert_array_equal(index, np.arange(600))
+    assert np.all(np.diff(ordered) > 0.0) and codes(rows) == {"imu_clock_restart": 400}
