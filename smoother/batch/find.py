@@ -22,6 +22,7 @@ OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
 SETTINGS, OFFICIAL = "session.toml", "official.csv"
 TABLES = ("imu.csv", "gps.csv", "mag.csv", "imu.csv.gz", "gps.csv.gz", "mag.csv.gz")
 WHOLE = (*TABLES, "out.txt", "magcalib.txt", "mag_calib.txt")
+KART = re.compile(r"(?i)kart(?:[ _-]?\d{1,3}[a-z]?|[ _-][a-z])")  # says itself that it is one: kart7, Kart 07, kart-12b
 MOST_NAMED = 3  # of folders without a recording
 
 
@@ -122,6 +123,12 @@ def _under(root: Path, name: str, out: Path | None, problems: list[str]) -> Iter
         problems.append(f"{root}: {_without_recording(missing)}")
 
 
+def _kart(folders: Sequence[str]) -> str:
+    """The folder that is called a kart, the session's own too, as of a card with one recording; else the one above."""
+    called = [folder for folder in folders if KART.fullmatch(folder)]
+    return called[-1] if called else folders[-2] if len(folders) > 2 else ""
+
+
 def _without_recording(folders: Sequence[str]) -> str:
     """A line about folders beside sessions that hold none: else nobody misses a kart whose card was not copied."""
     more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
@@ -139,7 +146,7 @@ def _unsearched(error: OSError) -> str:
 def _task(recording: Recording, parts: tuple[str, ...], folder: Path, out: Path | None) -> Task:
     whole = (*parts, recording.name) if recording.name else parts
     place = _out_beside(folder, recording.name, out, "/".join(whole))
-    return Task(recording.path, place, recording.files, "/".join(whole), whole[-2] if len(whole) > 2 else "")
+    return Task(recording.path, place, recording.files, "/".join(whole), _kart(whole))
 
 
 def _out_beside(folder: Path, own: str, out: Path | None, name: str) -> Path:

@@ -178,7 +178,7 @@ class Engine:
             d.assembler.reception,
             _shown_speed(lag, fix),
             float("inf") if fix is None else now - float(fix.t[-1]),
-            navigation.laps,
+            navigation.laps.running_on(now),
             sphere.coverage,
             sphere.points,
             sphere.centre,

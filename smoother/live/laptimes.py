@@ -4,7 +4,7 @@ Until a smoother runs the path is that of the fixes as they come. One that jumps
 would be a lap: it waits until those after it have stayed with it, as after an outage, or have come back without it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,13 +23,21 @@ Row = tuple[float, Array, Array]  # time s, position m and velocity m/s (3,) in 
 
 @dataclass(frozen=True)
 class LapTimes:
-    """Times in s, NaN where there is none: since the line, of the last lap, of the best. lap: how many were begun."""
+    """Times in s, NaN where there is none: since the line, of the last lap, of the best. lap: how many were begun.
+
+    at: the moment of `running`, on the clock of the rows.
+    """
 
     lap: int = 0
     running: float = float("nan")
     last: float = float("nan")
     best: float = float("nan")
     has_line: bool = False
+    at: float = 0.0
+
+    def running_on(self, now: float) -> "LapTimes":
+        """Return the same at `now` s, a later moment; an earlier one is of another run of the logger."""
+        return replace(self, running=self.running + now - self.at, at=now) if now > self.at else self
 
 
 class LapClock:
@@ -90,7 +98,7 @@ class LapClock:
         crossed = self._crossed
         running = now - crossed[-1] if crossed else float("nan")
         last = crossed[-1] - crossed[-2] if len(crossed) > 1 else float("nan")
-        return LapTimes(self._lap, running, last, self._best, self._line is not None)
+        return LapTimes(self._lap, running, last, self._best, self._line is not None, now)
 
     def _path(self, count: int) -> PlanPath:
         t, position, velocity = zip(*self._rows[-count:], strict=True)

@@ -84,6 +84,19 @@ def test_files_of_another_program_are_a_session_each_the_best_kind_of_one_name(t
     assert [(task.session, task.out.name) for task in alone] == [(tasks[1].session, "b")]
 
 
+def test_folders_that_are_called_karts_name_them_wherever_they_stand(tmp_path: Path) -> None:
+    own = "kart1/gps.csv", "Kart 02/gps.csv", "7/a.vbo"
+    make(tmp_path / "day", *own, "kart-3b/run1/gps.csv", "karting/anna/gps.csv")
+    found = find_sessions([tmp_path / "day"])
+    assert {(task.session.name, task.kart) for task in found.tasks} == {
+        ("kart1", "kart1"),
+        ("Kart 02", "Kart 02"),
+        ("run1", "kart-3b"),
+        ("anna", "karting"),
+        ("7", ""),
+    }
+
+
 def test_a_card_of_the_logger_holds_a_session_for_each_recording(tmp_path: Path) -> None:
     card = tmp_path / "kart7"
     for number, seed in enumerate((1, 2), 1):

@@ -35,6 +35,14 @@ def test_laps_are_timed_from_fixes() -> None:
     assert times.best == pytest.approx(LAP, abs=0.02)
 
 
+def test_the_lap_runs_on_to_the_moment_that_is_shown() -> None:
+    times = clock_of({}).times(95.0)
+    later = times.running_on(97.5)
+    assert later.running == pytest.approx(times.running + 2.5)
+    assert (later.at, later.last, later.best, later.lap) == (97.5, times.last, times.best, times.lap)
+    assert times.running_on(3.0) == times  # of a logger that was switched on anew
+
+
 @pytest.mark.parametrize("size", [10.0, 30.0, 50.0])
 @pytest.mark.parametrize("angle", np.arange(0.0, 2.0 * np.pi, 0.5))
 def test_fixes_that_jump_across_the_line_are_no_lap(size: float, angle: float) -> None:
