@@ -1,6 +1,7 @@
 """Files a person wrote, small ones, and files we write: bounded when read, whole or not at all when written."""
 
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -94,6 +95,8 @@ def staged(directory: Path, seal: str, stale: Sequence[str] = ()) -> Iterator[Pa
         staging.mkdir()
         yield staging
         written = [path.relative_to(staging) for path in sorted(staging.rglob("*")) if path.is_file()]
+        if folder := next((directory / name for name in written if (directory / name).is_dir()), None):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder))
         with _undisturbed():
             (directory / seal).unlink(missing_ok=True)
             for name in sorted(written, key=lambda name: name == Path(seal)):

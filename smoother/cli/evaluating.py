@@ -99,7 +99,7 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     estimates = estimate(session, options, Stopwatch(), progress)
     session, t = estimates.session, estimates.smoothed.t
     outside = float(((truth.t < t[0] - BESIDE) | (truth.t > t[-1] + BESIDE)).mean())
-    if outside > MOSTLY:
+    if MOSTLY < outside < 1.0:  # of all, an error tells
         warn(f"{path}: {outside:.0%} of truth.csv lie outside the session; are its times on the session's clock, in s?")
     trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
     if estimates.baseline is not None:

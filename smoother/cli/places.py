@@ -145,6 +145,11 @@ def unwritable(directory: Path, error: OSError) -> SmootherError:
         return SessionError(
             f"{file}: a file, where a folder for the results is wanted; move it, or name another place with --out DIR"
         )
+    if isinstance(error, IsADirectoryError) and error.filename is not None:
+        return SessionError(
+            f"{error.filename}: a folder, where a file of the results is wanted; move it, or name another place with "
+            "--out DIR"
+        )
     return SessionError(
         f"{directory}: cannot be written ({error.strerror or error}); name another place with --out DIR"
     )

@@ -73,7 +73,9 @@ def read_gpx(path: Path) -> ForeignReading:
     unix = columns["unix_s"]
     if unix.size == 0:
         timeless = f"{path.name}: {counted(points.untimed, 'point')} without time, which cannot be smoothed"
-        raise SessionError(flaw or (timeless if points.untimed else f"{path.name}: no track points in it"))
+        raise SessionError(
+            f"{flaw}; save it anew" if flaw else (timeless if points.untimed else f"{path.name}: no track points in it")
+        )
     t = seconds_since_first(unix)
     course_deg = course_of_way(fix_columns(t, **columns))
     gnss, problems = fixes_from(path.name, t, has_rows_between=False, **{**columns, "course_deg": course_deg})

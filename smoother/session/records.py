@@ -132,7 +132,9 @@ def read_records(
             length += len(rows)
     if length == 0:
         if misfits:
-            raise SessionError(f"{path.name}: rows have {found} values, but {len(names)} columns are named")
+            raise SessionError(
+                f"{path.name}: rows have {found} values, but {len(names)} columns are named; mend the line with the names"
+            )
         raise SessionError(f"{path.name}: a header, but no rows; was the recording started?")
     table = pl.concat(parts)
     columns = {name: _finite(table[name]) for name in wanted}

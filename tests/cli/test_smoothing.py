@@ -250,6 +250,16 @@ def test_a_file_called_as_the_folder_for_the_results_is_named(
     assert capsys.readouterr().err.splitlines()[-1] == f"smooth: smoothed: {said}"
 
 
+def test_a_folder_where_a_result_is_to_go_is_named_and_nothing_is_written_beside_it(
+    monday: Path, capsys: Captured
+) -> None:
+    (folder := monday / "smoothed" / "trajectory.csv").mkdir(parents=True)
+    assert run([str(monday), *TABLES_ONLY]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"smooth: {folder}: a folder, where a file of the results is wanted; move it, or")
+    assert [path.name for path in (monday / "smoothed").iterdir()] == ["trajectory.csv"]
+
+
 def test_a_locked_card_sends_its_results_to_the_working_directory(
     monday: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
