@@ -133,7 +133,7 @@ def read_records(
     if length == 0:
         if misfits:
             raise SessionError(
-                f"{path.name}: rows have {found} values, but {len(names)} columns are named; mend the line with the names"
+                f"{path.name}: rows have {found} values, but {len(names)} columns are named; mend the line of names"
             )
         raise SessionError(f"{path.name}: a header, but no rows; was the recording started?")
     table = pl.concat(parts)
