@@ -85,7 +85,7 @@ def say_pairs(title: str, pairs: Iterable[tuple[str, str]]) -> None:
             textwrap.wrap(text, n, break_on_hyphens=False) for text, n in zip(pair, (first, rest), strict=True)
         )
         for name, part in itertools.zip_longest(names or [""], values, fillvalue=""):
-            lines.append(f"{_styled(name.ljust(first), dim=True)}{GUTTER}{part}".rstrip())
+            lines.append(f"{_styled(name, dim=True)}{' ' * (first - len(name))}{GUTTER}{part}".rstrip())
     click.echo("\n".join(lines))
 
 
