@@ -336,15 +336,15 @@ def heading(estimates: Estimates) -> str:
 
     smoothed = estimates.smoothed
     length, kilometres = duration(float(smoothed.t[-1] - smoothed.t[0])), distance_driven(smoothed) / 1000.0
-    name = estimates.session.config.title or estimates.session.name
-    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top_speed(smoothed).speed / KMH:.1f} km/h"
+    name, top = estimates.session.config.title or estimates.session.name, top_speed(smoothed, estimates.laps).speed
+    return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top / KMH:.1f} km/h"
 
 
 def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:
     from smoother.report.summary import summary
 
     asked = {"rate_hz": options.rate, "solver": options.solver, "baseline": options.baseline}
-    document = summary(estimates.session, estimates.written, estimates.quality, watch.seconds, asked)
+    document = summary(estimates.session, estimates.written, estimates.quality, watch.seconds, asked, estimates.laps)
     if estimates.laps is not None:
         document |= lap_documents(estimates.laps, estimates.smoothed, estimates.session)
     return document | {"files": dict(estimates.files)}

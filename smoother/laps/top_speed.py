@@ -6,12 +6,13 @@ scatter is no more than their noise: those of an even driver nearly all the way,
 Source: the hierarchical normal model with a half-Cauchy prior of the spread, Gelman, 2006.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.fit.running import local_polynomial
+from smoother.laps.results import LapAnalysis
 from smoother.trajectory import Trajectory
 
 STEADIED_OVER = 0.6  # s; beyond, the tip before the brakes is blunted
@@ -29,8 +30,19 @@ class TopSpeed:
     sigma: float
 
 
-def top_speed(estimate: Trajectory) -> TopSpeed:
-    """Return the top speed of a session, of the rows as sure as most of it or to a tenth of themselves."""
+def top_speed(estimate: Trajectory, laps: LapAnalysis | None = None) -> TopSpeed:
+    """Return the top speed of a session, of the rows as sure as most of it or to a tenth of themselves.
+
+    Where the top of a lap may be the same, that is it: two figures for one straight tell nobody anything.
+    """
+    fastest = _top_speed(estimate)
+    highest = (
+        max((lap.top_speed for lap in laps.laps if np.isfinite(lap.top_speed)), default=np.inf) if laps else np.inf
+    )
+    return replace(fastest, speed=highest) if abs(highest - fastest.speed) < fastest.sigma else fastest
+
+
+def _top_speed(estimate: Trajectory) -> TopSpeed:
     speed, sigma = steadied(estimate.speed, estimate.t), speed_sigma(estimate)
     sure = sure_rows(speed, sigma)
     if not sure.any():

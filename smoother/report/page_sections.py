@@ -111,7 +111,7 @@ def summary(told: Told) -> Element:
             digits = loss_digits(lost[0].sigma)
             below = element("span", f"± {number(lost[0].sigma, digits)} s, ", at)
             cards.append(_card("Most lost in a corner", f"{number(lost[0].lost, digits)} s", below))
-    fastest = top_speed(smoothed)
+    fastest = top_speed(smoothed, told.laps)
     unit, sure = speed_unit(), fastest.sigma
     below = element("span", "± ", speed_span(sure, speed_digits(sure / KMH)), " ", unit) if np.isfinite(sure) else unit
     cards.append(_card("Top speed", speed_span(fastest.speed), below))

@@ -10,6 +10,7 @@ from smoother.estimate.clock_offset import CLOCK_OFFSET
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian
+from smoother.laps.results import LapAnalysis
 from smoother.laps.top_speed import speed_sigma, sure_rows, top_speed
 from smoother.samples import IMU_AFTER_FIXES, IMU_BEFORE_FIXES, Problem, Session
 from smoother.trajectory import EstimateReport, Identified, Trajectory
@@ -37,12 +38,13 @@ def summary(
     quality: Quality,
     timings: Mapping[str, float],
     options: Mapping[str, object],
+    laps: LapAnalysis | None = None,
 ) -> Document:
     """Return the document; `timings` are seconds per stage, `options` how the estimate was asked for."""
     report = estimate.report
     return {
         "version": smoother.__version__,
-        "session": _about(session, estimate),
+        "session": _about(session, estimate, laps),
         "inputs": list(session.inputs),
         "options": dict(options),
         "mode": report.mode,
@@ -119,8 +121,8 @@ def fastest_row(estimate: Trajectory) -> int:
     return int(np.argmax(np.where(sure_rows(speed, speed_sigma(estimate)), speed, -np.inf)))
 
 
-def _about(session: Session, estimate: Trajectory) -> Document:
-    config, top, clock = session.config, top_speed(estimate), utc_clock(session, estimate)
+def _about(session: Session, estimate: Trajectory, laps: LapAnalysis | None) -> Document:
+    config, top, clock = session.config, top_speed(estimate, laps), utc_clock(session, estimate)
     names = {"title": config.title, "driver": config.driver, "kart": config.kart, "track": config.track}
     return {
         "name": session.name,

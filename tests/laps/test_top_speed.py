@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
+from smoother.laps.analysis import without_laps
+from smoother.laps.results import Lap
 from smoother.laps.top_speed import likely_tops, steadied, top_speed
 from smoother.trajectory import Trajectory
 
@@ -41,6 +43,19 @@ def test_of_an_even_driver_the_highest_peak_is_not_the_top_speed(make: Made) -> 
     assert np.mean(highest) > 0.3
     assert abs(np.mean(errors)) < 0.1
     assert np.sqrt(np.mean(np.square(errors))) < 0.15
+
+
+def test_the_top_of_a_lap_that_may_be_the_same_is_that_of_the_session(make: Made) -> None:
+    drive = straight(make, laps_of(30.0 + 0.2 * np.random.default_rng(0).standard_normal(20)), 0.2)
+    laps, none = without_laps(drive), np.zeros(0)
+    top = top_speed(drive).speed
+    of_laps = [
+        Lap(0, 0.0, 20.0, np.nan, np.nan, (), none, none, none, np.nan, 300.0, value, 5.0)
+        for value in (top - 5.0, top - 0.15, np.nan)
+    ]
+    assert top_speed(drive, replace(laps, laps=tuple(of_laps))).speed == top - 0.15
+    assert top_speed(drive, replace(laps, laps=(of_laps[0], of_laps[2]))).speed == top
+    assert top_speed(drive, replace(laps, laps=())).speed == top
 
 
 def test_tops_of_an_even_driver_are_drawn_together_but_never_one_and_the_same() -> None:
