@@ -14,6 +14,7 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, is_increasing, median, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.samples import BESIDE, Problem, are_gaps, usual_step, usual_steps
+from smoother.session.sample_numbers import number_samples
 from smoother.session.utc_leaps import without_leaps
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
@@ -36,6 +37,8 @@ SHORTEST_BLOCK = 32  # samples
 LONGEST_BLOCK = 10.0  # s; ... but the drift of a clock that warms up is followed
 LATE_BLOCKS = 9  # blocks of which up to half may be late without the smooth line following them
 IRREGULAR_GROWTH = 5.0  # random walk grows 8 times from 1 to 64 samples, jitter of even samples does not grow
+LITTLE_JITTER = 0.05  # periods; with less the steps of the lag show all samples that were lost
+AS_NEAR = 1.1  # ratio of how far stamps are off two lines that fit equally well
 TYPICAL_SHARE = 99.0  # percent of the intervals that count for the size of the jitter; the others are gaps
 
 PART = 1 << 21  # samples that are evened together, three hours at 200 Hz
@@ -140,8 +143,37 @@ def _regularize_part(t: Array) -> TimeBase:
     if t.size < FEWEST_SAMPLES:
         return TimeBase(t, float(np.median(np.diff(t))) if t.size > 1 else np.nan)
     period = _period(t)
-    lag = t - t[0] - period * np.arange(t.size)
+    base = _evened(t, t[0] + period * np.arange(t.size), period)
+    if base.is_steady and base.jitter < LITTLE_JITTER * period:
+        return base
+    numbered = _numbered(t, period)
+    return numbered if numbered is not None and _is_as_near(numbered, base, t) else base
+
+
+def _numbered(t: Array, period: float) -> TimeBase | None:
+    """Even stamps of samples at t (N,) s some of which are lost, more than steps of the lag show through jitter.
+
+    None where the samples have no numbers, none is lost, or they arrive in bursts.
+    """
+    numbers = number_samples(t, period)
+    if numbers is None or numbers.number[-1] < t.size or _are_bursts(np.diff(t), numbers.period):
+        return None
+    line = t[0] + numbers.period * numbers.number
+    base = _evened(t, line, numbers.period, np.flatnonzero(numbers.after_hole))
+    return base if base.is_steady else None
+
+
+def _is_as_near(base: TimeBase, other: TimeBase, t: Array) -> bool:
+    """Whether one time base is as near to stamps t (N,) s as another, or nearly: the other may follow more steps."""
+    return not other.is_steady or _typical_rms(base.t - t) < AS_NEAR * _typical_rms(other.t - t)
+
+
+def _evened(t: Array, line: Array, period: float, holes: IntArray | None = None) -> TimeBase:
+    """Stamps t (N,) s with their lag behind the line (N,) s smoothed between its steps, of which some are known."""
+    lag = t - line
     steps = _steps(lag, period)
+    if holes is not None:
+        steps = np.union1d(steps, holes)
     if _is_irregular(lag - _step_heights(lag, steps), period):
         return TimeBase(t, period, is_steady=False)
     noise = _typical_rms(np.concatenate([_roughness(piece) for piece in np.split(lag, steps)]))
@@ -257,11 +289,14 @@ def _roughness(lag: Array) -> Array:
 def _steps(lag: Array, period: float) -> IntArray:
     """Sample numbers at which the lag (N,) steps up for good: where samples were lost. Ascending."""
     found: set[int] = set()
-    arrives_in_bursts = median(np.diff(lag)) < -BURST_HASTE * period
-    for window in STEP_WINDOWS[-1:] if arrives_in_bursts else STEP_WINDOWS:
+    for window in STEP_WINDOWS[-1:] if _are_bursts(np.diff(lag) + period, period) else STEP_WINDOWS:
         rest = lag - _step_heights(lag, np.array(sorted(found), dtype=np.int64))
         found.update(_steps_at_scale(rest, window, period))
     return np.array(sorted(found), dtype=np.int64)
+
+
+def _are_bursts(intervals: Array, period: float) -> bool:
+    return median(intervals) < (1.0 - BURST_HASTE) * period
 
 
 def _step_heights(lag: Array, steps: IntArray) -> Array:
