@@ -134,11 +134,13 @@ def find_restarts(imu_table: Path, fix_table: Path, imu_unit: str | None) -> Res
     return pair_parts(samples_t, fixes_t, unix_s, f"{imu_table.name} and {fix_table.name}")
 
 
-def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = None) -> tuple[GnssFixes, list[Problem]]:
+def read_fixes(
+    path: Path, imu_unit: str | None = None, shifts: Array | None = None, *, is_alone: bool = False
+) -> tuple[GnssFixes, list[Problem]]:
     """Read gps.csv, columns as in the contract; maybe without a single usable fix.
 
     imu_unit : unit of the times in imu.csv, which gps.csv shares, where it is not seconds. shifts (K,) s : see
-    `read_imu_and_unit`.
+    `read_imu_and_unit`. is_alone : there is no imu.csv.
     """
     table = in_order_of_numbers(read_table(path, FIX_COLUMNS, OPTIONAL_FIX_COLUMNS, iso_times=("utc",)))
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
@@ -172,7 +174,7 @@ def read_fixes(path: Path, imu_unit: str | None = None, shifts: Array | None = N
     )
     columns = columns if np.all(used) else columns.take(np.flatnonzero(used))
     require_degrees(path.name, columns)
-    fixes, problems = screen_fixes(columns, path.name)
+    fixes, problems = screen_fixes(columns, path.name, is_alone=is_alone)
     of_columns = [*said, *finer, *joined, *said_of_utc, *said_of_quality]
     return fixes, [*_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
 

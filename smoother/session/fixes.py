@@ -44,12 +44,15 @@ ROUNDING = 1e-4  # m; steps below come from the conversion
 JUMP_DISTANCE = 1000.0  # m; a fix this far off its neighbours, beyond what speed explains, is a damaged row
 
 
-def screen_fixes(columns: FixColumns, file: str, *, has_rows_between: bool = False) -> tuple[GnssFixes, list[Problem]]:
+def screen_fixes(
+    columns: FixColumns, file: str, *, has_rows_between: bool = False, is_alone: bool = False
+) -> tuple[GnssFixes, list[Problem]]:
     """Return the usable fixes of a file in time order (maybe none) and what was wrong with the others.
 
     has_rows_between : whoever read the file left out rows that its exporter interpolated between fixes.
+    is_alone : there are no samples on the clock of the fixes.
     """
-    rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_))
+    rows = RowFilter(file, "gps", np.ones(columns.t.size, dtype=np.bool_), is_alone=is_alone)
     columns = _accuracies_in_metres(rows, columns)
     _drop_without_fix(rows, columns)
     _drop_impossible(rows, columns)

@@ -153,7 +153,7 @@ def _read_any_fixes(
     if table is not None:
         from smoother.session.csv_form import read_fixes
 
-        gnss, problems = read_fixes(table, imu_unit, shifts)
+        gnss, problems = read_fixes(table, imu_unit, shifts, is_alone=not has_imu)
         if logs and files.chosen is None:
             problems.append(Problem("gps_csv_preferred", preferred(table.name, logs)))
         return gnss, table, problems

@@ -78,7 +78,9 @@ def read_gpx(path: Path) -> ForeignReading:
         )
     t = seconds_since_first(unix)
     course_deg = course_of_way(fix_columns(t, **columns))
-    gnss, problems = fixes_from(path.name, t, has_rows_between=False, **{**columns, "course_deg": course_deg})
+    gnss, problems = fixes_from(
+        path.name, t, has_rows_between=False, is_alone=True, **{**columns, "course_deg": course_deg}
+    )
     if np.isfinite(course_deg).any() and not np.isfinite(columns["course_deg"]).any():
         problems = [course_note(path.name), *problems]
     if points.untimed:

@@ -84,11 +84,19 @@ def read_named_table(path: Path) -> ForeignReading:
     require_degrees(path.name, raw)
     course_deg, course_said = _course(path.name, raw)
     known = {name: getattr(raw, name) for name in _KNOWN} | {"course_deg": course_deg}
-    gnss, problems = fixes_from(path.name, raw.t, raw.lat_deg, raw.lon_deg, has_rows_between=bool(between), **known)
+    imu, of_imu = _imu(table, t)
+    gnss, problems = fixes_from(
+        path.name,
+        raw.t,
+        raw.lat_deg,
+        raw.lon_deg,
+        has_rows_between=bool(between),
+        is_alone=imu is None,
+        **known,
+    )
     said = [*said, *_without_numbers(table)]
     if "speed" in columns and np.isfinite(known["speed"]).any():
         said = [*said, *speed_unit_note(path.name, table.unit("speed"), _usual_speed(table))]
-    imu, of_imu = _imu(table, t)
     problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *between, *course_said, *problems]
     return ForeignReading(gnss, problems, imu)
 

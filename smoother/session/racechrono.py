@@ -101,6 +101,7 @@ def read_racechrono(path: Path) -> ForeignReading:
         value("latitude")[rows],
         value("longitude")[rows],
         has_rows_between=bool(note),
+        is_alone=not inertial,
         **{k: v[rows] for k, v in chosen.items()},
     )
     if (speed := places["speed"]) is not None:

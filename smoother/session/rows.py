@@ -11,6 +11,7 @@ import numpy.typing as npt
 from smoother.arrays import Array, BoolArray, IntArray, is_increasing
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem
+from smoother.session.clock_steps import find_step_back
 from smoother.units import DAY
 from smoother.words import counted
 
@@ -46,7 +47,8 @@ class RowFilter:
     """The rows of one file still in use, and what was said about the others.
 
     file : name for the sentences. prefix : start of the problem codes. keep : (N,) bool, changed only by `drop`.
-    stamp_sigma s : of when rows were taken, where stamps are too coarse to say.
+    stamp_sigma s : of when rows were taken, where stamps are too coarse to say. is_alone : nothing else is stamped by
+    the clock of this file, which may be mended.
     """
 
     file: str
@@ -54,6 +56,7 @@ class RowFilter:
     keep: BoolArray
     problems: list[Problem] = field(default_factory=list)
     stamp_sigma: float = 0.0
+    is_alone: bool = False
 
     def drop(self, bad: BoolArray, code: str, reason: str) -> None:
         """Stop using the rows of mask `bad` (N,); `reason` completes '<file>: <n> rows ...'."""
@@ -76,7 +79,8 @@ def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> t
     itself, not what follows it. A stream shuffled over short distances is sorted instead, because dropping would
     cost a large part of it, and so are blocks that were written twice or in another order. Rows in place of which older
     ones stand again are a gap, and so are those in place of which another recording stands. After a restart of the
-    clock only the longest piece is kept.
+    clock only the longest piece is kept. A clock that was set back by a moment is mended where it has no other to keep
+    to.
     """
     if _is_flawless(rows, t):
         time = t.view()
@@ -90,6 +94,7 @@ def put_in_time_order(rows: RowFilter, t: Array, *values: npt.NDArray[Any]) -> t
     time, wraps = unwrap(t[index])
     if wraps:
         rows.say("clock_wrapped", f"the 32-bit clock wrapped {wraps} times; unwrapped", wraps)
+    time = _over_step_back(rows, time, [value[index] for value in values])
     index, time = _resolve_disorder(rows, index, time, values)
     keep = longest_increasing(time)
     _drop_disorder(rows, index, time, keep)
@@ -301,7 +306,7 @@ def _resolve_disorder(
     rows: RowFilter, index: IntArray, t: Array, values: Sequence[npt.NDArray[Any]]
 ) -> tuple[IntArray, Array]:
     """Give back rows (indices and times) in which whatever is still out of order is a flaw of single rows."""
-    tolerated = max(GLITCH_ROWS, GLITCH_SHARE * t.size)
+    tolerated = _tolerated(t.size)
     if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= tolerated:
         return index, t
     order = np.argsort(t, kind="stable")
@@ -338,6 +343,26 @@ def _resolve_disorder(
         rows.drop(_mask(rows, index[astray]), "astray", reason)
         return index[~astray], t[~astray]
     return _longest_piece(rows, index, t)
+
+
+def _over_step_back(rows: RowFilter, t: Array, values: Sequence[npt.NDArray[Any]]) -> Array:
+    """Times (N,) s that go on where the clock was set back by a moment, if it can be mended; that it was, is said."""
+    step = find_step_back(t, values)
+    if step is None:
+        return t
+    if step.by >= RESTART_STEP and np.count_nonzero(t[: step.row] >= t[step.row]) > _tolerated(t.size):
+        return t  # it was started again
+    said = f"its clock was set back by {step.by:.2f} s at {t[step.row - 1]:.0f} s"
+    if not (rows.is_alone and step.is_even):
+        rows.say("clock_behind", f"{said}; what follows stands so much too early, beside what was before", 1)
+        return t
+    rows.say("clock_behind", f"{said}, while rows went on evenly; what follows is joined to what was before", 1)
+    return np.concatenate([t[: step.row], t[step.row :] + step.by])
+
+
+def _tolerated(rows: int) -> float:
+    """How many of so many rows may be out of order one by one."""
+    return max(GLITCH_ROWS, GLITCH_SHARE * rows)
 
 
 def _mixes(order: IntArray, t: Array) -> bool:
