@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
 from smoother.estimate.align_rare import RareAlignment, align_rare, are_rare
@@ -65,6 +65,9 @@ LEANS_ELSEWHERE = (
 SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
 SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
 BESIDE_SPIN = 1.0  # s
+# rad by which course and nose part between two drives, one of which goes backwards, by FEW_BESIDE fixes of each; how
+# steady they are meanwhile, and s for which; s in between, in which a gyroscope is not yet off by as much
+BACKWARDS, FEW_BESIDE, STEADY, LONGEST_BACK, TURNS_BACK = 0.75 * np.pi, 15, 0.8, 60.0, 60.0
 MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
 
 
@@ -266,11 +269,12 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
     samples are missing there are turns that the gyro has not seen, and the course alone has a say.
     """
     of_gyro = gyro_yaw(imu, alignment)
-    moving = path.speed > MIN_SPEED
+    moving = path.moves
     if alignment.is_level_only or not np.any(moving):
         yaw = np.interp(t, imu.t, of_gyro)
     else:
         times, course = path.t[moving] - alignment.lag, path.yaw[moving]
+        course = course + np.pi * _backwards(path.t, moving, course - np.interp(times, imu.t, of_gyro))
         seen = ~_unsampled(imu.t, times)
         if not np.any(seen):
             seen[:] = True
@@ -281,6 +285,40 @@ def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Ali
         yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
     level = np.zeros(len(t))
     return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _backwards(t: Array, moving: BoolArray, difference: Array) -> BoolArray:
+    """Mask (M,) of those of the fixes at t (N,) s that move (N,) whose course points where the kart's tail does.
+
+    difference (M,) rad: course less the gyro's yaw. From the drive before to a drive backwards, and from there to the
+    one after, it jumps by half a turn while the kart is too slow to have a course. A spin has one all the way.
+    """
+    first, behind = runs_of(moving)
+    phasors, ends = np.exp(1j * difference), np.cumsum(behind - first)
+    lasting = [(slice(end - n, end), begin) for end, n, begin in zip(ends, behind - first, first, strict=True)]
+    lasting = [(rows, at) for rows, at in lasting if t[at + rows.stop - rows.start - 1] - t[at] > BESIDE_SPIN]
+    drives: list[list[slice]] = []
+    for rows, _ in lasting:  # to those before, unless it jumps
+        if drives and _apart(phasors, drives[-1][-1], rows) < BACKWARDS:
+            drives[-1].append(rows)
+        else:
+            drives.append([rows])
+    times, out = t[moving], np.zeros(len(difference), dtype=np.bool_)
+    for before, drive, after in zip(drives, drives[1:], drives[2:], strict=False):
+        here = slice(drive[0].start, drive[-1].stop)
+        to_either = times[here.start] - times[before[-1].stop - 1], times[after[0].start] - times[here.stop - 1]
+        most = sum(rows.stop - rows.start for rows in (*before, *after))
+        is_nose = out[before[-1].start] or here.stop - here.start > most  # between two drives backwards
+        steady = abs(np.mean(phasors[here])) > STEADY and not is_nose
+        if steady and max(to_either) < TURNS_BACK and times[here.stop - 1] - times[here.start] < LONGEST_BACK:
+            out[here] = True
+    return out if np.mean(out) < MOST_SPUN else np.zeros_like(out)
+
+
+def _apart(phasors: np.ndarray, before: slice, after: slice) -> float:
+    """By how much angles, given as phasors (M,), jump from the end of one run of rows to the beginning of the next."""
+    one, other = phasors[before][-FEW_BESIDE:], phasors[after][:FEW_BESIDE]
+    return abs(float(np.angle(np.sum(other) * np.conj(np.sum(one)))))
 
 
 def _unwrapped(t: Array, angle: Array) -> Array:

@@ -12,7 +12,7 @@ until the kart drives off: then it steps to where it has settled meanwhile, and 
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, median
+from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, says_velocity, unbroken_runs
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
@@ -54,7 +54,19 @@ def unsettled(session: Session) -> BoolArray:
         free = _released_at(t[rows], position_n[rows], error, usual)
         settled = _settled_at(t[rows[free:]], error[free:], change[free:], usual)
         out[rows[0] : rows[free + settled]] = True
+    for rows in unbroken[::-1]:  # what came in after a gap had come in before it, too
+        after = int(rows[-1]) + 1
+        if not _is_cut_short(t, rows, known) or after == len(t) or not out[known[known >= after][:1]].all():
+            continue
+        error = _error(t[rows], position_n[rows], velocity_n[rows])
+        out[rows] = bool(np.hypot(*(error[-1] - error[0])) > _far(float(t[rows[-1]] - t[rows[0]]), usual))
     return out
+
+
+def _is_cut_short(t: Array, rows: IntArray, known: IntArray) -> bool:
+    """Whether the run of fixes `rows` is too short to be looked at by itself, and early: of a receiver that settles."""
+    lasts = t[rows[-1]] - t[rows[0]]
+    return bool(LEAST < lasts <= 2.0 * LATER and t[rows[-1]] - t[known[0]] < EARLY and rows[-1] < known[-1])
 
 
 def settling_problems(t: Array, out: BoolArray) -> tuple[Problem, ...]:

@@ -16,7 +16,8 @@ def without_positions(session: Session, out: BoolArray) -> Session:
 
 
 def without_fixes(session: Session, out: BoolArray) -> Session:
-    """Return the session with positions and velocities of the fixes `out` (N,) unknown."""
+    """Return the session with positions, velocities and speeds of the fixes `out` (N,) unknown."""
     rest = without_positions(session, out)
     velocity_n = np.where(out[:, None], np.nan, rest.gnss.velocity_n)
-    return replace(rest, gnss=replace(rest.gnss, velocity_n=velocity_n))
+    speed = None if rest.gnss.speed is None else np.where(out, np.nan, rest.gnss.speed)
+    return replace(rest, gnss=replace(rest.gnss, velocity_n=velocity_n, speed=speed))

@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray, are_near
 from smoother.estimate.averages import WINDOW, in_gap
 from smoother.frames import wrap_angle
 from smoother.samples import ImuSamples
 
 MIN_SPEED = 3.0  # m/s below which a course says little about the nose
+TOLD_NEAR = 1.0  # s; some receivers tell their velocity less often than their position
 LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what they explain bends once within WINDOW
 
 
@@ -17,12 +18,14 @@ LAGS = np.arange(-0.2, 0.81, 0.1)  # s tried for the delay of the fixes; what th
 class PathMotion:
     """Motion of the kart from the fixes. t (N,) s; velocity_n (N, 3) m/s, Up may be NaN.
 
-    is_measured: whether these are velocities of the receiver, not of a line through its positions.
+    is_measured: whether these are velocities of the receiver, not of a line through its positions. is_told (N,): near
+    a fix that tells, and no bridge across those that were left out; None where all are.
     """
 
     t: Array
     velocity_n: Array
     is_measured: bool = True
+    is_told: BoolArray | None = None
 
     @property
     def speed(self) -> Array:
@@ -30,9 +33,19 @@ class PathMotion:
         return np.asarray(np.hypot(self.velocity_n[:, 0], self.velocity_n[:, 1]))
 
     @property
+    def moves(self) -> BoolArray:
+        """Mask (N,) of the fixes at which the kart has a course."""
+        return np.asarray((self.speed > MIN_SPEED) & (True if self.is_told is None else self.is_told))
+
+    @property
     def yaw(self) -> Array:
         """Direction of travel, anticlockwise from north, (N,) rad."""
         return np.arctan2(self.velocity_n[:, 1], self.velocity_n[:, 0])
+
+
+def near_told(t: Array, told: BoolArray) -> BoolArray:
+    """Mask (N,) of times t (N,) s that are near one of which something is told (N,)."""
+    return are_near(t, t[told], TOLD_NEAR)
 
 
 def path_axes(path: PathMotion) -> Array:
@@ -51,7 +64,7 @@ def path_axes(path: PathMotion) -> Array:
 def sampled_at_speed(imu: ImuSamples, path: PathMotion) -> IntArray:
     """Return which fixes of a moving kart have samples around them."""
     inside = (path.t > imu.t[0] + 1.0) & (path.t < imu.t[-1] - 1.0)
-    return np.flatnonzero((path.speed > MIN_SPEED) & inside & ~in_gap(imu.t, path.t))
+    return np.flatnonzero(path.moves & inside & ~in_gap(imu.t, path.t))
 
 
 def thinned(rows: IntArray, count: int) -> IntArray:

@@ -275,6 +275,9 @@ def _attitude_measures(session: Session, estimate: Trajectory, limits: QualityLi
     short = replace(limits, lean_seconds=limits.far_lean_seconds)
     far = max(_largest_step(angles[sure, i], step, short) for i in range(3))
     steps += [far] if far > limits.far_lean_step else []
+    if not sure.any():  # as of a box that moved so far that none of its mountings is known
+        far = max(_largest_step(angles[usual, i], step, short) for i in range(3))
+        steps += [far] if far > max(limits.far_lean_step, limits.clearly * float(np.median(sigma))) else []
     return {
         "sideways_share": float(np.mean(np.abs(beta) > limits.sideways)),
         "overturned_rad": _off_level(angles[:, :2]),

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, median, runs_of
+from smoother.arrays import Array, BoolArray, IntArray, are_near, median, runs_of
 from smoother.estimate.align import Alignment
 from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.clock_steps import QUICK, SLOWEST
@@ -45,6 +45,7 @@ MANY = 75.0  # per cent of the stretches may be worse than those
 FEW, SURELY = 25.0, 0.85
 LIVELY = 0.5  # of what an axis usually does; less says nothing of whether it was felt
 STANDS = 1.0  # m/s, below which fixes stand
+BESIDE_STAND = 0.3  # s to either side, in which they begin and cease to, or seem to move
 # Correlation of force to the left and yaw rate, which go together by the speed: of a box that drives, and no other
 DRIVES = 0.7
 ONE = np.ones(1)  # of what axes say: the delay alone
@@ -114,7 +115,7 @@ def stretches_of(felt: Felt, path: PathMotion, use: IntArray) -> Stretches | Non
     if len(parts) < FEWEST_STRETCHES:
         return None
     ends, least = np.array([(t[rows[0]], t[rows[-1]]) for rows in parts]), LEAST if every <= QUICK else LEAST_OF_FEW
-    usual = np.median([np.std(told[rows], axis=0) for rows in parts], axis=0)
+    usual = np.sqrt(np.mean([np.var(told[rows], axis=0) for rows in parts], axis=0))  # most of a drag race is noise
     delays, by_axis = _roughly_said(felt, t, told, parts, usual)
     roughly = Stretches(ends[:, 0], ends[:, 1], delays, _of_axes_that_tell(by_axis), least)
     if roughly.is_quiet:
@@ -138,14 +139,31 @@ def _of_axes_that_tell(by_axis: Array) -> Array:
 def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses) -> tuple[Problem, ...]:
     """Say so where the delay changes or samples are of another motion, of a session of which `pauses` are cut out."""
     assert session.imu is not None
-    use = sampled_at_speed(session.imu, path)
+    use = _measured(session, path, sampled_at_speed(session.imu, path))
     if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
         return ()
-    felt = Felt(averages_of(session.imu), alignment)
-    found = stretches_of(felt, path, use)
-    stood = driven_stands(felt, session.imu.t, path, use)
-    begun = float(pauses.opened(session.gnss.t[:1])[0])
-    return (*_problems_of_stretches(found, pauses, begun), *_problems_of_stands(stood, pauses, begun))
+    found = stretches_of(Felt(averages_of(session.imu), alignment), path, use)
+    return tuple(_problems_of_stretches(found, pauses, float(pauses.opened(session.gnss.t[:1])[0])))
+
+
+def false_stands(
+    session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses
+) -> tuple[BoolArray, tuple[Problem, ...]]:
+    """Mask (N,) of the fixes that stand while the kart drives on, and what to say; of a session without `pauses`."""
+    assert session.imu is not None
+    out, use = np.zeros(len(path.t), dtype=np.bool_), sampled_at_speed(session.imu, path)
+    if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
+        return out, ()
+    stood = driven_stands(Felt(averages_of(session.imu), alignment), session.imu.t, path, use)
+    for begin, end in zip(*runs_of(are_near(path.t, path.t[path.speed < STANDS], BESIDE_STAND)), strict=True):
+        out[begin:end] = np.any((stood[:, 0] <= path.t[end - 1]) & (stood[:, 1] >= path.t[begin]))
+    return out, tuple(_problems_of_stands(stood, pauses, float(pauses.opened(session.gnss.t[:1])[0])))
+
+
+def _measured(session: Session, path: PathMotion, use: IntArray) -> IntArray:
+    """Those of the fixes in use of which the path is measured, and not a line across others that were left out."""
+    told = session.gnss.velocity_n[:, :2] if path.is_measured else session.fix_position_n[:, :2]
+    return use[np.isfinite(told[use]).all(axis=1)]
 
 
 def driven_stands(felt: Felt, sampled: Array, path: PathMotion, use: IntArray) -> Array:

@@ -26,6 +26,7 @@ MARGIN = 35.0 * DEG  # beyond what bends and brakes tilt: hills, biases, forces 
 SHORTEST = 2  # windows; in less a kart lies on its side, and is put back
 FEW_BETWEEN = 3  # windows between two that are turned are turned: a steady bend hides it
 LEAST_WAY = 100.0  # m driven while it is turned; a box in the hand before the start harms nothing
+STANDS = 15.0  # m in a window, below which the kart stands: fixes wander by as much
 FAST = 5.0  # m/s; slower, a kart may go backwards
 LONGEST_STEP = 0.6  # s from one velocity to the next; what is between two that are farther apart is not known
 LAGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # s that velocities may be late by; the one that fits best is taken
@@ -38,7 +39,7 @@ MOST_CANDIDATES = 64  # of the windows, as how the box lies mostly
 def without_turned(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Problem]) -> RawImu:
     """Return the samples without those in which the box lies otherwise than on most of the way, said in `problems`.
 
-    file : name for the sentences. A window on either side goes with them, as the box may be turned within it.
+    file : name for the sentences. A window and a stand on either side go with them, as the box may be turned in these.
     """
     starts = _starts(imu.t)
     if starts.size < FEWEST_WINDOWS:
@@ -54,17 +55,24 @@ def without_turned(imu: RawImu, gnss: GnssFixes, file: str, problems: list[Probl
         for first, last in _runs(~_lie_alike(force, usual))
         if np.sum(way[first : last + 1]) >= LEAST_WAY
     ]
-    return _without(imu, starts, turned, file, problems)
+    return _without(imu, starts, way, turned, file, problems)
 
 
 def _without(
-    imu: RawImu, starts: IntArray, turned: list[tuple[int, int, str]], file: str, problems: list[Problem]
+    imu: RawImu, starts: IntArray, way: Array, turned: list[tuple[int, int, str]], file: str, problems: list[Problem]
 ) -> RawImu:
-    """The samples without some windows, and one on either side: (first, last, how the box lies in them), said."""
+    """The samples without some windows, and one on either side: (first, last, how the box lies in them), said.
+
+    So are those of a stand beside them: it may have been turned at any time of that. way (K,) m in the windows.
+    """
     bad = np.zeros(imu.t.size, dtype=np.bool_)
     ends = np.append(starts[1:], imu.t.size)
+    drives = np.flatnonzero(way > STANDS)
     for first, last, how in turned:
-        rows = slice(int(starts[max(0, first - 1)]), int(ends[min(last + 1, ends.size - 1)]))
+        before, after = drives[drives < first], drives[drives > last]
+        first = min(first - 1, int(before[-1]) + 1) if before.size else 0
+        last = max(last + 1, int(after[0]) - 1) if after.size else ends.size - 1
+        rows = slice(int(starts[max(0, first)]), int(ends[min(last, ends.size - 1)]))
         bad[rows] = True
         lost = rows.stop - rows.start
         text = (
@@ -158,7 +166,7 @@ def without_turned_about(imu: RawImu, gnss: GnssFixes, file: str, problems: list
             continue
         angle = median(apart[between, usual][tells[between]]) / DEG
         turned.append((first, last, f"points elsewhere, turned by about {angle:.0f} deg about the vertical"))
-    return _without(imu, starts, turned, file, problems)
+    return _without(imu, starts, way, turned, file, problems)
 
 
 def _told(points: ComplexArray, way: Array) -> float:

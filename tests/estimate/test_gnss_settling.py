@@ -140,6 +140,15 @@ def test_behind_a_short_hole_a_receiver_has_its_satellites(session: Session) -> 
     assert not unsettled(coming_in(holed, 63.0)).any()
 
 
+def test_what_came_in_before_a_hole_is_left_out_as_what_came_in_after_it(session: Session) -> None:
+    t = session.gnss.t - session.gnss.t[0]
+    holed = replace(session, gnss=session.gnss.select((t < 25.0) | (t > 31.0)))
+    t = holed.gnss.t - session.gnss.t[0]
+    out = unsettled(coming_in(holed, 0.0, 3.0 * OFF, memory=30.0))
+    assert out[t < 25.0].all() and out[np.argmax(t > 31.0)] and not out[t > 130.0].any()
+    assert not unsettled(holed).any()
+
+
 def once_a_second(session: Session, until: float) -> Session:
     """The session of a receiver that sends one fix a second until so many s, and five from then on."""
     t = session.gnss.t - session.gnss.t[0]

@@ -187,6 +187,15 @@ def test_a_box_that_was_mounted_anew_is_seen_however_unsure_its_attitude_is() ->
     assert [reason for reason in reasons if "deg off level for 60 s and more: did the box move?" in reason], reasons
 
 
+def test_a_box_that_was_mounted_anew_a_little_is_seen_though_no_row_is_sure() -> None:
+    moved = leaning(half_way(25.0))
+    assert moved.sigmas is not None
+    unsure = replace(moved, sigmas=replace(moved.sigmas, attitude=np.full((len(moved), 3), np.radians(5.0))))
+    assert any("askew" in reason for reason in assess(session(), unsure).reasons)
+    little = replace(leaning(half_way(8.0)), sigmas=unsure.sigmas)  # within three of such sigmas
+    assert not any("askew" in reason for reason in assess(session(), little).reasons)
+
+
 def test_a_kart_on_a_banked_track_passes() -> None:
     assert assess(session(), leaning(np.radians(18.0))).passed
 

@@ -109,6 +109,30 @@ def test_an_antenna_that_came_off_is_seen_by_samples_that_drive_on(session: Sess
     assert re.match(r"between 1[34]\d and 2\d\d s after the first fix the fixes stand still for", problem.text)
 
 
+def frozen(session: Session) -> Session:
+    """For 50 s from AT on the receiver says again where it was, and that it stands: its antenna is unplugged."""
+    gnss = session.gnss
+    off = (gnss.t > AT) & (gnss.t < AT + 50.0)
+    place = int(np.argmax(off))
+    lat_deg, lon_deg = (np.where(off, values[place], values) for values in (gnss.lat_deg, gnss.lon_deg))
+    velocity_n = np.where(off[:, None], 0.0, gnss.velocity_n)
+    speed = np.where(off, 0.0, np.hypot(velocity_n[:, 0], velocity_n[:, 1]))
+    return replace(session, gnss=replace(gnss, lat_deg=lat_deg, lon_deg=lon_deg, velocity_n=velocity_n, speed=speed))
+
+
+def test_fixes_that_stand_while_the_kart_drives_on_are_left_out(session: Session) -> None:
+    stood = frozen(session)
+    begun = begin(stood, GraphOptions().for_fixes(stood.gnss.t), pauses_of)
+    off = (stood.gnss.t > AT + 1.0) & (stood.gnss.t < AT + 49.0)
+    out = begun.left_out
+    assert out is not None and out[off].mean() > 0.95 and out[stood.gnss.t < AT - 2.0].mean() < 0.05
+    left = begun.session.gnss
+    assert left.speed is not None and np.isnan(left.speed[out]).all() and np.isnan(left.velocity_n[out]).all()
+    driven = begun.start.driven
+    assert driven.is_told is not None and not driven.moves[(driven.t > AT + 3.0) & (driven.t < AT + 47.0)].any()
+    assert [problem.code for problem in begun.problems] == [MOTION_UNLIKE]  # the gate fails all the same
+
+
 @pytest.mark.parametrize("damage", [held_up, lost_and_counted, half_the_rate, antenna_off])
 def test_the_quality_gate_fails(damage: Callable[[Session], Session]) -> None:
     session = damage(prepare(simulate_preset("kart", 72, duration=260.0).raw))

@@ -63,6 +63,18 @@ def test_samples_of_a_box_that_was_turned_over_are_left_out_and_said(begin: floa
     assert "the box lies otherwise" in problems[0].text
 
 
+@pytest.mark.parametrize("turned_at", [62.0, 85.0, 118.0])
+def test_a_box_that_is_turned_while_the_kart_stands_is_known_when_it_drives(turned_at: float) -> None:
+    """At what time of the stand it was is not: all of that is left out."""
+    t = np.arange(0.0, LASTS, 0.2)
+    stands = (t > 60.0) & (t < 120.0)
+    imu, problems = judged(
+        turned(forces(), 0.0, turned_at, np.diag([1.0, -1.0, -1.0])), fixes(np.where(stands, 0.0, 12.0))
+    )
+    assert [problem.code for problem in problems] == ["imu_turned"]
+    assert 115.0 < imu.t[0] < 135.0
+
+
 def test_what_most_of_the_way_was_driven_with_is_kept_however_long_the_box_lay_elsewhere_before() -> None:
     """As on a table in the pits; there it harms nothing, and stays."""
     speed = np.where(np.arange(0.0, LASTS, 0.2) < 200.0, 0.0, 12.0)

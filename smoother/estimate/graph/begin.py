@@ -20,7 +20,7 @@ from smoother.estimate.left_out import without_fixes, without_positions
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.retimed import moved
-from smoother.estimate.stretches import stretch_problems
+from smoother.estimate.stretches import false_stands, stretch_problems
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
 
@@ -59,7 +59,10 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
             break
         out |= more
         begun = _on_one_clock(without_fixes(given, out), options, cut_out)
-    rest = without_fixes(given, out) if out.any() else given
+    stood, of_stands = false_stands(begun.session, begun.start.driven, begun.start.alignment, begun.start.pauses)
+    if stood.any():
+        begun = _on_one_clock(without_fixes(given, out | stood), options, cut_out)
+    rest = without_fixes(given, out | stood) if (out | stood).any() else given
     early = unsettled(rest)
     if early.any():
         begun = _on_one_clock(without_positions(rest, early), options, cut_out)
@@ -67,9 +70,10 @@ def begin(given: Session, options: GraphOptions, cut_out: Callable[[Session], Pa
     problems = (
         *coasting_problems(out & ~of_steps),
         *settling_problems(given.gnss.t, early),
+        *of_stands,
         *stretch_problems(begun.session, start.driven, start.alignment, start.pauses),
     )
-    left_out = out | early
+    left_out = out | stood | early
     return replace(begun, steps=steps, problems=problems, left_out=left_out if left_out.any() else None)
 
 

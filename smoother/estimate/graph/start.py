@@ -36,7 +36,7 @@ from smoother.estimate.graph.state import (
 )
 from smoother.estimate.left_out import without_positions
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
-from smoother.estimate.path_motion import MIN_SPEED, PathMotion
+from smoother.estimate.path_motion import MIN_SPEED, PathMotion, near_told
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.fit.standstill import believed_at_rest, session_standstill
 from smoother.samples import Session
@@ -97,7 +97,10 @@ def make_start(
     assert session.imu is not None
     path = fit_path(session if doubted is None else without_positions(session, doubted))
     is_measured = most_say_velocity(session.gnss.velocity_n)
-    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured)
+    tells = session.gnss.velocity_n if is_measured else session.fix_position_n
+    told = np.asarray(np.isfinite(tells[:, :2]).all(axis=1))
+    is_told = None if told.all() else near_told(session.gnss.t, told)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_told)
     alignment = align(session.imu, driven)
     is_steered, by_size = _on_wheel_and_delay(session, driven, alignment)
     priors = _priors(session, alignment, path, options, by_size)
