@@ -193,7 +193,8 @@ def _problems_of_stands(stood: Array, pauses: Pauses, begun: float) -> Iterator[
     first, last = pauses.opened(stood[[0, -1], [0, 1]]) - begun
     text = (
         f"between {first:.0f} and {last:.0f} s after the first fix the fixes stand still for "
-        f"{np.sum(stood[:, 1] - stood[:, 0]):.0f} s while the samples drive on: the result is not to be trusted there. "
+        f"{np.sum(stood[:, 1] - stood[:, 0]):.0f} s while the samples drive on: they were left out, and the result "
+        "is not to be trusted there. "
         "Did the antenna come off, or the receiver hold a place? Smooth the rest by itself"
     )
     yield Problem(MOTION_UNLIKE, text)

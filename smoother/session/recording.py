@@ -161,7 +161,7 @@ def _missing_heights(recording: Recording) -> Iterator[Problem]:
     if not np.any(np.isfinite(recording.gnss.alt_m)):
         text = (
             f"{recording.gnss_file}: no fix has a height; how high the track lies is unknown, and how steep a road is "
-            "that climbs all the way. All else is as good"
+            "that climbs all the way. All that is level is as good"
         )
         yield Problem("gps_no_height", text)
 
