@@ -56,7 +56,7 @@ def sigma_digits(sigma: float) -> int | None:
 
 
 def speed_digits(sigma: float) -> int:
-    """Return how many digits behind the point tell the sigma of a speed: one, or two where one would be zero."""
+    """Return how many digits tell the sigma of a speed, in the unit it is shown in: one, or two where that is 0.0."""
     return 1 if sigma >= 0.05 else 2
 
 

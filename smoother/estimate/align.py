@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray, IntArray, runs_of
+from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
 from smoother.disc import pieces, release, roomy
 from smoother.estimate import axis_mistakes
 from smoother.estimate.align_rare import RareAlignment, align_rare, are_rare
@@ -293,30 +293,36 @@ def _backwards(t: Array, moving: BoolArray, difference: Array) -> BoolArray:
     difference (M,) rad: course less the gyro's yaw. From the drive before to a drive backwards, and from there to the
     one after, it jumps by half a turn while the kart is too slow to have a course. A spin has one all the way.
     """
-    first, behind = runs_of(moving)
-    phasors, ends = np.exp(1j * difference), np.cumsum(behind - first)
-    lasting = [(slice(end - n, end), begin) for end, n, begin in zip(ends, behind - first, first, strict=True)]
-    lasting = [(rows, at) for rows, at in lasting if t[at + rows.stop - rows.start - 1] - t[at] > BESIDE_SPIN]
-    drives: list[list[slice]] = []
-    for rows, _ in lasting:  # to those before, unless it jumps
-        if drives and _apart(phasors, drives[-1][-1], rows) < BACKWARDS:
-            drives[-1].append(rows)
-        else:
-            drives.append([rows])
-    times, out = t[moving], np.zeros(len(difference), dtype=np.bool_)
+    times, phasors, out = t[moving], np.exp(1j * difference), np.zeros(len(difference), dtype=np.bool_)
+    drives = _drives(times, moving, phasors)
     for before, drive, after in zip(drives, drives[1:], drives[2:], strict=False):
         here = slice(drive[0].start, drive[-1].stop)
         to_either = times[here.start] - times[before[-1].stop - 1], times[after[0].start] - times[here.stop - 1]
         most = sum(rows.stop - rows.start for rows in (*before, *after))
         is_nose = out[before[-1].start] or here.stop - here.start > most  # between two drives backwards
-        steady = abs(np.mean(phasors[here])) > STEADY and not is_nose
-        if steady and max(to_either) < TURNS_BACK and times[here.stop - 1] - times[here.start] < LONGEST_BACK:
-            out[here] = True
+        is_short = max(to_either) < TURNS_BACK and times[here.stop - 1] - times[here.start] < LONGEST_BACK
+        out[here] = not is_nose and is_short and abs(np.mean(phasors[here])) > STEADY
     return out if np.mean(out) < MOST_SPUN else np.zeros_like(out)
 
 
-def _apart(phasors: np.ndarray, before: slice, after: slice) -> float:
-    """By how much angles, given as phasors (M,), jump from the end of one run of rows to the beginning of the next."""
+def _drives(times: Array, moving: BoolArray, phasors: ComplexArray) -> list[list[slice]]:
+    """Rows of the fixes that move, at times (M,) s, by drive: runs of them that last, up to where the angle jumps."""
+    first, behind = runs_of(moving)
+    ends = np.cumsum(behind - first)
+    drives: list[list[slice]] = []
+    for start, stop in zip((ends - (behind - first)).tolist(), ends.tolist(), strict=True):
+        rows = slice(start, stop)
+        if times[stop - 1] - times[start] <= BESIDE_SPIN:
+            continue
+        if drives and _apart(phasors, drives[-1][-1], rows) < BACKWARDS:
+            drives[-1].append(rows)
+        else:
+            drives.append([rows])
+    return drives
+
+
+def _apart(phasors: ComplexArray, before: slice, after: slice) -> float:
+    """By how much, rad, angles, as phasors (M,), jump from the end of one run of rows to the beginning of the next."""
     one, other = phasors[before][-FEW_BESIDE:], phasors[after][:FEW_BESIDE]
     return abs(float(np.angle(np.sum(other) * np.conj(np.sum(one)))))
 

@@ -21,3 +21,9 @@ def without_fixes(session: Session, out: BoolArray) -> Session:
     velocity_n = np.where(out[:, None], np.nan, rest.gnss.velocity_n)
     speed = None if rest.gnss.speed is None else np.where(out, np.nan, rest.gnss.speed)
     return replace(rest, gnss=replace(rest.gnss, velocity_n=velocity_n, speed=speed))
+
+
+def tell_motion(session: Session, *, by_velocity: bool) -> BoolArray:
+    """Mask (N,) of the fixes that say how the kart moves: by a level velocity of their own, or else by their place."""
+    said = session.gnss.velocity_n if by_velocity else session.fix_position_n
+    return np.asarray(np.isfinite(said[:, :2]).all(axis=1))

@@ -20,6 +20,7 @@ from smoother.estimate.align import Alignment
 from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.clock_steps import QUICK, SLOWEST
 from smoother.estimate.delays import Felt, common, said
+from smoother.estimate.left_out import tell_motion
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed
 from smoother.estimate.pauses import Pauses
 from smoother.samples import Problem, Session
@@ -139,8 +140,9 @@ def _of_axes_that_tell(by_axis: Array) -> Array:
 def stretch_problems(session: Session, path: PathMotion, alignment: Alignment, pauses: Pauses) -> tuple[Problem, ...]:
     """Say so where the delay changes or samples are of another motion, of a session of which `pauses` are cut out."""
     assert session.imu is not None
-    use = _measured(session, path, sampled_at_speed(session.imu, path))
-    if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
+    use = sampled_at_speed(session.imu, path)
+    use = use[tell_motion(session, by_velocity=path.is_measured)[use]]  # no line across fixes that were left out
+    if _tell_nothing(path, alignment, use):
         return ()
     found = stretches_of(Felt(averages_of(session.imu), alignment), path, use)
     return tuple(_problems_of_stretches(found, pauses, float(pauses.opened(session.gnss.t[:1])[0])))
@@ -152,7 +154,7 @@ def false_stands(
     """Mask (N,) of the fixes that stand while the kart drives on, and what to say; of a session without `pauses`."""
     assert session.imu is not None
     out, use = np.zeros(len(path.t), dtype=np.bool_), sampled_at_speed(session.imu, path)
-    if alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
+    if _tell_nothing(path, alignment, use):
         return out, ()
     stood = driven_stands(Felt(averages_of(session.imu), alignment), session.imu.t, path, use)
     for begin, end in zip(*runs_of(are_near(path.t, path.t[path.speed < STANDS], BESIDE_STAND)), strict=True):
@@ -160,10 +162,9 @@ def false_stands(
     return out, tuple(_problems_of_stands(stood, pauses, float(pauses.opened(session.gnss.t[:1])[0])))
 
 
-def _measured(session: Session, path: PathMotion, use: IntArray) -> IntArray:
-    """Those of the fixes in use of which the path is measured, and not a line across others that were left out."""
-    told = session.gnss.velocity_n[:, :2] if path.is_measured else session.fix_position_n[:, :2]
-    return use[np.isfinite(told[use]).all(axis=1)]
+def _tell_nothing(path: PathMotion, alignment: Alignment, use: IntArray) -> bool:
+    """Whether the fixes in use are too few or too rare to tell one stretch from others, or no axis is known."""
+    return alignment.is_level_only or use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST
 
 
 def driven_stands(felt: Felt, sampled: Array, path: PathMotion, use: IntArray) -> Array:

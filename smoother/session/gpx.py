@@ -73,9 +73,8 @@ def read_gpx(path: Path) -> ForeignReading:
     unix = columns["unix_s"]
     if unix.size == 0:
         timeless = f"{path.name}: {counted(points.untimed, 'point')} without time, which cannot be smoothed"
-        raise SessionError(
-            f"{flaw}; save it anew" if flaw else (timeless if points.untimed else f"{path.name}: no track points in it")
-        )
+        no_points = timeless if points.untimed else f"{path.name}: no track points in it"
+        raise SessionError(no_points if flaw is None else f"{flaw}; save it anew")
     t = seconds_since_first(unix)
     course_deg = course_of_way(fix_columns(t, **columns))
     gnss, problems = fixes_from(

@@ -125,7 +125,8 @@ def heading_from_field(
     # the floor is for what lasts already; what goes beyond it counts as often as it is a new error
     beyond = max(rms**2 - FLOOR**2, 0.0) * _memory(error[keep])
     alike = 1.0 if still is None else _of_stand(at[keep], still, step)
-    sigma = np.sqrt(alike * (FLOOR**2 + beyond + (repeating(float(np.sum(keep[keep] / alike))) if fitted else 0.0)))
+    told = np.count_nonzero(keep) * float(np.mean(1.0 / alike))  # headings that are not of one stand
+    sigma = np.sqrt(alike * (FLOOR**2 + beyond + (repeating(told) if fitted else 0.0)))
     fit = _with_sigmas(matrix, iron, expected, measured, of_fit) if fitted else None
     return Heading(at[keep], field_s[keep], -declination, sigma, offset_sigma, fit=fit)
 

@@ -34,7 +34,7 @@ from smoother.estimate.graph.state import (
     ChainState,
     Constants,
 )
-from smoother.estimate.left_out import without_positions
+from smoother.estimate.left_out import tell_motion, without_positions
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.path_motion import MIN_SPEED, PathMotion, near_told
 from smoother.estimate.pauses import NO_PAUSES, Pauses
@@ -97,8 +97,7 @@ def make_start(
     assert session.imu is not None
     path = fit_path(session if doubted is None else without_positions(session, doubted))
     is_measured = most_say_velocity(session.gnss.velocity_n)
-    tells = session.gnss.velocity_n if is_measured else session.fix_position_n
-    told = np.asarray(np.isfinite(tells[:, :2]).all(axis=1))
+    told = tell_motion(session, by_velocity=is_measured)
     is_told = None if told.all() else near_told(session.gnss.t, told)
     driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_told)
     alignment = align(session.imu, driven)
