@@ -308,7 +308,7 @@ def _resolve_disorder(
     """Give back rows (indices and times) in which whatever is still out of order is a flaw of single rows."""
     tolerated = _tolerated(t.size)
     if np.count_nonzero(~longest_increasing(_without_repeats(t))) <= tolerated:
-        return index, t
+        return _sort_swapped(rows, index, t)
     order = np.argsort(t, kind="stable")
     if np.max(np.abs(order - np.arange(t.size))) <= SHUFFLE_DISTANCE and not _mixes(order, t):
         moved = int(np.count_nonzero(order != np.arange(t.size)))
@@ -343,6 +343,33 @@ def _resolve_disorder(
         rows.drop(_mask(rows, index[astray]), "astray", reason)
         return index[~astray], t[~astray]
     return _longest_piece(rows, index, t)
+
+
+def _sort_swapped(rows: RowFilter, index: IntArray, t: Array) -> tuple[IntArray, Array]:
+    """Rows (indices and times) in which single rows that were written a few rows too late or too early are sorted in.
+
+    The sorted position of such a row is a hole of the others: it is at least half a usual step away from each of them.
+    A stamp that is damaged points between two rows that lack nothing, or far away; it stays out of order.
+    """
+    kept = longest_increasing(t)
+    if kept.all() or np.count_nonzero(kept) < 2:
+        return index, t
+    time, half_step = t[kept], 0.5 * float(np.median(np.diff(t[kept])))
+    order = np.argsort(t, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(t.size)
+    after = np.searchsorted(time, t)
+    beside = np.minimum(np.abs(t - time[np.maximum(after - 1, 0)]), np.abs(time[np.minimum(after, time.size - 1)] - t))
+    is_near = np.abs(rank - np.arange(t.size)) <= SHUFFLE_DISTANCE
+    swapped = ~kept & is_near & (beside >= half_step)
+    if not np.any(swapped):
+        return index, t
+    count = int(np.count_nonzero(swapped))
+    rows.say("reordered", f"{counted(count, 'row')} out of order; sorted by time", count)
+    free = np.flatnonzero(kept | swapped)  # the others keep their positions in the file, and are dropped
+    sorted_rows = np.arange(t.size)
+    sorted_rows[free] = free[np.argsort(t[free], kind="stable")]
+    return index[sorted_rows], t[sorted_rows]
 
 
 def _over_step_back(rows: RowFilter, t: Array, values: Sequence[npt.NDArray[Any]]) -> Array:

@@ -108,6 +108,23 @@ def test_the_first_of_a_repeated_time_is_kept_and_rows_out_of_order_are_counted(
     assert codes(order(t)[2]) == {"imu_repeated_time": 3, "imu_out_of_order": 1}
 
 
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (500, 501), (500, 503), (998, 999)])
+def test_two_rows_that_changed_places_are_sorted_and_none_is_lost(first: int, second: int) -> None:
+    t = np.arange(1000) * 0.01
+    t[[first, second]] = t[[second, first]]
+    time, index, rows = order(t)
+    assert set(codes(rows)) == {"imu_reordered"}
+    np.testing.assert_array_equal(time, np.arange(1000) * 0.01)
+    np.testing.assert_array_equal(t[index], time)
+
+
+def test_a_stamp_that_points_between_two_rows_that_lack_nothing_is_dropped() -> None:
+    t = np.arange(1000) * 0.01
+    t[500] = 0.01 * 520 + 0.004
+    _, index, rows = order(t)
+    assert codes(rows) == {"imu_out_of_order": 1} and 500 not in index
+
+
 def test_a_stream_shuffled_in_small_batches_is_sorted_rather_than_halved() -> None:
     t = np.arange(1000) * 0.01
     swapped = t.reshape(-1, 2)[:, ::-1].ravel()
