@@ -27,8 +27,9 @@ from smoother.errors import UsageError
 
 if TYPE_CHECKING:
     from smoother.arrays import Array
-    from smoother.estimate.evaluate import Errors, Evaluation
-    from smoother.estimate.quality import Quality
+    from smoother.estimate.evaluate import Errors as Errors
+    from smoother.estimate.evaluate import Evaluation as Evaluation
+    from smoother.estimate.quality import Quality as Quality
     from smoother.frames import Origin
     from smoother.laps.results import GivenLines, LapAnalysis, ReferenceLine
     from smoother.samples import RawSession, Session
@@ -120,7 +121,7 @@ def simulate(
     """Return a simulated session: `raw` is what was recorded, `truth` and `scenario` what was true.
 
     preset: white, kart, kart_harsh, ..; duration: s. figures: any figure of the simulator, `gnss_rate=10.0` for the
-    field `rate` of the receiver's errors; `smooth simulate --list` names them all. The same seed gives the same session.
+    field `rate` of the receiver's errors; `smooth simulate --list` names them all. A seed gives the same session always.
     """
     from smoother.sim.simulation import simulate_preset
 
@@ -260,8 +261,8 @@ def write_results(
 ) -> dict[str, object]:
     """Write trajectory.csv, gps.csv, summary.json and report.html into `folder`; return the summary.
 
-    laps: adds laps.csv and the laps of report and trajectory. baseline: adds baseline.csv. The
-    command `smooth` writes the same tables, and figures as files beside them.
+    laps: adds laps.csv and the laps of report and trajectory. baseline: adds baseline.csv. The command `smooth` writes
+    the same tables, and figures as files beside them.
     """
     from smoother.report.files import write_json
     from smoother.report.page import Report, write_page

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from smoother.cli.lap_stage import fix_path
+
 import emulation
 from emulation import build
 from smoother.arrays import Array
-from smoother.cli.lap_stage import fix_path
 from smoother.cli.pipeline import calibrated, read
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import geodetic_to_nwu
