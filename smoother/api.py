@@ -121,7 +121,7 @@ def simulate(
     """Return a simulated session: `raw` is what was recorded, `truth` and `scenario` what was true.
 
     preset: white, kart, kart_harsh, ..; duration: s. figures: any figure of the simulator, `gnss_rate=10.0` for the
-    field `rate` of the receiver's errors; `smooth simulate --list` names them all. A seed gives the same session always.
+    field `rate` of the receiver's errors; `smooth simulate --list` names them all. A seed has one session.
     """
     from smoother.sim.simulation import simulate_preset
 
