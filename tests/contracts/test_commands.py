@@ -55,6 +55,7 @@ def test_check_says_what_is_to_be_mended_with_exit_code_3(short: Path, smooth: A
     assert document["good"] is False and document["reasons"]
 
 
+@pytest.mark.slow
 def test_demo_simulates_a_session_of_the_logger_smooths_it_and_says_where_the_report_is(
     smooth: Any, tmp_path: Path
 ) -> None:
@@ -96,6 +97,7 @@ def test_a_seed_makes_the_same_session_again_and_every_noise_can_be_set(
     assert "gnss.white_horizontal" in listed and "imu.gyro_noise" in listed
 
 
+@pytest.mark.slow
 def test_calibrate_writes_calibration_toml_of_what_was_recorded(smooth: Any, tmp_path: Path) -> None:
     """A box that lies still: the bias of its gyroscope."""
     rng = np.random.default_rng(1)
@@ -114,6 +116,7 @@ def test_calibrate_writes_calibration_toml_of_what_was_recorded(smooth: Any, tmp
     np.testing.assert_allclose(found, bias, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_evaluate_json_has_one_object_per_estimator_with_these_figures(simulated: Path, smooth: Any) -> None:
     document = smooth("evaluate", simulated, "--json").document
     assert list(document) == ["gps", "baseline", "smoother"]
@@ -147,6 +150,7 @@ def test_laps_are_those_of_the_summary_and_of_a_line_that_is_given(
     assert "±" in smooth("laps", drive).out
 
 
+@pytest.mark.slow
 def test_compare_puts_laps_of_several_sessions_on_one_reference_line(
     drive: Path, results: Path, smooth: Any, tmp_path: Path
 ) -> None:
@@ -177,6 +181,7 @@ def test_results_that_are_missing_or_older_than_the_inputs_are_made_again(
     assert written.stat().st_mtime_ns > first
 
 
+@pytest.mark.slow
 def test_compare_smooths_first_what_was_not(
     drive: Path, results: Path, fixes_alone: Path, smooth: Any, tmp_path: Path
 ) -> None:
@@ -210,6 +215,7 @@ def test_commands_take_several_sessions_and_one_that_is_unusable_does_not_stop_t
     assert (tmp_path / "out" / "tuesday" / "trajectory.csv").exists()
 
 
+@pytest.mark.slow
 def test_live_shows_attitude_and_speed_of_a_recording_as_lines_of_json(smooth: Any, tmp_path: Path) -> None:
     made = ["simulate", tmp_path / "k", "--duration", "12", "--format", "klg", "--track", "tinbarn"]
     assert smooth(*made, "--standstill", "2").code == 0
@@ -222,6 +228,7 @@ def test_live_shows_attitude_and_speed_of_a_recording_as_lines_of_json(smooth: A
     assert {"roll_deg", "pitch_deg", "yaw_deg"} <= set(lines[-1]["smoother"] or lines[-1]["madgwick"])
 
 
+@pytest.mark.slow
 def test_batch_smooths_every_session_below_a_folder_and_writes_one_page(
     fixes_alone: Path, smooth: Any, tmp_path: Path
 ) -> None:

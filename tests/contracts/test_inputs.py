@@ -72,6 +72,7 @@ def test_columns_may_be_in_any_order_beside_others_and_packed(
     assert (short / "smoothed" / "trajectory.csv").read_bytes() == (short_results / "trajectory.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_two_rows_that_changed_places_change_nothing(short: Path, short_results: Path, smooth: Any) -> None:
     lines = (short / "gps.csv").read_text().splitlines(keepends=True)
     lines[60], lines[61] = lines[61], lines[60]
@@ -105,6 +106,7 @@ def test_a_bad_row_is_dropped_counted_and_reported_but_never_fatal(
     assert apart(read(fixes_alone / "smoothed" / "trajectory.csv"), read(short_results / "trajectory.csv")) < 3.0
 
 
+@pytest.mark.slow
 def test_samples_that_are_nan_are_dropped_counted_and_reported(short: Path, smooth: Any) -> None:
     lines = (short / "imu.csv").read_text().splitlines(keepends=True)
     for row in (1000, 2000, 3000):
@@ -172,6 +174,7 @@ def test_gps_csv_wins_over_sentences_and_says_so(short: Path, short_results: Pat
     assert (short / "smoothed" / "trajectory.csv").read_bytes() == (short_results / "trajectory.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_lines_of_nmea_may_begin_with_the_receive_time_on_the_imu_s_clock(
     short: Path, short_results: Path, smooth: Any, read: Read
 ) -> None:
@@ -275,6 +278,7 @@ def test_an_unknown_key_is_an_error_that_names_it_and_the_nearest_known_one(
     assert "session.toml" in printed.err and unknown in printed.err and nearest in printed.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", ["mine.geojson#b", "{folder}/mine.geojson#b"])
 def test_a_track_is_a_name_or_a_path_relative_or_absolute_with_the_name_of_one_of_several(
     drive: Path, smooth: Any, tmp_path: Path, stated: str
@@ -303,6 +307,7 @@ def test_a_track_is_a_name_or_a_path_relative_or_absolute_with_the_name_of_one_o
     assert line["left"]["lat_deg"] == pytest.approx(lat, abs=3e-4)
 
 
+@pytest.mark.slow
 def test_of_a_card_with_several_recordings_each_gets_its_folder_or_one_is_chosen(smooth: Any, tmp_path: Path) -> None:
     card = tmp_path / "card"
     card.mkdir()

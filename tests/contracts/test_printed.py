@@ -54,6 +54,7 @@ def test_no_colour_and_no_progress_where_there_is_no_terminal(fixes_alone: Path,
     assert "\x1b" not in printed.out + printed.err and printed.err == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("no_color", [True, False])
 def test_progress_goes_to_stderr_of_a_terminal_with_colour_unless_no_color(simulated: Path, no_color: bool) -> None:
     terminal, other_end = pty.openpty()
@@ -80,6 +81,7 @@ def test_progress_goes_to_stderr_of_a_terminal_with_colour_unless_no_color(simul
     assert (re.search(rb"\x1b\[[0-9;]*3[0-9]", drawn) is not None) != no_color
 
 
+@pytest.mark.slow
 def test_exit_code_1_and_a_traceback_are_for_internal_errors(simulated: Path, tmp_path: Path) -> None:
     """A library that fails as it never should; the error is let through by every layer."""
     code = f"""
@@ -138,6 +140,7 @@ def test_exit_code_2_and_one_line_are_for_unusable_input(
     assert printed.err.count("\n") == 1 and printed.err.startswith("smooth: ")
 
 
+@pytest.mark.slow
 def test_exit_code_3_and_one_line_are_for_results_that_fail_their_gate_and_files_are_written(
     short: Path, smooth: Any
 ) -> None:

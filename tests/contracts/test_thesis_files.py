@@ -48,6 +48,7 @@ def write_out(session: Path, path: Path, flag: bytes, start_ms: int) -> int:
     return len(counts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flag", "start_ms"), [(b"", 0x71 - 2), (b"\x00", 0x595900)], ids=["5.D", "5.E"])
 def test_out_txt_is_read_with_and_without_the_flag_byte_whatever_bytes_its_times_have(
     simulated: Path, short_results: Path, smooth: Any, read: Read, tmp_path: Path, flag: bytes, start_ms: int
@@ -71,6 +72,7 @@ def test_out_txt_is_read_with_and_without_the_flag_byte_whatever_bytes_its_times
         assert np.std(rows[name].to_numpy()) == pytest.approx(np.std(first), rel=0.15), name
 
 
+@pytest.mark.slow
 def test_a_record_that_cannot_be_resolved_is_counted(simulated: Path, smooth: Any, tmp_path: Path) -> None:
     records = write_out(simulated, tmp_path / "out.txt", b"\x00", 1000)
     data = bytearray((tmp_path / "out.txt").read_bytes())
@@ -84,6 +86,7 @@ def test_a_record_that_cannot_be_resolved_is_counted(simulated: Path, smooth: An
     assert any(problem["count"] > 0 and "out.txt" in problem["text"] for problem in document["problems"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["magcalib.txt", "mag_calib.txt"])
 @pytest.mark.parametrize("start", [b"Y", b"YY"])
 @pytest.mark.parametrize("before_each", [True, False])

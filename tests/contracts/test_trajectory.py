@@ -59,6 +59,7 @@ def test_baseline_has_the_same_columns_and_rows_and_an_own_estimate(
     assert 0.1 < rms(apart) < 30.0
 
 
+@pytest.mark.slow
 def test_rows_run_from_the_first_to_the_last_fix_at_the_rate_without_a_hole_through_outages(
     short: Path, smooth: Any, read: Read
 ) -> None:
@@ -185,6 +186,7 @@ def test_times_are_on_the_clock_of_the_imu_so_that_a_truth_on_it_compares_direct
         assert rms(column(trajectory, name) - at_times(t - 0.1, truth, name)) > 0.6
 
 
+@pytest.mark.slow
 def test_a_session_whose_clock_starts_later_has_the_same_result_later(
     short: Path, short_results: Path, smooth: Any, read: Read
 ) -> None:
@@ -264,6 +266,7 @@ def test_truth_is_never_read_by_the_smoother(short: Path, short_results: Path, s
         assert (short / "smoothed" / name).read_bytes() == (short_results / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_the_other_solver_gives_the_same_trajectory(short: Path, short_results: Path, smooth: Any, read: Read) -> None:
     assert smooth(short, "--solver", "isam2", *TABLES_ONLY).code == 0
     rows, wanted = read(short / "smoothed" / "trajectory.csv"), read(short_results / "trajectory.csv")
