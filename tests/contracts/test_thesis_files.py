@@ -72,6 +72,14 @@ def test_out_txt_is_read_with_and_without_the_flag_byte_whatever_bytes_its_times
         assert np.std(rows[name].to_numpy()) == pytest.approx(np.std(first), rel=0.15), name
 
 
+def test_counts_are_of_4_g_and_500_degrees_a_second_at_full_scale(simulated: Path, smooth: Any, tmp_path: Path) -> None:
+    """Smoothing would see through a wrong unit, so `check` is asked for the slow force and turn rate."""
+    write_out(simulated, tmp_path / "out.txt", b"", 1000)
+    found, wanted = (smooth("check", path, "--json").document["measures"] for path in (tmp_path, simulated))
+    for name in ("slow_force_mps2", "slow_turn_rate_dps"):
+        assert found[name] == pytest.approx(wanted[name], rel=0.1), name
+
+
 @pytest.mark.slow
 def test_a_record_that_cannot_be_resolved_is_counted(simulated: Path, smooth: Any, tmp_path: Path) -> None:
     records = write_out(simulated, tmp_path / "out.txt", b"\x00", 1000)
