@@ -1,6 +1,7 @@
 # Everything a fresh clone needs is `make demo` and `make test`; only Python 3.11 to 3.14 must be there.
 #   make demo    simulate a kart session, smooth it, say where the report is
 #   make test    run every test
+#   make test-fast  those to run every few minutes: contracts, readers, mathematics, layers; under a minute
 #   make lint    style and types
 #   make bench   the measurements behind the README's tables (minutes)
 #   make picture the README's picture, from the demo
@@ -20,6 +21,9 @@ DEMO ?= demo
 JOBS ?= 2
 EMULATED_SECONDS ?= 180
 CONTAINER ?= docker
+# what make test-fast runs, without tests that are marked slow; CONTRIBUTING.md has the rule
+FAST_TESTS := tests/contracts tests/session $(filter-out tests/test_readme.py tests/test_wheel.py,$(wildcard tests/test_*.py)) \
+	$(addprefix tests/estimate/graph/test_,inertial.py preintegration.py rows.py state.py)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # tests start the command over and over: what a process has compiled the next ones need not
@@ -27,7 +31,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # of a hundred packages few modules are imported, which are compiled then: half a minute less
 WHAT_TESTS_NEED := --quiet --disable-pip-version-check --no-compile
 
-.PHONY: demo test lint bench picture notebooks firmware emulate install-check bounds audit dependencies container clean
+.PHONY: demo test test-fast lint bench picture notebooks firmware emulate install-check bounds audit dependencies container clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -35,6 +39,9 @@ demo: $(VENV)/for-running
 test: $(VENV)/for-testing
 	@sh .ci/packages.sh
 	$(BIN)/python -m pytest -n $(JOBS)
+
+test-fast: $(VENV)/for-testing
+	$(BIN)/python -m pytest -n $(JOBS) -m "not slow" $(FAST_TESTS)
 
 lint: $(VENV)/for-linting
 	$(BIN)/ruff check

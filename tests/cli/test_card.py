@@ -30,13 +30,6 @@ def card(tmp_path: Path, drives: list[bytes]) -> Path:
     return tmp_path
 
 
-def test_every_recording_of_a_card_is_smoothed_into_its_own_folder(card: Path, capsys: Captured) -> None:
-    assert run([str(card), *QUICK]) == 0
-    for name in ("LOG00001", "LOG00002"):
-        assert (card / "smoothed" / name / "trajectory.csv").exists()
-    assert "2 recordings (1 LOG00001.KLG, 2 LOG00002.KLG)" in capsys.readouterr().err
-
-
 def test_one_recording_is_chosen_by_its_number_or_its_file(card: Path, tmp_path: Path, capsys: Captured) -> None:
     assert run([str(card), "--recording", "2", "--json", *QUICK]) == 0
     assert json.loads(capsys.readouterr().out)["session"]["name"] == "LOG00002"

@@ -14,21 +14,6 @@ from smoother.session.load import load_raw
 Captured = pytest.CaptureFixture[str]
 
 
-def test_check_says_good_with_its_reasons(simulated: Path, capsys: Captured) -> None:
-    assert run(["check", str(simulated)]) == 0
-    lines = capsys.readouterr().out.rstrip("\n").splitlines()
-    assert lines[-1] == "GOOD TO DRIVE"
-    assert any("samples a second" in line for line in lines)
-
-
-def test_check_says_what_has_to_be_mended_with_exit_code_3(monday: Path, capsys: Captured) -> None:
-    (monday / "imu.csv").unlink()
-    assert run(["check", str(monday)]) == 3
-    assert (
-        capsys.readouterr().out.rstrip("\n").splitlines()[-1].startswith("NOT GOOD TO DRIVE: no usable motion sensor")
-    )
-
-
 def test_check_does_not_call_a_second_of_recording_good(monday: Path, capsys: Captured) -> None:
     for name, rows in (("imu.csv", 200), ("gps.csv", 6)):
         lines = (monday / name).read_text().splitlines(keepends=True)
@@ -88,17 +73,6 @@ def test_check_json_has_verdict_findings_and_numbers(simulated: Path, tmp_path: 
     assert [sorted(document)[0] for document in json.loads(capsys.readouterr().out)] == ["findings", "error"]
 
 
-def test_evaluate_compares_gps_baseline_and_smoother(simulated: Path, capsys: Captured) -> None:
-    assert run(["evaluate", str(simulated), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert list(document) == ["gps", "baseline", "smoother"]
-    wanted = {"horizontal_rms_m", "up_rms_m", "velocity_rms_mps", "roll_rms_deg", "pitch_rms_deg", "yaw_rms_deg"}
-    for figures in document.values():
-        assert wanted | {"relative_1s_rms_m", "coverage_1sigma", "nees"} <= set(figures)
-    assert document["smoother"]["horizontal_rms_m"] < document["gps"]["horizontal_rms_m"]
-    assert not (simulated / "smoothed").exists()
-
-
 def test_evaluate_prints_a_table(simulated: Path, capsys: Captured) -> None:
     assert run(["evaluate", str(simulated), "--skip", "5"]) == 0
     text = capsys.readouterr().out
@@ -114,32 +88,6 @@ def test_evaluate_asks_about_a_truth_of_another_time(monday: Path, simulated: Pa
     shutil.copy(simulated / "truth.csv", monday)
     assert run(["evaluate", str(monday)]) == 0
     assert "lie outside" not in capsys.readouterr().err
-
-
-def test_evaluate_without_truth_is_one_line(monday: Path, capsys: Captured) -> None:
-    (monday / "truth.csv").unlink()
-    assert run(["evaluate", str(monday)]) == 2
-    output = capsys.readouterr()
-    assert "no truth.csv" in output.err
-    assert output.err.count("\n") == 1
-
-
-def test_the_demo_ends_with_the_report_of_a_smoothed_session(tmp_path: Path, capsys: Captured) -> None:
-    directory = tmp_path / "demo"
-    for _ in range(2):  # a second demo writes over the first
-        assert run(["demo", str(directory), "--duration", "30"]) == 0
-        last = capsys.readouterr().out.rstrip("\n").splitlines()[-1]
-        assert last == str(directory / "smoothed" / "report.html")
-        assert Path(last).exists()
-    assert {"LOG00002.KLG", "truth.csv", "smoothed"} <= {path.name for path in directory.iterdir()}
-
-
-def test_the_same_seed_writes_the_same_session(tmp_path: Path) -> None:
-    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
-        assert run(["simulate", str(tmp_path / name), "--duration", "10", "--seed", seed]) == 0
-    first, same, other = ((tmp_path / name / "imu.csv").read_bytes() for name in "abc")
-    assert first == same
-    assert first != other
 
 
 def test_settings_reach_the_simulation(tmp_path: Path) -> None:

@@ -35,35 +35,6 @@ def line_of(track: str) -> str:
     return ";".join(f"{lat:.9f},{lon:.9f}" for lat, lon in TRACKS[track].start_line_deg)
 
 
-def test_laps_are_those_of_the_truth_within_their_sigmas(lapped: Path) -> None:
-    laps = pl.read_csv(lapped / "saturday" / "smoothed" / "laps.csv")
-    true = pl.read_csv(lapped / "saturday" / "truth_laps.csv")
-    timed = laps.filter(pl.col("lap_time_s").is_not_null())
-    assert timed["lap"].to_list() == true["lap"].to_list()
-    assert timed["valid"].all()
-    error = (timed["lap_time_s"] - true["lap_time_s"]).abs()
-    assert (error < 4.0 * timed["lap_time_sigma_s"]).all()
-    assert error.max() < 0.2  # s; the fixes alone are 2.5 m unsure at 15 m/s
-
-
-def test_every_row_of_the_trajectory_says_its_lap(lapped: Path) -> None:
-    folder = lapped / "saturday" / "smoothed"
-    rows, laps = pl.read_csv(folder / "trajectory.csv"), pl.read_csv(folder / "laps.csv")
-    assert laps.height > 2
-    for lap in laps.iter_rows(named=True):
-        inside = rows.filter((pl.col("t_s") > lap["start_s"]) & (pl.col("t_s") < lap["end_s"]))
-        assert inside["lap"].unique().to_list() == [lap["lap"]]
-
-
-def test_json_and_summary_hold_the_same_laps(lapped: Path, capsys: Captured) -> None:
-    assert run(["laps", str(lapped / "saturday"), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    summary = json.loads((lapped / "saturday" / "smoothed" / "summary.json").read_text())
-    assert document["laps"] == summary["laps"]
-    assert document["lap_analysis"] == summary["lap_analysis"]
-    assert document["lap_analysis"]["track"] == "tinbarn"
-
-
 def test_a_typed_line_a_track_file_and_a_known_track_are_the_same_line(
     lapped: Path, tmp_path: Path, capsys: Captured
 ) -> None:

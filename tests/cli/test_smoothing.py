@@ -3,15 +3,12 @@
 import hashlib
 import json
 import os
-import pty
-import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import pytest
 
@@ -23,57 +20,8 @@ TABLES_ONLY = ["--no-figures", "--no-baseline"]
 Captured = pytest.CaptureFixture[str]
 
 
-def refuse(constant: str) -> None:
-    raise AssertionError(f"{constant} is not JSON")
-
-
 def contents(directory: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in directory.iterdir() if path.is_file()}
-
-
-def test_a_session_ends_as_tables_figures_and_a_summary_and_keeps_its_files(monday: Path, capsys: Captured) -> None:
-    before = contents(monday)
-    assert run([str(monday)]) == 0
-    output = capsys.readouterr()
-    out = monday / "smoothed"
-    assert contents(monday) == before
-    assert {path.name for path in out.iterdir()} == {
-        "trajectory.csv",
-        "baseline.csv",
-        "gps.csv",
-        "laps.csv",
-        "summary.json",
-        "report.html",
-        "figures",
-    }
-    last = output.out.rstrip("\n").splitlines()[-1]
-    assert last == str(out / "report.html")
-    assert Path(last).stat().st_size > 10_000
-    assert "\x1b" not in output.out + output.err  # no colours and no progress where there is no terminal
-
-
-def test_the_trajectory_covers_the_fixes_at_the_asked_rate_without_a_hole(monday: Path) -> None:
-    assert run([str(monday), "--rate", "20", *TABLES_ONLY]) == 0
-    rows = pl.read_csv(monday / "smoothed" / "trajectory.csv")
-    fixes = pl.read_csv(monday / "gps.csv")
-    t = rows["t_s"].to_numpy()
-    np.testing.assert_allclose(np.diff(t), 0.05, atol=2e-6)
-    assert t[0] == pytest.approx(fixes["t_s"][0], abs=1e-6)
-    assert fixes["t_s"][-1] - t[-1] < 0.05
-    for name in ("lat_deg", "lon_deg", "alt_m", "north_m", "west_m", "up_m", "speed_mps", "sigma_north_m"):
-        assert np.isfinite(rows[name].to_numpy()).all(), name
-
-
-def test_json_is_the_summary_and_nothing_else(monday: Path, capsys: Captured) -> None:
-    assert run([str(monday), "--json", *TABLES_ONLY]) == 0
-    printed = json.loads(capsys.readouterr().out, parse_constant=refuse)
-    written = json.loads((monday / "smoothed" / "summary.json").read_text(), parse_constant=refuse)
-    assert printed == written
-    assert printed["quality"]["passed"] is True
-    assert printed["counts"]["rows"] == pl.read_csv(monday / "smoothed" / "trajectory.csv").height
-    assert {"reading", "smoothing", "writing"} <= set(printed["timings"])
-    for name in ("gps_position_latency", "gps_velocity_latency", "lever_arm_b", "R_bs"):
-        assert set(printed["identified"][name]) == {"value", "sigma", "unit", "observable", "source"}
 
 
 def test_results_that_no_longer_hold_do_not_stay_behind(monday: Path, capsys: Captured) -> None:
@@ -102,24 +50,6 @@ def test_what_is_removed_of_an_earlier_run_is_said_and_leaves_no_empty_folder(mo
     assert not (out / "figures").exists()
     assert run([str(monday), *TABLES_ONLY]) == 0
     assert capsys.readouterr().err == ""
-
-
-def test_one_file_of_a_session_stands_for_it(monday: Path, tmp_path: Path) -> None:
-    out = tmp_path / "elsewhere" / "deep"
-    assert run([str(monday / "gps.csv"), "--out", str(out), *TABLES_ONLY]) == 0
-    assert (out / "trajectory.csv").exists()
-    assert not (monday / "smoothed").exists()
-
-
-def test_fixes_alone_are_smoothed_as_such_and_said_so(monday: Path, capsys: Captured) -> None:
-    (monday / "imu.csv").unlink()
-    (monday / "mag.csv").unlink()
-    assert run([str(monday), "--json", *TABLES_ONLY]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["mode"] == "gps-only"
-    assert any("GPS alone" in problem["text"] for problem in document["problems"])
-    attitude = pl.read_csv(monday / "smoothed" / "trajectory.csv")["yaw_deg"].to_numpy()
-    assert np.isnan(attitude).all()
 
 
 def test_fixes_alone_show_nothing_of_a_box_that_was_not_used(monday: Path, capsys: Captured) -> None:
@@ -279,26 +209,6 @@ def test_a_locked_card_sends_its_results_to_the_working_directory(
 
 
 @pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda d: [path.unlink() for path in d.iterdir()],
-        lambda d: (d / "gps.csv").write_text(""),
-        lambda d: (d / "gps.csv").write_text("t_s,lat_deg\n1,2\n"),
-        lambda d: (d / "gps.csv").write_text("t_s,lat_deg,lon_deg\n1,nan,2\n"),
-        lambda d: (d / "session.toml").write_text("[mounting]\nlever_arm = [1, 2, 3]\n"),
-        lambda d: (d / "calibration.toml").write_text("not toml"),
-    ],
-)
-def test_unusable_input_is_one_line_on_stderr_and_exit_code_2(monday: Path, capsys: Captured, spoil: object) -> None:
-    spoil(monday)  # type: ignore[operator]
-    assert run([str(monday), "--json"]) == 2
-    output = capsys.readouterr()
-    assert output.out == ""
-    assert output.err.count("\n") == 1
-    assert output.err.startswith("smooth: ")
-
-
-@pytest.mark.parametrize(
     "command", [[], ["check"], ["laps"], ["evaluate"]], ids=lambda words: " ".join(words) or "smooth"
 )
 @pytest.mark.parametrize(
@@ -366,19 +276,6 @@ def test_a_session_that_is_named_by_several_paths_is_smoothed_once_and_said_to_b
     assert capsys.readouterr().err.splitlines() == ["smooth: other/monday: named 2 times; taken once"]
 
 
-def test_an_unusable_session_does_not_keep_the_others_from_being_smoothed(
-    monday: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    empty, out = tmp_path / "empty", tmp_path / "out"
-    empty.mkdir()
-    assert run([str(empty), str(monday), "--out", str(out), "--json", *TABLES_ONLY]) == 2
-    output = capsys.readouterr()
-    first, second = json.loads(output.out)
-    assert "no recording found" in first["error"]
-    assert second["quality"]["passed"] is True
-    assert (out / "monday" / "trajectory.csv").exists()
-
-
 def test_a_result_that_fails_its_gate_is_written_said_and_exit_code_3(
     monday: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
@@ -411,33 +308,6 @@ def test_a_title_cannot_give_orders_to_the_terminal(monday: Path, capsys: Captur
 
 def console_script() -> str:
     return str(Path(sys.executable).parent / "smooth")
-
-
-@pytest.mark.parametrize("no_color", [True, False])
-def test_progress_is_drawn_on_a_terminal_and_only_on_stderr(simulated: Path, no_color: bool) -> None:
-    terminal, other_end = pty.openpty()
-    environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm-256color"}
-    environment |= {"NO_COLOR": "1"} if no_color else {}
-    command = [console_script(), "check", str(simulated), "--json"]  # the quickest command that draws
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=other_end, env=environment) as process:
-        os.close(other_end)
-        drawn = b""
-        while True:
-            try:
-                block = os.read(terminal, 4096)
-            except OSError:  # how Linux says that the other end is closed
-                break
-            drawn += block
-            if not block:
-                break
-        assert process.stdout is not None
-        printed = process.stdout.read()
-    os.close(terminal)
-    assert process.returncode == 0
-    json.loads(printed)
-    assert b"reading" in drawn
-    coloured = re.search(rb"\x1b\[[0-9;]*3[0-9]", drawn) is not None
-    assert coloured != no_color
 
 
 def test_a_reader_that_closes_the_pipe_is_no_error() -> None:

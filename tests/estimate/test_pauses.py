@@ -196,8 +196,7 @@ def rms(values: Array) -> float:
 HOUR, SEVERAL = ((80.0, 3600.0),), ((50.0, 900.0), (80.0, 120.0), (110.0, 7200.0))
 
 
-@pytest.mark.parametrize("solver", ["batch", "isam2"])
-@pytest.mark.parametrize("pauses", [HOUR, SEVERAL])
+@pytest.mark.parametrize(("pauses", "solver"), [(SEVERAL, "batch"), (HOUR, "isam2")])
 def test_beside_a_pause_the_result_is_as_good_as_without(pauses: tuple[tuple[float, float], ...], solver: str) -> None:
     part, everything = smoothed(*pauses, solver=solver), smoothed()
     assert part.found.report.mode == "full"

@@ -45,20 +45,6 @@ def monday(smoothed: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(smoothed, tmp_path / "monday"))
 
 
-@pytest.mark.parametrize("form", FORMAT_NAMES)
-def test_every_format_is_one_file_beside_the_results_and_its_path_the_last_line(
-    monday: Path, capsys: Captured, form: str
-) -> None:
-    before = {path: path.stat().st_mtime_ns for path in monday.rglob("*") if path.is_file()}
-    assert run(["export", str(monday), form]) == 0
-    path = Path(capsys.readouterr().out.rstrip("\n").splitlines()[-1])
-    assert path == monday / "smoothed" / f"monday{BY_NAME[form].ending}"
-    assert path.stat().st_size > 10_000
-    new = {other for other in monday.rglob("*") if other.is_file()} - set(before)
-    assert new == ({path, path.with_suffix(".ldx")} if form == "motec" else {path})
-    assert all(path.stat().st_mtime_ns == time for path, time in before.items())
-
-
 def test_the_names_on_the_command_line_are_those_of_the_formats() -> None:
     assert set(FORMAT_NAMES) == set(BY_NAME)
 
@@ -78,24 +64,6 @@ def test_out_and_rate_choose_the_place_and_the_rows(monday: Path, tmp_path: Path
     np.testing.assert_allclose(np.diff(gnss.t), 0.1, atol=2e-3)
     assert run(["export", str(monday), "gpx", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "monday.gpx").exists()
-
-
-def test_the_export_of_a_recording_without_results_smooths_it_first(monday: Path, capsys: Captured) -> None:
-    shutil.rmtree(monday / "smoothed")
-    assert run(["export", str(monday), "tum"]) == 0
-    assert (monday / "smoothed" / "monday.tum").exists() and (monday / "smoothed" / "trajectory.csv").exists()
-
-
-def test_results_older_than_the_recording_are_made_again(monday: Path, capsys: Captured) -> None:
-    trajectory = monday / "smoothed" / "trajectory.csv"
-    assert run(["export", str(monday), "tum"]) == 0
-    written = trajectory.stat().st_mtime_ns
-    (monday / "session.toml").write_text('[session]\ntitle = "Später"\n')
-    later = trajectory.stat().st_mtime + 5.0
-    os.utime(monday / "session.toml", (later, later))
-    assert run(["export", str(monday), "gpx"]) == 0
-    assert trajectory.stat().st_mtime_ns > written
-    assert "<name>Später</name>" in (monday / "smoothed" / "monday.gpx").read_text(encoding="utf-8")
 
 
 def test_another_recording_in_the_same_folder_has_results_of_its_own(monday: Path, capsys: Captured) -> None:

@@ -17,12 +17,6 @@ from smoother.trajectory import FixResiduals, Trajectory
 from smoother.units import DEG
 from smoother.utc_clock import UtcClock
 
-CONTRACT = (
-    "t_s,utc,lat_deg,lon_deg,alt_m,north_m,west_m,up_m,vel_north_mps,vel_west_mps,vel_up_mps,speed_mps,"
-    "roll_deg,pitch_deg,yaw_deg,accel_forward_mps2,accel_left_mps2,accel_up_mps2,yaw_rate_dps,sigma_north_m,"
-    "sigma_west_m,sigma_up_m,sigma_vel_north_mps,sigma_vel_west_mps,sigma_vel_up_mps,sigma_speed_mps,"
-    "sigma_roll_deg,sigma_pitch_deg,sigma_yaw_deg,sigma_track_m,lap,lap_distance_m"
-)
 ORIGIN = Origin(45.0, 12.0, 30.0)
 
 
@@ -33,13 +27,6 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def column(path: Path, name: str) -> np.ndarray:
     return np.array([float(row[name]) for row in rows(path)])
-
-
-def test_trajectory_has_the_columns_of_the_contract_in_its_order(tmp_path: Path, trajectory: Trajectory) -> None:
-    path = tmp_path / "trajectory.csv"
-    write_trajectory(path, trajectory, ORIGIN, UtcClock(0.0, 1.7e9))
-    assert ",".join(rows(path)[0]) == CONTRACT
-    assert len(rows(path)) == len(trajectory)
 
 
 def test_every_column_holds_its_quantity_in_its_unit(tmp_path: Path, trajectory: Trajectory) -> None:

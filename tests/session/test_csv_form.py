@@ -566,6 +566,7 @@ def test_one_odd_cell_changes_no_number_of_another_row(tmp_path: Path, cell: str
 _CSV_BYTES = gps_table(gps_rows(30)).encode()
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_random_damage_raises_nothing_but_a_session_error(tmp_path: Path, data: st.DataObject) -> None:

@@ -79,18 +79,6 @@ def test_positions_stay_good_to_centimetres() -> None:
     assert np.sqrt(np.mean(np.square(ratios))) < 2.2
 
 
-@pytest.mark.parametrize("rate", [2.0, 5.0])
-def test_fixes_that_come_more_rarely_are_as_good(rate: float) -> None:
-    """What a kart does between two of them is no noise of theirs."""
-    ratios = []
-    for seed in (3, 4, 5):
-        rarely = simulate_preset("kart", seed, duration=DURATION, **{**CENTIMETRES, "gnss_rate": rate})
-        given = prepare(rarely.raw)
-        assert make_start(given, GraphOptions()).noise.offset_most[0] < 0.05
-        ratios.append(off(GraphSmoother().estimate(given), given, rarely)[1])
-    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 2.2  # 0.1 where nobody believes it
-
-
 @pytest.mark.parametrize("rate", [2.0, 5.0, 10.0])
 def test_an_accuracy_that_the_fixes_contradict_is_not_believed(rate: float) -> None:
     simulation = simulate_preset("kart", 3, duration=DURATION, gnss_rate=rate, gnss_outages=())

@@ -78,9 +78,3 @@ def test_the_constants_of_the_stream_are_those_identified(solutions: tuple[Traje
         assert (found.observable, found.source) == (expected.observable, expected.source)
         difference = np.abs(np.asarray(found.value) - np.asarray(expected.value))
         assert np.all(difference < 0.5 * np.asarray(expected.sigma)), key
-
-
-def test_quick_fixes_without_speeds_are_streamed_too() -> None:
-    """They tell velocities by their differences alone, for which the digits of a Cholesky factor do not suffice."""
-    raw = simulate_preset("kart", 1, track="tinbarn", duration=20.0, gnss_rate=25.0, gnss_velocity=False).raw
-    assert GraphSmoother(GraphOptions(solver="isam2")).estimate(prepare(raw)).report.mode == "full"
