@@ -25,7 +25,10 @@ from typing import Protocol
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import golden_continuity
+import golden_recordings
 import golden_simulated
+import golden_thinned
 from golden_command import Bench, Command
 from golden_tables import (
     Columns,
@@ -43,6 +46,8 @@ ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "tests" / "golden"
 FIRST, PRESENT = "first_edition", "present"
 COSTS = "costs"
+RECORDED = frozenset({"recordings", "thinned", "continuity_recordings"})  # tables that need SMOOTH_DATA
+DERIVED = {"thinned": golden_thinned.over_phases}  # rows made of other rows of a table
 DATA = Path(os.environ.get("SMOOTH_DATA", ROOT.parent / "shared" / "data"))
 
 
@@ -75,9 +80,16 @@ class Done:
     cost: Columns
 
 
-def jobs_of(data: Path | None) -> dict[str, tuple[Job, ...]]:
-    """Return all jobs by table; those of recordings only where there are any."""
-    return {"simulated": golden_simulated.SESSIONS}
+def jobs_of(recorded: bool) -> dict[str, tuple[Job, ...]]:
+    """Return all jobs by table; those of recordings if wanted."""
+    jobs: dict[str, tuple[Job, ...]] = {
+        "simulated": golden_simulated.SESSIONS,
+        "continuity": golden_continuity.SIMULATED,
+        "recordings": golden_recordings.RECORDINGS,
+        "thinned": golden_thinned.SESSIONS,
+        "continuity_recordings": golden_continuity.RECORDED,
+    }
+    return {table: some for table, some in jobs.items() if recorded or table not in RECORDED}
 
 
 def default_bench(smooth: Path | None = None) -> Bench:
@@ -88,7 +100,7 @@ def default_bench(smooth: Path | None = None) -> Bench:
 
 def run_job(bench: Bench, table: str, name: str) -> Done:
     """Run one job in a folder of its own."""
-    job = next(job for job in jobs_of(bench.recordings)[table] if job.name == name)
+    job = next(job for job in jobs_of(recorded=True)[table] if job.name == name)
     bench.cache.mkdir(parents=True, exist_ok=True)
     command = Command(bench.command.smooth)
     with tempfile.TemporaryDirectory(dir=bench.cache) as work:
@@ -112,11 +124,14 @@ def run_all(bench: Bench, wanted: Sequence[tuple[str, str]], processes: int) -> 
 
 def tables_of(done: Iterable[Done]) -> dict[str, Texts]:
     """Return the texts of every table, costs included."""
-    tables: dict[str, Texts] = {}
+    rows: dict[str, Rows] = {}
     for one in done:
-        tables.setdefault(one.table, {}).update(texts_of(one.rows))
-        tables.setdefault(COSTS, {}).update(texts_of({f"{one.table}.{one.job}": one.cost}))
-    return tables
+        rows.setdefault(one.table, {}).update(one.rows)
+        rows.setdefault(COSTS, {})[f"{one.table}.{one.job}"] = one.cost
+    for table, derive in DERIVED.items():
+        if table in rows:
+            rows[table] |= derive(rows[table])
+    return {table: texts_of(some) for table, some in rows.items()}
 
 
 def compare(folder: Path, tables: dict[str, Texts], rows: dict[str, set[str]]) -> int:
@@ -128,13 +143,14 @@ def compare(folder: Path, tables: dict[str, Texts], rows: dict[str, set[str]]) -
             print(f"{table}: nothing stored at {path.relative_to(STORED.parent)}")
             continue
         before, tolerances = read_table(path)
-        found = changes(before, tables.get(table, {}), tolerances, rows[table])
+        wanted = rows[table] | {row for row, _ in tables.get(table, {})}
+        found = changes(before, tables.get(table, {}), tolerances, wanted)
         worse = beyond(found)
         count += len(worse)
         print(f"\n{table}: {len(worse)} values beyond their tolerance, {len(found) - len(worse)} moved within it")
         for change in worse:
             print(f"  {change}")
-        kept = {key: text for key, text in before.items() if key[0] in rows[table]}
+        kept = {key: text for key, text in before.items() if key[0] in wanted}
         for line in summary(found, kept):
             print(f"    {line}")
     return count
@@ -169,7 +185,7 @@ def main() -> None:
     parser.add_argument("--write", nargs="?", const=PRESENT, choices=(PRESENT, FIRST), help="store the tables")
     arguments = parser.parse_args()
     bench = default_bench(arguments.smooth)
-    every = jobs_of(bench.recordings)
+    every = jobs_of(recorded=bench.recordings is not None)
     names = arguments.only.split(",") if arguments.only else list(every)
     if unknown := set(names) - every.keys():
         parser.error(f"no such table: {', '.join(sorted(unknown))}; there are {', '.join(every)}")

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
 from golden_command import Array
 
 STEP = 15.0  # m between stations

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+
 from golden_command import Array, Bench, Outcome, Table, columns, read_table
 from golden_laps import change_of_line, crossings, lap_times
 from golden_tables import Columns
-from scipy.optimize import minimize_scalar
 
 OPTIONS = ("--json", "--no-baseline", "--no-figures")
 RESULTS = "smoothed"
@@ -31,23 +32,24 @@ LARGEST_LAG = 1.0  # s, between a trajectory and a reference
 TRUE_FIGURES = {"gps_position_latency": "gnss.position_latency", "gps_velocity_latency": "gnss.velocity_latency"}
 
 
-def smooth(bench: Bench, folder: Path) -> Outcome:
-    """Smooth a session into its own folder of results."""
-    return bench.command(folder.name, *OPTIONS, folder=folder.parent)
+def smooth(bench: Bench, folder: Path, file: str = "") -> Outcome:
+    """Smooth a session, or a file of it, into its own folder of results."""
+    return bench.command(Path(folder.name) / file, *OPTIONS, folder=folder.parent)
 
 
-def run_columns(bench: Bench, folder: Path) -> tuple[Columns, Outcome]:
-    """Smooth, check and time the laps of a session; return all columns that need no reference."""
-    outcome = smooth(bench, folder)
+def run_columns(bench: Bench, folder: Path, file: str = "") -> tuple[Columns, Outcome]:
+    """Smooth, check and time the laps of a session, or a file of it; return all columns that need no reference."""
+    outcome = smooth(bench, folder, file)
     found = outcome_columns(outcome)
-    check = bench.command("check", "--json", folder.name, folder=folder.parent)
+    session = Path(folder.name) / file
+    check = bench.command("check", "--json", session, folder=folder.parent)
     found["check.exit"] = check.code
     found["check.good"] = str(check.document.get("good", "-"))
     if not has_results(folder):
         return found, outcome
     found |= summary_columns(outcome.document)
     found |= sigma_columns(read_table(folder / RESULTS / "trajectory.csv"))
-    laps = bench.command("laps", "--json", folder.name, folder=folder.parent)
+    laps = bench.command("laps", "--json", session, folder=folder.parent)
     found["laps.exit"] = laps.code
     found |= lap_columns(laps.document, folder)
     return found, outcome
@@ -129,18 +131,22 @@ def lap_columns(document: Mapping[str, Any], folder: Path) -> Columns:
         found[f"lap.{lap['lap']:02d}.time"] = float(lap["lap_time_s"])
         if lap["lap_time_sigma_s"] is not None:
             found[f"lap.{lap['lap']:02d}.time.sigma"] = float(lap["lap_time_sigma_s"])
-    starts, ends = ([float(lap[key]) for lap in valid] for key in ("start_s", "end_s"))
+    starts, ends = (np.array([float(lap[key]) for lap in valid]) for key in ("start_s", "end_s"))
+    return found | line_columns(folder, starts, ends)
+
+
+def line_columns(folder: Path, starts: Array, ends: Array) -> Columns:
+    """How much the line changes from a lap to the next, smoothed and raw, m; laps from starts to ends (L,) s."""
+    found: Columns = {}
     for name, file in (("smoothed", "trajectory.csv"), ("raw", "gps.csv")):
         table = read_table(folder / RESULTS / file)
-        change = change_of_line(table["t_s"], columns(table, "north_m", "west_m"), np.array(starts), np.array(ends))
+        change = change_of_line(table["t_s"], columns(table, "north_m", "west_m"), starts, ends)
         if change is not None:
             found[f"line_change.{name}"] = change
     return found
 
 
-def truth_columns(
-    trajectory: Table, truth: Table, summary: Mapping[str, Any], *, fit_lag: bool = False
-) -> Columns:
+def truth_columns(trajectory: Table, truth: Table, summary: Mapping[str, Any], *, fit_lag: bool = False) -> Columns:
     """Errors against a truth, and the shares of them within 1 and 2 reported sigma.
 
     fit_lag: the truth's clock is not the session's; positions and velocities are compared each at the lag (s, of the

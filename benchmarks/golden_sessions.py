@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+
 from golden_command import ENVIRONMENT, Array, Bench, link_files
 
 SIMULATOR = Path(__file__).resolve().parents[1] / "smoother" / "sim"

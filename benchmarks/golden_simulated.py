@@ -63,7 +63,7 @@ SESSIONS = (
     _session("white_tinbarn_no_mag", "white", "tinbarn", 3, 300, "--no-mag"),
     _session("kart_larkfield", "kart", "larkfield", 1, 600),
     _session("kart_tinbarn", "kart", "tinbarn", 2, 400, quick=True),
-    _session("kart_longmeadow_no_mag", "kart", "longmeadow", 3, 400, "--no-mag", quick=True),
+    _session("kart_longmeadow_no_mag", "kart", "longmeadow", 3, 400, "--no-mag"),
     _session("kart_tinbarn_no_speed", "kart", "tinbarn", 4, 400, "--no-speed"),
     _session("kart_larkfield_holes", "kart", "larkfield", 5, 300, *HOLES),
     _session("kart_longmeadow_no_imu", "kart", "longmeadow", 6, 600, "--no-imu", "--no-mag", quick=True),

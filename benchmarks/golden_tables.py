@@ -39,11 +39,13 @@ TOLERANCES: tuple[tuple[str, float, float], ...] = (
     ("residual.*", 0.04, 0.005),
     ("problem.*", 0.05, 1.0),
     ("change.*", 0.2, 0.05),
+    ("ratio.*", 0.02, 0.0),
     ("fixes_used", 0.005, 0.0),
     ("duration", 0.0, 0.05),
     ("distance", 0.003, 1.0),
 )
 DIGITS = 4  # significant, of every number
+SMALLEST = 1e-6  # a figure below it is rounding
 HEAD = "# column  relative  absolute"
 
 
@@ -93,7 +95,7 @@ def text_of(value: Value) -> str:
         return " ".join(value.split()) or "-"
     if isinstance(value, int):
         return str(value)
-    return f"{value + 0.0:.{DIGITS}g}" if value else "0"
+    return "0" if abs(value) < SMALLEST else f"{value:.{DIGITS}g}"
 
 
 def texts_of(rows: Mapping[str, Mapping[str, Value]]) -> Texts:
