@@ -15,6 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Table = Mapping[str, Array]
 
 ENVIRONMENT = {

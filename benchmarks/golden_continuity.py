@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from golden_command import Array, Bench, Outcome, Table, columns, link_files, read_table
+from golden_command import Bench, Outcome, Table, columns, link_files, read_table
 from golden_measures import RESULTS, difference, has_results, resampled, smooth
-from golden_sessions import Edit, copy_of_simulated, edit_column, edit_csv, keep_rows, simulated
+from golden_sessions import Edit, copy_of_simulated, edit_column, edit_csv, keep_rows, set_columns, simulated
 from golden_tables import Columns, Rows
 from golden_thinned import kept_fixes, with_one_more
 
@@ -69,9 +69,7 @@ def turn_box(folder: Path) -> None:
         ("mag.csv", ("mx", "my", "mz")),
     ):
         for path in _present(folder, file):
-            turned = columns(read_table(path), *names) @ turn.T
-            for i, name in enumerate(names):
-                edit_csv(path, edit_column(name, lambda _, values=turned[:, i]: values, 9))
+            edit_csv(path, set_columns(names, columns(read_table(path), *names) @ turn.T, 9))
 
 
 def reorder_columns(folder: Path) -> None:
@@ -201,7 +199,7 @@ def _thin(folder: Path, interval: float | None, more: bool) -> None:
     if interval is None:
         return
     fixes = read_table(folder / "gps.csv")
-    kept: Array = kept_fixes(fixes, interval, 0.0)
+    kept = kept_fixes(fixes, interval, 0.0)
     edit: Edit = keep_rows(with_one_more(fixes, kept) if more else kept)
     edit_csv(folder / "gps.csv", edit)
 

@@ -61,8 +61,8 @@ def cross_track(
         passes = (along[:, :-1] <= 0) & (along[:, 1:] > 0) & (np.abs(along[:, :-1]) < AHEAD)
         passes &= np.abs(across[:, :-1]) < REACH
         for station in np.flatnonzero(passes.any(axis=1)):
-            k = np.flatnonzero(passes[station])
-            k = int(k[np.argmin(np.abs(across[station, k]))])
+            every = np.flatnonzero(passes[station])
+            k = int(every[np.argmin(np.abs(across[station, every]))])
             part = -along[station, k] / (along[station, k + 1] - along[station, k])
             distance[lap, station] = (1 - part) * across[station, k] + part * across[station, k + 1]
     return distance

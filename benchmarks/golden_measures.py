@@ -28,6 +28,7 @@ KINDS = {  # name of an error, columns it is made of
     "yaw": ("yaw_deg",),
 }
 ALONE = ("speed_mps", "track_m")  # further sigmas of the trajectory
+UNCHECKED = ("accel_forward_mps2", "accel_left_mps2", "accel_up_mps2", "yaw_rate_dps", "speed_mps")
 LARGEST_LAG = 1.0  # s, between a trajectory and a reference
 TRUE_FIGURES = {"gps_position_latency": "gnss.position_latency", "gps_velocity_latency": "gnss.velocity_latency"}
 
@@ -48,7 +49,9 @@ def run_columns(bench: Bench, folder: Path, file: str = "") -> tuple[Columns, Ou
     if not has_results(folder):
         return found, outcome
     found |= summary_columns(outcome.document)
-    found |= sigma_columns(read_table(folder / RESULTS / "trajectory.csv"))
+    trajectory = read_table(folder / RESULTS / "trajectory.csv")
+    found |= sigma_columns(trajectory)
+    found |= content_columns(trajectory, outcome.document)
     laps = bench.command("laps", "--json", session, folder=folder.parent)
     found["laps.exit"] = laps.code
     found |= lap_columns(laps.document, folder)
@@ -119,6 +122,15 @@ def sigma_columns(trajectory: Table) -> Columns:
         found[f"sigma.{kind}"] = _median(np.sqrt(np.sum(reported**2, axis=1)))
     for name in ALONE:
         found[f"sigma.{name}"] = _median(trajectory[f"sigma_{name}"])
+    return found
+
+
+def content_columns(trajectory: Table, summary: Mapping[str, Any]) -> Columns:
+    """Size of what has no truth, and whether degrees and metres of a position agree, m."""
+    found: Columns = {f"size.{name}": _rms(columns(trajectory, name)) for name in UNCHECKED}
+    n = to_n(trajectory["lat_deg"], trajectory["lon_deg"], trajectory["alt_m"], summary["origin"])
+    apart = np.linalg.norm((n - columns(trajectory, "north_m", "west_m", "up_m"))[:, :2], axis=1)
+    found["size.degrees_from_metres"] = float(np.nanmax(apart))
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from golden_command import Array, Bench, Table, columns, link_files, read_table
+from golden_command import Array, Bench, IntArray, Table, columns, link_files, read_table
 from golden_measures import RESULTS, has_results, line_columns, resampled, run_columns, truth_columns
 from golden_sessions import edit_csv
 from golden_tables import Columns, Rows
@@ -111,7 +111,7 @@ def logged_columns(bench: Bench, folder: Path, line: str | Path, logged: Table) 
     return found
 
 
-def matched(times: Array, logged: Array, near: float = 0.5) -> Array:
+def matched(times: Array, logged: Array, near: float = 0.5) -> IntArray:
     """Pairs (K, 2) of the numbers of equal laps, from the shift of the sequences at which most are `near` (s)."""
     best = np.empty((0, 2), dtype=np.int64)
     for shift in range(-len(logged) + 1, len(times)):

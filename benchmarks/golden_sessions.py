@@ -3,10 +3,9 @@
 import contextlib
 import hashlib
 import os
-import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,12 +70,22 @@ def edit_column(name: str, change: Callable[[Array], Array], digits: int) -> Edi
     """Return an edit that changes the numbers (N,) of one column; empty cells are NaN and stay empty."""
 
     def edit(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-        if name not in header:
-            return header, rows
         i = header.index(name)
         values = change(np.array([float(row[i]) if row[i] else np.nan for row in rows]))
-        texts = ["" if np.isnan(value) else f"{value:.{digits}f}" for value in values]
-        return header, [[*row[:i], text, *row[i + 1 :]] for row, text in zip(rows, texts, strict=True)]
+        return set_columns((name,), values[:, None], digits)(header, rows)
+
+    return edit
+
+
+def set_columns(names: Sequence[str], values: Array, digits: int) -> Edit:
+    """Return an edit that puts values (N, K) into the columns of these names; NaN is an empty cell."""
+
+    def edit(header: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+        changed = [list(row) for row in rows]
+        for i, numbers in zip((header.index(name) for name in names), values.T, strict=True):
+            for row, number in zip(changed, numbers, strict=True):
+                row[i] = "" if np.isnan(number) else f"{number:.{digits}f}"
+        return header, changed
 
     return edit
 
@@ -101,8 +110,3 @@ def _sources() -> str:
     for path in sorted(SIMULATOR.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-def clear(folder: Path) -> None:
-    """Remove a folder of this program's own making."""
-    shutil.rmtree(folder, ignore_errors=True)

@@ -28,6 +28,7 @@ TOLERANCES: tuple[tuple[str, float, float], ...] = (
     ("left_out.*", 0.04, 0.003),
     ("lag.*", 0.0, 0.003),
     ("sigma.*", 0.04, 0.001),
+    ("size.*", 0.02, 0.005),
     ("within*", 0.0, 0.03),
     ("nees", 0.06, 0.1),
     ("z.laps_rms", 0.1, 0.1),

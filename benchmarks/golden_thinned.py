@@ -3,8 +3,8 @@
 Each recording is thinned to one fix in 1, 2 and 5 s at six phases, with and without one more fix some 0.25 s behind
 the last one kept, which should change next to nothing. A fix stamped t was true at t - latency: the path is read
 there, with the latency that was identified from the thinned fixes. Stamps that the logger rounded are put back onto
-their grid first, as a reader does who has all fixes; nobody can see it from few. Not scored: repeated positions, fixes whose own
-accuracy is worse than three times the median, the first second.
+their grid first, as a reader does who has all fixes; nobody can see it from few. Not scored: repeated positions,
+fixes whose own accuracy is worse than three times the median, the first second.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from golden_command import Array, Bench, Table, columns, link_files, read_table
+from golden_command import Array, Bench, IntArray, Table, columns, link_files, read_table
 from golden_measures import RESULTS, has_results, outcome_columns, sigma_columns, smooth, summary_columns, to_n
 from golden_sessions import edit_column, edit_csv, keep_rows
 from golden_tables import Columns, Rows
@@ -22,8 +22,10 @@ WORST_ACCURACY = 3.0  # times the median of the reported accuracy
 SETTLING = 1.0  # s after the first fix: longer than any latency
 BEHIND = 0.25  # s, of the further fix behind the last one kept
 PHASES = 6
-KEPT = ("exit", "traceback", "message", "mode", "problem.", "quality.", "rejected.", "identified.gps_position_latency")
-KEPT += ("identified.gps_velocity_latency", "identified.lever_arm_b", "identified.gyro_noise")
+KEPT = (
+    *("exit", "traceback", "message", "mode", "problem.", "quality.", "rejected.", "identified.gps_position_latency"),
+    *("identified.gps_velocity_latency", "identified.lever_arm_b", "identified.gyro_noise"),
+)
 """How the columns begin that these rows have of a summary's."""
 
 
@@ -83,24 +85,24 @@ class Thinned:
         return {self.name: found}
 
 
-def usable(fixes: Table) -> Array:
+def usable(fixes: Table) -> IntArray:
     """Numbers (K,) of the rows that are fixes: with a position, not repeated, fix type at least 1."""
     position = columns(fixes, "lat_deg", "lon_deg")
     good = np.isfinite(position).all(axis=1) & ~(fixes.get("fix", np.ones(len(position))) < 1)
     rows = np.flatnonzero(good)
     new = np.concatenate([[True], np.any(np.diff(position[rows], axis=0) != 0, axis=1)])
-    return rows[new]
+    return np.asarray(rows[new])
 
 
-def kept_fixes(fixes: Table, interval: float, phase: float) -> Array:
+def kept_fixes(fixes: Table, interval: float, phase: float) -> IntArray:
     """Numbers of the fixes kept: the first of every interval (s); the intervals begin `phase` of one later."""
     rows = usable(fixes)
     t = fixes["t_s"][rows]
     slot = np.floor((t - t[0]) / interval - phase + 1e-6)
-    return rows[np.concatenate([[phase == 0.0], np.diff(slot) > 0])]
+    return np.asarray(rows[np.concatenate([[phase == 0.0], np.diff(slot) > 0])])
 
 
-def with_one_more(fixes: Table, kept: Array) -> Array:
+def with_one_more(fixes: Table, kept: IntArray) -> IntArray:
     """The fixes kept and the one nearest to BEHIND seconds after the last of them, if there is a later one."""
     rows = usable(fixes)
     t = fixes["t_s"]
@@ -110,14 +112,14 @@ def with_one_more(fixes: Table, kept: Array) -> Array:
     return np.append(kept, later[np.argmin(np.abs(t[later] - t[kept[-1]] - BEHIND))])
 
 
-def scored(fixes: Table, kept: Array) -> Array:
+def scored(fixes: Table, kept: IntArray) -> IntArray:
     """Numbers of the fixes left out that count."""
     rows = np.setdiff1d(usable(fixes), kept)
     t = fixes["t_s"]
     accuracy = fixes.get("hacc_m", np.full(len(t), np.nan))[rows]
     poor = accuracy > WORST_ACCURACY * np.nanmedian(fixes["hacc_m"]) if "hacc_m" in fixes else np.zeros(len(rows), bool)
     after = max(t[kept[0]], t[usable(fixes)[0]] + SETTLING)
-    return rows[~poor & (t[rows] > after) & (t[rows] < t[kept[-1]])]
+    return np.asarray(rows[~poor & (t[rows] > after) & (t[rows] < t[kept[-1]])])
 
 
 def left_out_columns(trajectory: Table, at: Array, fixes: Array) -> Columns:
