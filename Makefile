@@ -43,7 +43,6 @@ lint: $(VENV)/for-linting
 
 bench: $(VENV)/for-benchmarks
 	$(BIN)/python benchmarks/speed.py
-	$(BIN)/python benchmarks/decoding.py
 	$(BIN)/python benchmarks/thinning.py --jobs $(JOBS)
 	$(BIN)/python benchmarks/accuracy.py --preset white --preset kart --preset kart_harsh --jobs $(JOBS)
 	$(BIN)/python benchmarks/lap_times.py --jobs $(JOBS)

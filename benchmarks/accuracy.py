@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from scoring import ANGLES, QUANTITIES, Case, Score, ScoreOptions, cases, other_values, recorded, rms, score
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother import api
 
 HEADINGS = ("vel m/s", "1 s m", "roll deg", "pitch deg", "yaw deg")
 VALUES = (("gps_position_latency", 1e3), ("gps_velocity_latency", 1e3), ("arm_x", 1.0), ("arm_y", 1.0), ("arm_z", 1.0))
@@ -37,7 +37,7 @@ def run(case: Case, options: ScoreOptions) -> Score:
     simulation = case.simulate()
     session = recorded(simulation)
     since = time.perf_counter()
-    estimate = GraphSmoother(GraphOptions()).estimate(session)
+    estimate = api.smooth(session)
     return score(case, simulation, session, estimate, time.perf_counter() - since, options)
 
 

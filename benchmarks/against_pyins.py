@@ -33,8 +33,8 @@ import pandas as pd
 from pyins import filters, inertial_sensor, measurements, strapdown, transform
 
 from scoring import SCORED_RATE, Case, cases, compare, effective_density, recorded, rms_errors
+from smoother import api
 from smoother.arrays import Array
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import geodetic_to_nwu, nwu_to_geodetic
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation
@@ -232,7 +232,7 @@ def run(case: Case, names: Sequence[str] = SIGMAS) -> Comparison:
     simulation = case.simulate()
     session = recorded(simulation)
     since = time.process_time()
-    ours = GraphSmoother().estimate(session)
+    ours = api.smooth(session)
     between = time.process_time()
     theirs = {name: run_best(simulation, session, sigma) for name, sigma in fix_sigmas(simulation, names).items()}
     seconds = between - since, (time.process_time() - between) / len(theirs)

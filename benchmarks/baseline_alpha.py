@@ -24,12 +24,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from smoother import api
 from smoother.arrays import Array
-from smoother.estimate.baseline.baseline import BaselineOptions, ThesisBaseline
-from smoother.estimate.evaluate import evaluate
-from smoother.estimate.gps_alone import GpsAlone
-from smoother.prepare import prepare
-from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
 
 PRESETS = ("white", "kart", "kart_harsh")
 TRACKS = ("larkfield", "tinbarn", "longmeadow")
@@ -64,20 +61,20 @@ class Sweep:
 
 def sweep(case: Case) -> Sweep:
     """Simulate one session and run the baseline with every alpha."""
-    simulation = simulate_preset(case.preset, case.seed, track=case.track, duration=case.duration)
-    session = prepare(simulation.raw)
+    simulation = api.simulate(case.preset, case.seed, track=case.track, duration=case.duration)
+    session = api.prepared(simulation.raw)
     t = np.arange(session.gnss.t[0], session.gnss.t[-1], 1.0 / TRUTH_RATE)
     truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
 
-    def errors(estimator: GpsAlone | ThesisBaseline) -> tuple[float, float]:
-        found = evaluate(estimator.estimate(session), truth)
+    def errors(estimate: Trajectory) -> tuple[float, float]:
+        found = api.evaluate(estimate, truth)
         return found.horizontal_rms_m, found.horizontal_velocity_rms_mps
 
     baseline = [
-        [errors(ThesisBaseline(BaselineOptions(alpha=float(a), accel_covariance=covariance))) for a in ALPHAS]
+        [errors(api.baseline(session, alpha=float(a), accel_covariance=covariance)) for a in ALPHAS]
         for covariance in COVARIANCES
     ]
-    return Sweep(case, np.array(errors(GpsAlone())), np.array(baseline))
+    return Sweep(case, np.array(errors(api.gps_alone(session))), np.array(baseline))
 
 
 def of_preset(sweeps: list[Sweep], preset: str) -> list[Sweep]:

@@ -34,10 +34,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import polars as pl
 
+from smoother import api
 from smoother.batch.local import run_here
 from smoother.batch.task import Task
 from smoother.sim.record_log import write_klg
-from smoother.sim.simulation import simulate_preset
 
 COMMAND = (sys.executable, "-P", "-m", "smoother.cli")
 
@@ -88,7 +88,7 @@ def main() -> None:
 def show_workers(directory: Path, sessions: int, minutes: float, workers: Sequence[int], dask: int) -> None:
     """Print the table of workers, and what a session takes."""
     for i in range(sessions):
-        write_klg(simulate_preset("kart", i, duration=60.0 * minutes), directory / f"kart{i % 4 + 1}" / f"run{i + 1}")
+        write_klg(api.simulate("kart", i, duration=60.0 * minutes), directory / f"kart{i % 4 + 1}" / f"run{i + 1}")
     runs = [batch(f"{n} at a time", directory, "--again", "--jobs", str(n)) for n in workers]
     if dask:
         with cluster(dask, directory.parent) as address:
@@ -137,7 +137,7 @@ def show_waiting(directory: Path, sessions: int, seconds: float, workers: Sequen
 def show_parts(directory: Path, sessions: int, minutes: float) -> None:
     """Print the processor time, memory and disk of a session with ever more of its parts."""
     for i in range(sessions):
-        write_klg(simulate_preset("kart", i, duration=60.0 * minutes), directory / f"run{i + 1}")
+        write_klg(api.simulate("kart", i, duration=60.0 * minutes), directory / f"run{i + 1}")
     start = [_start_of_interpreter() for _ in range(5)]
     print(f"{sessions} sessions of {minutes:g} min; the interpreter with its libraries alone: {min(start):.2f} s")
     print("| options | processor, s (least .. most) | memory, MB | written, MB |")
@@ -191,7 +191,7 @@ def _memory() -> int:
 def show_finished(directory: Path, count: int) -> None:
     """Print what it takes to find, compare and list sessions of which none has changed."""
     first = directory / "kart1" / "run1"
-    write_klg(simulate_preset("kart", 1, duration=120.0), first)
+    write_klg(api.simulate("kart", 1, duration=120.0), first)
     batch("first", directory)
     for i in range(1, count):
         kart = directory / f"kart{i % 20 + 1}"

@@ -29,7 +29,6 @@ from smoother.arrays import Array
 from smoother.calibration import Calibration
 from smoother.config import MagnetometerUse, SessionConfig
 from smoother.fit.allan import fit_noise
-from smoother.fit.ellipsoid import COLUMNS, ROWS
 from smoother.frames import euler_from_rotation
 from smoother.sim.bench import BenchErrors, BenchPlan, BenchRecording, simulate_bench
 from smoother.sim.scenario import ImuErrors, MagErrors
@@ -41,6 +40,8 @@ ONE_SIGMA, TWO_SIGMA = (0.65, 0.71), (0.935, 0.965)
 NOISE_RATE, NOISE_HOURS = 10.0, 3.0
 NOISE_FIGURES = (0.1, 0.06, 0.02)  # density, instability, walk: each rules a decade of the Allan plot
 FIELD_N = np.array([22.0, -1.2, -42.0])  # uT, as in northern Italy
+
+ROWS, COLUMNS = np.triu_indices(3)  # of a symmetric matrix
 
 Normalised = dict[str, float]
 

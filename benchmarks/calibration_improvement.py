@@ -12,6 +12,7 @@ Writes docs/calibration_improvement.md.
 import argparse
 import os
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,15 +24,13 @@ import numpy as np
 
 from calib.recording import load_recording
 from calib.run import run
+from smoother import api
 from smoother.arrays import Array
 from smoother.calibration import FILE_NAME, save_calibration
-from smoother.cli.evaluating import score
-from smoother.cli.output import no_progress
-from smoother.cli.pipeline import Options
+from smoother.samples import Session
 from smoother.sim.bench import BenchErrors, simulate_bench, write_bench
-from smoother.sim.record import write_csv
 from smoother.sim.scenario import ImuErrors, Interval, MagErrors
-from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
 from smoother.units import DEG, STANDARD_GRAVITY
 
 FIRST_SEED = 52_000
@@ -45,7 +44,7 @@ ROWS = (
     ("pitch (deg)", "pitch_rms_deg"),
     ("yaw (deg)", "yaw_rms_deg"),
 )
-ESTIMATORS = ("smoother", "baseline")
+ESTIMATORS: dict[str, Callable[[Session], Trajectory]] = {"smoother": api.smooth, "baseline": api.baseline}
 OUTAGES = (0.25, 0.5, 0.75)  # of the session, where the fixes of `outages` stay away
 OUTAGE = 12.0  # s
 VARIANTS = {"white": "white", "outages": "white", "kart": "kart"}  # what to run, and its preset
@@ -86,7 +85,7 @@ def evaluated(case: Case) -> Array:
     changes: dict[str, Any] = {**errors, "mag_calibration_points": 0}
     if case.variant == "outages":
         changes["gnss_outages"] = tuple(Interval(share * case.duration, OUTAGE) for share in OUTAGES)
-    simulation = simulate_preset(VARIANTS[case.variant], case.seed, duration=case.duration, **changes)
+    simulation = api.simulate(VARIANTS[case.variant], case.seed, duration=case.duration, **changes)
     own = {name.split("_", 1)[1]: value for name, value in errors.items()}
     imu = ImuErrors(
         rate=200.0,
@@ -104,7 +103,7 @@ def evaluated(case: Case) -> Array:
     bench = simulate_bench(imu, mag, simulation.field_n, rng, errors=BenchErrors(np.zeros(3), mag_outliers=0.01))
     with tempfile.TemporaryDirectory() as name:
         session, on_bench = Path(name) / "session", Path(name) / "bench"
-        write_csv(simulation, session)
+        api.write_session(simulation, session)
         write_bench(bench, on_bench)
         without = figures(session)
         results = run([load_recording(on_bench)])
@@ -112,10 +111,12 @@ def evaluated(case: Case) -> Array:
         return np.array([without, figures(session)])
 
 
-def figures(session: Path) -> Array:
+def figures(folder: Path) -> Array:
     """Figures (estimators, rows) that `smooth evaluate` gives."""
-    document, _ = score(session, Options(), 0.0, no_progress)
-    return np.array([[float(str(document[name][key])) for _, key in ROWS] for name in ESTIMATORS])
+    session = api.read(folder)
+    truth = api.read_truth(folder, session.origin)
+    scores = [api.evaluate(estimate(session), truth) for estimate in ESTIMATORS.values()]
+    return np.array([[getattr(score, key) for _, key in ROWS] for score in scores])
 
 
 def table(cases: list[Case], found: Array) -> str:

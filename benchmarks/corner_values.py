@@ -21,9 +21,8 @@ import numpy as np
 
 from lap_times import estimated
 from scoring import Case, cases, recorded
+from smoother import api
 from smoother.arrays import Array
-from smoother.cli.lap_stage import analysed_rows, fix_path
-from smoother.laps.analysis import analyse
 from smoother.laps.lost import largest_losses
 from smoother.laps.results import LapAnalysis
 from theoretical_best import true_analysis
@@ -53,8 +52,8 @@ def run(case: Case, gps_only: bool = False) -> ValueScores | None:
     """Simulate, smooth and score one session; None where the true drive does not have the same laps."""
     simulation = case.simulate()
     session = recorded(simulation)
-    estimate = analysed_rows(estimated(session, gps_only))
-    found = analyse(estimate, fix_path(session))
+    estimate = estimated(session, gps_only)
+    found = api.laps(session, estimate)
     if found.traces is None or found.start_line is None:
         return None
     true = true_analysis(found, simulation, session, estimate)

@@ -26,6 +26,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # one process per core; before nu
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import golden_continuity
+import golden_damaged
+import golden_hard
 import golden_recordings
 import golden_simulated
 import golden_thinned
@@ -85,6 +87,8 @@ def jobs_of(recorded: bool) -> dict[str, tuple[Job, ...]]:
     jobs: dict[str, tuple[Job, ...]] = {
         "simulated": golden_simulated.SESSIONS,
         "continuity": golden_continuity.SIMULATED,
+        "hard": golden_hard.SESSIONS,
+        "damaged": golden_damaged.CASES,
         "recordings": golden_recordings.RECORDINGS,
         "thinned": golden_thinned.SESSIONS,
         "continuity_recordings": golden_continuity.RECORDED,

@@ -21,10 +21,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from scoring import SCORED_RATE, STANDING, TRACKS, compare, recorded
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother import api
 from smoother.samples import Session
 from smoother.sim.scenario import Interval, Jump
-from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.sim.simulation import Simulation
 
 KINDS = ("kart", "kart_harsh", "metres")  # metres: a kart whose fixes scatter by 1 to 2.5 m
 RATES = (1.0, 2.0, 5.0, 10.0, 25.0)  # Hz
@@ -92,7 +92,7 @@ def run(seed: int, solver: str) -> Pair:
     """Simulate and smooth the session drawn by `seed`."""
     kind, changes = draw(seed)
     preset = "kart" if kind == "metres" else kind
-    simulation = simulate_preset(preset, seed + FIRST_SIMULATED, duration=DURATION, **changes)
+    simulation = api.simulate(preset, seed + FIRST_SIMULATED, duration=DURATION, **changes)
     session, jumped = recorded(simulation), np.any(simulation.gnss.jump_n != 0.0, axis=1)
     without = replace(session, gnss=session.gnss.select(np.flatnonzero(~jumped)))
     found = [_result(simulation, s, solver) for s in (session, without)]
@@ -100,7 +100,7 @@ def run(seed: int, solver: str) -> Pair:
 
 
 def _result(simulation: Simulation, session: Session, solver: str) -> Result:
-    estimate = GraphSmoother(GraphOptions(solver=solver)).estimate(session)
+    estimate = api.smooth(session, solver=solver)
     compared = compare(simulation, session, estimate, SCORED_RATE)
     assert compared.found.sigmas is not None
     error = compared.errors.position_n[:, :2]

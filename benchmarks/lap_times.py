@@ -28,16 +28,13 @@ from scipy.sparse import block_array, coo_array, csc_array
 from scipy.sparse.linalg import splu
 
 from scoring import Case, cases, recorded, rms
-from smoother import so3
+from smoother import api, so3
 from smoother.arrays import Array
-from smoother.cli.lap_stage import fix_path
 from smoother.estimate.bound import BoundOptions, information_system
-from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import Origin, geodetic_to_nwu, nwu_to_geodetic
-from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis, Line
 from smoother.laps.timing import forward_normal, raw_crossings
+from smoother.samples import Session
 from smoother.sim.simulation import Simulation
 from smoother.trajectory import Trajectory
 
@@ -85,13 +82,12 @@ def run(case: Case, gps_only: bool) -> SessionScore:
     since = time.process_time()
     estimate = estimated(session, gps_only)
     between = time.process_time()
-    fixes = fix_path(session)
-    given = analyse(estimate, fixes, LapOptions(lines=true_line(simulation, session.origin)))
-    found = analyse(estimate, fixes)
+    given = api.laps(session, estimate, true_line(simulation, session.origin))
+    found = api.laps(session, estimate)
     seconds = between - since, 0.5 * (time.process_time() - between)
     crossings = simulation.lap_crossings()
     crossings = within(crossings, estimate)
-    logged = logged_times(given, simulation, fixes.position_n)
+    logged = logged_times(given, simulation, session.fix_position_n[:, :2])
     laps, given_counts = scored(given, crossings, simulation, logged, case.standing, estimate)
     found_errors, found_counts = [], (0, 0, 0)
     if found.start_line is not None:
@@ -102,11 +98,9 @@ def run(case: Case, gps_only: bool) -> SessionScore:
     return SessionScore(case, laps, given_counts, found_counts, found_errors, seconds, given.sigma_source)
 
 
-def estimated(session: object, gps_only: bool) -> Trajectory:
+def estimated(session: Session, gps_only: bool) -> Trajectory:
     """Return the smoothed session, with the inertial sensor or from the fixes alone."""
-    if gps_only:
-        return GnssSmoother(GnssOnlyOptions()).estimate(session)  # type: ignore[arg-type]
-    return GraphSmoother(GraphOptions()).estimate(session)  # type: ignore[arg-type]
+    return api.smooth(session, imu=not gps_only)
 
 
 def true_line(simulation: Simulation, origin: Origin) -> GivenLines:

@@ -20,8 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from scoring import SCORED_RATE, Case, cases, compare, recorded
+from smoother import api
 from smoother.arrays import Array
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.sim.scenario import Interval
 from smoother.units import DEG
 
@@ -49,7 +49,7 @@ def run(job: tuple[Case, float, bool]) -> Found:
     case, seconds, wheels = job
     simulation = case.simulate()
     session = recorded(simulation)
-    estimate = GraphSmoother(GraphOptions(wheels=wheels)).estimate(session)
+    estimate = api.smooth(session, wheels=wheels)
     compared = compare(simulation, session, estimate, SCORED_RATE)
     sigmas = compared.found.sigmas
     assert sigmas is not None

@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from scoring import ANGLES, QUANTITIES, TRACKS, Case, Score, ScoreOptions, other_values, recorded, score
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother import api
 
 FIRST = 7000  # of the seeds by which figures are drawn
 VALUES = ("gps_position_latency", "gps_velocity_latency", "arm_x", "arm_y")
@@ -89,7 +89,7 @@ def run(seed: int) -> Score:
     case = draw(seed)
     simulation = case.simulate()
     session, since = recorded(simulation), time.perf_counter()
-    estimate = GraphSmoother().estimate(session)
+    estimate = api.smooth(session)
     with np.errstate(divide="ignore"):  # the bound of a delay that nothing tells
         return score(case, simulation, session, estimate, time.perf_counter() - since, ScoreOptions())
 

@@ -25,9 +25,8 @@ from scipy.stats import norm
 
 from lap_times import estimated, true_crossings
 from scoring import Case, cases, recorded
+from smoother import api
 from smoother.arrays import Array, BoolArray
-from smoother.cli.lap_stage import analysed_rows, fix_path
-from smoother.laps.analysis import analyse
 from smoother.laps.reference import Curve
 from smoother.laps.results import LapAnalysis, Line
 from smoother.laps.sigma import LUCK as FALSE
@@ -65,7 +64,7 @@ def run(case: Case) -> CornerScore | None:
     simulation = case.simulate()
     session = recorded(simulation)
     estimate = estimated(session, gps_only=False)
-    found = analyse(analysed_rows(estimate), fix_path(session))
+    found = api.laps(session, estimate)
     others = np.array([lap.is_valid and i != found.reference_lap for i, lap in enumerate(found.laps)])
     if not found.corners or not others.any():
         return None

@@ -5,11 +5,11 @@ Shared by the benchmarks. Angles are in degrees here, because everything ends in
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smoother import so3
+from smoother import api, so3
 from smoother.arrays import Array, BoolArray
 from smoother.estimate.bound import (
     RELATIVE_INTERVAL,
@@ -20,17 +20,16 @@ from smoother.estimate.bound import (
     scored_span,
     within,
 )
-from smoother.estimate.evaluate import Errors, errors_between
-from smoother.estimate.resample import resample
 from smoother.frames import euler_from_rotation, wrap_angle
-from smoother.prepare import prepare
-from smoother.samples import RawSession, Session
-from smoother.session.clock import regularize, true_fix_times
+from smoother.samples import Session
 from smoother.sim.scenario import with_changes
 from smoother.sim.sensors import mean_motion
-from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.sim.simulation import Simulation
 from smoother.trajectory import Identified, Trajectory
 from smoother.units import DEG
+
+if TYPE_CHECKING:
+    from smoother.api import Errors
 
 TRACKS = ("larkfield", "tinbarn", "longmeadow")
 STANDING = 5.0  # s on the grid of a standing start
@@ -63,7 +62,7 @@ class Case:
         """Return the session; white keeps its 30 s of standstill, which its figures are about."""
         standstill = {"motion_standstill": STANDING if self.standing else None}
         changes = self.changes if self.preset == "white" and self.standing else {**standstill, **self.changes}
-        return simulate_preset(self.preset, self.seed, track=self.track, duration=self.duration, **changes)
+        return api.simulate(self.preset, self.seed, track=self.track, duration=self.duration, **changes)
 
 
 def cases(preset: str, seeds: range, duration: float, *, grid: bool = False) -> list[Case]:
@@ -77,11 +76,7 @@ def cases(preset: str, seeds: range, duration: float, *, grid: bool = False) -> 
 
 def recorded(simulation: Simulation) -> Session:
     """Return the session as it comes from a file: stamps evened, fixes at the receiver's own times, calibrated."""
-    raw: RawSession = simulation.raw
-    imu = None if raw.imu is None else replace(raw.imu, t=regularize(raw.imu.t).t)
-    assert raw.gnss.unix_s is not None
-    gnss = replace(raw.gnss, t=true_fix_times(raw.gnss.t, raw.gnss.unix_s)[0])
-    return prepare(replace(raw, imu=imu, gnss=gnss))
+    return api.prepared(simulation.raw, even_times=True)
 
 
 @dataclass(frozen=True)
@@ -176,7 +171,7 @@ class Compared:
     t: Array
     truth: Trajectory
     found: Trajectory
-    errors: Errors
+    errors: "Errors"
     track: Array | None
 
 
@@ -184,9 +179,9 @@ def compare(simulation: Simulation, session: Session, estimate: Trajectory, rate
     """Return `estimate` beside the truth at `rate` Hz, over all that counts."""
     t = np.arange(*span_of(simulation, estimate), 1.0 / rate)
     truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, session.origin)
-    found = resample(estimate, t)
+    found = api.resample(estimate, t)
     track = _track_errors(simulation, estimate, t, truth, found)
-    return Compared(t, truth, found, errors_between(found, truth), track)
+    return Compared(t, truth, found, api.errors_between(found, truth), track)
 
 
 def rms_errors(simulation: Simulation, compared: Compared, inside: BoolArray | None = None) -> dict[str, float]:

@@ -30,9 +30,8 @@ from scipy.special import erf
 from scipy.stats import chi2, norm
 
 from scoring import Case, NeesAt, cases, nees_at_times, normalised_errors, recorded
+from smoother import api
 from smoother.arrays import Array
-from smoother.estimate.estimator import Estimator
-from smoother.estimate.graph.smoother import GraphSmoother
 
 RATE = 5.0  # Hz; errors change more slowly
 WITHIN = (1.0, 2.0)  # sigmas
@@ -179,14 +178,14 @@ def mean_nees(sessions: Sequence[SessionErrors]) -> list[MeanNees]:
     ]
 
 
-def run(case: Case, estimator: Estimator | None = None, *, untold_delay: bool = False) -> SessionErrors:
+def run(case: Case, *, untold_delay: bool = False) -> SessionErrors:
     """Simulate, smooth, and compare with the truth. untold_delay: as if nobody said what the low-pass delays."""
     simulation = case.simulate()
     session = recorded(simulation)
     if untold_delay:
         session = replace(session, config=replace(session.config, imu_delay=None))
     since = time.process_time()
-    estimate = (GraphSmoother() if estimator is None else estimator).estimate(session)
+    estimate = api.smooth(session)
     seconds = time.process_time() - since
     return SessionErrors(
         case,

@@ -16,10 +16,9 @@ import numpy as np
 
 from lap_times import estimated, true_crossings
 from scoring import Case, cases, recorded
+from smoother import api
 from smoother.arrays import Array
-from smoother.cli.lap_stage import analysed_rows, fix_path
 from smoother.frames import geodetic_to_nwu, nwu_to_geodetic
-from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import GivenLines, LapAnalysis, Line
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation
@@ -62,8 +61,8 @@ def run(case: Case, gps_only: bool = False) -> TheoreticalScore | None:
     """Simulate, smooth and score one session; None where fewer than two laps count."""
     simulation = case.simulate()
     session = recorded(simulation)
-    estimate = analysed_rows(estimated(session, gps_only))
-    found = analyse(estimate, fix_path(session))
+    estimate = estimated(session, gps_only)
+    found = api.laps(session, estimate)
     said, sectors = found.statistics, true_sectors(found, simulation, session, estimate)
     if said is None or len(sectors) < 2:
         return None
@@ -112,8 +111,7 @@ def true_analysis(found: LapAnalysis, simulation: Simulation, session: Session, 
     )
     known = np.flatnonzero(np.isfinite(true.position_n).all(axis=1))
     lines = GivenLines(np.stack([found.start_line.left_n, found.start_line.right_n]))
-    options = LapOptions(lines=lines, reference=found.reference)
-    return analyse(like.rows(slice(known[0], known[-1] + 1)), fix_path(session), options)
+    return api.laps(session, like.rows(slice(known[0], known[-1] + 1)), lines, reference=found.reference)
 
 
 def moved(line: Line, by: Array) -> Line:

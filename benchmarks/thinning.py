@@ -29,12 +29,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from smoother import api
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.gnss_only import GnssSmoother
-from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.prepare import prepare
 from smoother.samples import Session
-from smoother.session.load import load_raw
 from smoother.trajectory import Trajectory
 
 RECORDINGS = ("kart_adria_first_half", "kart_lignano_racebox")
@@ -126,7 +123,7 @@ def read_estimate(trajectory: Trajectory, t: Array) -> tuple[Array, Array | None
 def run(case: tuple[Path, float, float]) -> list[Result]:
     """All methods on one recording, thinned to one fix in `interval` s from a phase on."""
     path, interval, phase = case
-    session = prepare(load_raw(path))
+    session = api.read(path)
     thinned, kept = thin(session, interval, phase)
     wanted = scored(session, kept)
     t, truth = session.gnss.t[wanted], session.fix_position_n[wanted, :2]
@@ -144,15 +141,15 @@ def run(case: tuple[Path, float, float]) -> list[Result]:
         given = thinned.gnss.t, thinned.fix_position_n[:, :2], source.gnss.t, source.gnss.velocity_n[:, :2]
         found, lag = hermite(*given, t, truth)
         add(method, found, f"Doppler lag {lag:.2f} s")
-    for estimator in (GnssSmoother(), GraphSmoother()):
+    for name, imu in (("gps-only", False), ("smoother", True)):
         since = time.perf_counter()
-        trajectory = estimator.estimate(thinned)
+        trajectory = api.smooth(thinned, imu=imu)
         seconds = time.perf_counter() - since
         position, with_offset, latency = read_estimate(trajectory, t)
         note = f"latency {latency:.3f} s, {trajectory.report.mode}, {seconds:.1f} s"
-        add(estimator.name, position, note)
+        add(name, position, note)
         if with_offset is not None:
-            add(f"{estimator.name} + offset", with_offset, _noise_note(trajectory))
+            add(f"{name} + offset", with_offset, _noise_note(trajectory))
     return results
 
 

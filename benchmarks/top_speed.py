@@ -17,9 +17,8 @@ import numpy as np
 
 from lap_times import estimated
 from scoring import Case, cases, recorded
+from smoother import api
 from smoother.arrays import Array
-from smoother.cli.lap_stage import analysed_rows, fix_path
-from smoother.laps.analysis import analyse
 from smoother.laps.top_speed import top_speed
 from smoother.units import KMH
 
@@ -44,7 +43,7 @@ def run(case: Case) -> TopScore:
     estimate = estimated(session, gps_only=False)
     velocity = simulation.truth.antenna_velocity_n(estimate.t, simulation.scenario.lever_arm_b)
     true, said = np.hypot(velocity[:, 0], velocity[:, 1]), top_speed(estimate)
-    laps = [lap for lap in analyse(analysed_rows(estimate), fix_path(session)).laps if lap.is_valid]
+    laps = [lap for lap in api.laps(session, estimate).laps if lap.is_valid]
     rows = [(estimate.t >= lap.start) & (estimate.t <= lap.end) for lap in laps]
     tops = np.array([true[k].max() for k in rows])
     return TopScore(

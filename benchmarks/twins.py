@@ -25,15 +25,10 @@ import numpy as np
 import polars as pl
 from scipy.optimize import minimize_scalar
 
+from smoother import api
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.gps_alone import fixes_as_trajectory
-from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.resample import position_at
 from smoother.frames import wrap_angle
-from smoother.prepare import prepare
 from smoother.samples import Session
-from smoother.session.load import load_raw
-from smoother.session.truth import load_truth
 from smoother.trajectory import Trajectory
 from smoother.units import DEG
 from thinning import DATA
@@ -67,6 +62,16 @@ class Difference:
     across: float
     relative: float
     count: int
+
+
+def position_at(path: Trajectory, t: Array) -> Array:
+    """Positions (N, 3) m of `path` at t (N,) s."""
+    return api.resample(path, t).position_n
+
+
+def fixes_of(session: Session) -> Trajectory:
+    """The fixes as a trajectory, one row each."""
+    return api.resample(api.gps_alone(session), session.gnss.t)
 
 
 def differ(name: str, one: Trajectory, other: Trajectory, t: Array) -> Difference:
@@ -273,19 +278,19 @@ def _rows(path: Trajectory, values: Array, t: Array) -> Array:
 
 def beside_rtk(data: Path) -> tuple[Difference, Difference, list[Wander], list[Apart]]:
     """Fixes and smoothed path of the car against RTK, at the epochs of RTK, which knows nothing of motions."""
-    session = prepare(load_raw(data / BESIDE_RTK))
-    truth = load_truth(data / BESIDE_RTK, session.origin)
+    session = api.read(data / BESIDE_RTK)
+    truth = api.read_truth(data / BESIDE_RTK, session.origin)
     rows = pl.read_csv(data / BESIDE_RTK / "truth.csv", columns=["t_s", "fix"])
     fixed = rows.filter(pl.col("fix") == RTK_FIXED)["t_s"].to_numpy()
     t = common_times([session.gnss.t, truth.t], fixed)
-    smoothed = GraphSmoother().estimate(session)
+    smoothed = api.smooth(session)
     found = differ("smoothed", smoothed, truth, t)
-    return differ("fixes", fixes_as_trajectory(session), truth, t), found, wander(smoothed, truth, t), []
+    return differ("fixes", fixes_of(session), truth, t), found, wander(smoothed, truth, t), []
 
 
 def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
     """Modules a and b in one n, and the times (N,) s at which both have fixes."""
-    first, second = (prepare(load_raw(data / name)) for name in TWINS)
+    first, second = (api.read(data / name) for name in TWINS)
     stamps = [first.gnss.t, second.gnss.t]
     t = common_times(stamps, np.arange(max(s[0] for s in stamps), min(s[-1] for s in stamps), SPACING))
     return (first, _with_origin_of(second, first)), t
@@ -294,8 +299,8 @@ def twin_sessions(data: Path) -> tuple[tuple[Session, Session], Array]:
 def between_twins(data: Path) -> tuple[Difference, Difference, list[Wander], list[Apart]]:
     """Difference of module b from module a: of their fixes, and of their smoothed paths and motions."""
     (first, second), t = twin_sessions(data)
-    raw = differ("fixes", fixes_as_trajectory(second), fixes_as_trajectory(first), t)
-    path, other = (GraphSmoother().estimate(session) for session in (second, first))
+    raw = differ("fixes", fixes_of(second), fixes_of(first), t)
+    path, other = (api.smooth(session) for session in (second, first))
     found = differ("smoothed", path, other, t)
     return raw, found, wander(path, other, t), motions(path, other, t)
 

@@ -27,7 +27,7 @@ def ran_fixture(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 def test_there_are_blocks_of_everything_it_speaks_of() -> None:
     assert len(BLOCKS) == 12
-    for name in ("load_raw", "prepare", "GraphSmoother", "joint.covariance", "analyse", "evaluate", "write_trajectory"):
+    for name in ("api.read", "api.smooth", "joint.covariance", "api.laps", "api.evaluate", "api.write_results"):
         assert any(name in block for block in BLOCKS)
 
 

@@ -33,6 +33,7 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "export",
     "live",
     "batch",
+    "api",
     "cli",
     "__main__",
 ]

@@ -21,12 +21,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 import emulation
 from emulation import build
 from smoother.arrays import Array
-from smoother.cli.lap_stage import fix_path
 from smoother.cli.pipeline import calibrated, read
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.frames import geodetic_to_nwu
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import GivenLines
+from smoother.laps.stage import fix_path
 from smoother.session.log import list_recordings, read_records
 from smoother.session.log_decode import Losses
 from smoother.session.log_encode import encode

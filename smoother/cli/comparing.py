@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from smoother.cli.arguments import ABOUT_EXIT, EXIT_DONE, EXIT_QUALITY, json_option, require_sessions, sessions_argument
-from smoother.cli.lap_stage import Stated, analyse_rows, options_on, tracks_from
 from smoother.cli.lap_tables import SIGMA_SOURCES, SPEED_UNITS, say_columns
 from smoother.cli.lapping import documents_of, line_option, told, units_option
 from smoother.cli.output import number, open_page, plain, progress_on_terminal, say, say_json, warn
@@ -18,6 +17,7 @@ from smoother.cli.results import results_of
 from smoother.cli.session_names import session_names
 from smoother.errors import UsageError
 from smoother.laps.clock import lap_clock, local_time, local_zone
+from smoother.laps.stage import Stated, analyse_rows, options_on, tracks_from
 
 if TYPE_CHECKING:
     from smoother.laps.results import Lap, LapAnalysis, ReferenceLap
@@ -165,8 +165,8 @@ def _reference_lap(name: str, stored: Stored, analysis: LapAnalysis, index: int)
     """Lap `index` of a session, for all to be compared with."""
     from dataclasses import replace
 
-    from smoother.cli.lap_stage import analysed_rows
     from smoother.laps.analysis import reference_lap_of
+    from smoother.laps.stage import analysed_rows
 
     named, rows = f"{name} lap {analysis.laps[index].number}", analysed_rows(stored.trajectory)
     return reference_lap_of(replace(analysis, reference_lap=index), rows, stored.fixes, named, stored.drift)

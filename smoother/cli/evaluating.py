@@ -84,15 +84,14 @@ def evaluate(sessions: tuple[Path, ...], recording: int | None, solver: str, ski
 
 def score(path: Path, options: Options, skip: float, progress: Progress) -> tuple[dict[str, Figures], Quality]:
     """Return the figures of each estimator by its key in LABELS, and the smoother's verdict about itself."""
+    from smoother import api
     from smoother.estimate.evaluate import at_fixes, without_doubtful_velocity
     from smoother.estimate.evaluate import evaluate as evaluate_against
-    from smoother.estimate.gps_alone import GpsAlone
-    from smoother.session.truth import load_truth
 
     progress("reading", 0.0)
     directory = session_directory(path)
     session = calibrated(read(path), directory)
-    told = load_truth(directory, session.origin)
+    told = api.read_truth(directory, session.origin)
     truth = without_doubtful_velocity(told)
     if truth is not told:
         warn(f"{path}: the velocity in truth.csv contradicts its positions, so it is not used")
@@ -101,7 +100,7 @@ def score(path: Path, options: Options, skip: float, progress: Progress) -> tupl
     outside = float(((truth.t < t[0] - BESIDE) | (truth.t > t[-1] + BESIDE)).mean())
     if MOSTLY < outside < 1.0:  # of all, an error tells
         warn(f"{path}: {outside:.0%} of truth.csv lie outside the session; are its times on the session's clock, in s?")
-    trajectories = {"gps": GpsAlone(options.rate).estimate(session), "smoother": estimates.smoothed}
+    trajectories = {"gps": api.gps_alone(session, options.rate), "smoother": estimates.smoothed}
     if estimates.baseline is not None:
         trajectories["baseline"] = estimates.baseline
     document: dict[str, Figures] = {}

@@ -18,12 +18,12 @@ from smoother.cli.arguments import (
     sessions_argument,
 )
 from smoother.cli.card import each
-from smoother.cli.lap_stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
 from smoother.cli.lap_tables import SPEED_UNITS, show_corners, show_laps, show_losses
 from smoother.cli.output import Progress, progress_on_terminal, say_json
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, naming, read
 from smoother.cli.places import SUMMARY, session_directory
 from smoother.cli.results import results_of
+from smoother.laps.stage import LEAST_RATE, Stated, analyse_rows, stated, tracks_from
 
 if TYPE_CHECKING:
     from smoother.frames import Origin
@@ -145,7 +145,7 @@ def told(path: Path, tracks: tuple[Any, ...] | None, official: Path | None) -> S
 
 def analysed(path: Path, stored: Stored, said: Stated) -> LapAnalysis:
     """Return the laps of stored results; rows too far apart to time on are estimated again, closer."""
-    from smoother.cli.lap_stage import analyse_session, options_on
+    from smoother.laps.stage import analyse_session, options_on
 
     if stored.rate < LEAST_RATE - 1.0:
         session = calibrated(read(path), session_directory(path))

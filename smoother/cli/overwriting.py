@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from smoother.cli.lap_stage import LAPS
 from smoother.cli.places import BASELINE, RESULT_FILES, holds_results
 from smoother.errors import UsageError
+from smoother.laps.stage import LAPS
 
 REMEDY = "name another file with --out"
 

@@ -13,21 +13,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from smoother.cli.lap_stage import (
-    LAPS,
-    Stated,
-    analyse_session,
-    lap_columns,
-    lap_documents,
-    stated,
-    steps,
-)
+from smoother import api
 from smoother.cli.output import Progress, no_progress, plain, warn
 from smoother.cli.places import (
     BASELINE,
     FIGURE_NAMES,
     FIGURES,
-    FIXES,
     PAGE,
     STALE,
     SUMMARY,
@@ -43,6 +34,7 @@ from smoother.cli.places import (
 )
 from smoother.documents import staged
 from smoother.errors import ConfigError, SessionError, SmootherError, UsageError
+from smoother.laps.stage import Stated, analyse_session, stated, steps
 from smoother.units import KMH
 from smoother.words import duration
 
@@ -190,31 +182,20 @@ def require_usable_beside(raw: RawSession, path: Path) -> None:
 def estimate(session: Session, options: Options, watch: Stopwatch, progress: Progress = no_progress) -> Estimates:
     """Run smoother and baseline, and judge the result; its session has the times that were found."""
     from smoother.disc import settle
-    from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
-    from smoother.estimate.quality import assess
-    from smoother.estimate.retimed import moved
 
     with watch.stage("smoothing"):
         every = steps(options.rate)
-        smoother = GraphSmoother(GraphOptions(rate=options.rate * every, solver=options.solver), progress=progress)
-        smoothed = smoother.estimate(session)
-    session = moved(session, smoothed.report.clock_moves)
+        smoothed = api.smooth(session, options.rate * every, options.solver, progress=progress)
+    recorded, session = session, api.retimed(session, smoothed)
     settle(session.imu, smoothed)
     baseline = None
     if options.baseline:
         progress("baseline", 0.0)
         with watch.stage("baseline"):
-            baseline = estimate_baseline(session, options.rate)
-    quality = assess(session, smoothed)
+            baseline = api.baseline(session, options.rate)
+    quality = api.assess(recorded, smoothed)
     settle(session.imu, smoothed, baseline)
     return Estimates(session, smoothed, baseline, quality, every=every)
-
-
-def estimate_baseline(session: Session, rate: float) -> Trajectory:
-    """Run the thesis' pipeline."""
-    from smoother.estimate.baseline.baseline import BaselineOptions, ThesisBaseline
-
-    return ThesisBaseline(BaselineOptions(rate=rate)).estimate(session)
 
 
 def smooth_session(path: Path, out: Path | None, options: Options, progress: Progress = no_progress) -> Result:
@@ -269,22 +250,14 @@ def write(
 ) -> Result:
     """Write the tables, the figures and the summary; results of an earlier run that no longer hold are removed."""
     from smoother.disc import settle
-    from smoother.estimate.true_time import utc_clock
-    from smoother.laps.document import lap_table
-    from smoother.report.files import write_csv, write_fixes, write_json, write_trajectory
+    from smoother.report.files import write_json
 
-    session, smoothed, baseline = estimates.session, estimates.written, estimates.baseline
-    clock = utc_clock(session, smoothed)
+    smoothed, baseline = estimates.smoothed, estimates.baseline
     progress("writing", 0.0)
     with watch.stage("writing"):
-        laps = lap_columns(estimates.laps, estimates.smoothed, smoothed.t)
-        write_trajectory(directory / TRAJECTORY, smoothed, session.origin, clock, laps)
-        if estimates.laps is not None:
-            write_csv(directory / LAPS, lap_table(estimates.laps))
-        write_fixes(directory / FIXES, session, smoothed.report.fixes)
-        if baseline is not None:
-            write_trajectory(directory / BASELINE, baseline, session.origin, clock)
-        else:
+        session, every = estimates.session, estimates.every
+        clock = api.write_tables(directory, session, smoothed, estimates.laps, baseline, every)
+        if baseline is None:
             (directory / BASELINE).unlink(missing_ok=True)
     settle(smoothed, baseline)
     with watch.stage("figures"):
@@ -340,11 +313,7 @@ def heading(estimates: Estimates) -> str:
     return f"{plain(name)} · {length}, {kilometres:.2f} km, top speed {top / KMH:.1f} km/h"
 
 
-def _summary(estimates: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:
-    from smoother.report.summary import summary
-
+def _summary(made: Estimates, options: Options, watch: Stopwatch) -> dict[str, object]:
     asked = {"rate_hz": options.rate, "solver": options.solver, "baseline": options.baseline}
-    document = summary(estimates.session, estimates.written, estimates.quality, watch.seconds, asked, estimates.laps)
-    if estimates.laps is not None:
-        document |= lap_documents(estimates.laps, estimates.smoothed, estimates.session)
-    return document | {"files": dict(estimates.files)}
+    document = api.summary(made.session, made.smoothed, made.quality, made.laps, made.every, watch.seconds, asked)
+    return document | {"files": dict(made.files)}

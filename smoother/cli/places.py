@@ -8,9 +8,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from smoother.cli.lap_stage import LAPS
 from smoother.cli.output import warn
 from smoother.errors import SessionError, SmootherError, UsageError
+from smoother.laps.stage import LAPS
 from smoother.words import counted
 
 if TYPE_CHECKING:

@@ -16,6 +16,8 @@ from smoother.units import DEG
 # that it is, and not as sure
 TIME_DIGITS, DIGITS = 6, 3
 Document = dict[str, Any]
+LapColumns = tuple[pl.Series, Array]
+"""Number of the lap, empty where none, and track distance m, NaN away from the track, of each row."""
 
 
 def lap_rows(analysis: LapAnalysis) -> list[Document]:
@@ -188,7 +190,7 @@ def _corner(corner: Corner, analysis: LapAnalysis) -> Document:
     }
 
 
-def row_columns(analysis: LapAnalysis, analysed_t: Array, t: Array) -> tuple[pl.Series, Array]:
+def row_columns(analysis: LapAnalysis, analysed_t: Array, t: Array) -> LapColumns:
     """Return the columns `lap` (empty where none) and `lap_distance_m` (N,), NaN away from the track, at times t.
 
     analysed_t : times of the rows that were analysed, of which t may be others.

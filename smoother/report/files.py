@@ -19,6 +19,7 @@ from smoother.disc import pieces, release
 from smoother.documents import replacing as replacing
 from smoother.estimate.true_time import clock_of_fixes
 from smoother.frames import Origin, nwu_to_geodetic
+from smoother.laps.document import LapColumns
 from smoother.samples import Session
 from smoother.trajectory import FixResiduals, Sigmas, Trajectory
 from smoother.units import DEG
@@ -30,10 +31,6 @@ DIGITS = 4
 TOGETHER = 1 << 18  # rows that are written together, 90 MB of text
 
 Columns = dict[str, Array]
-
-
-LapColumns = tuple[pl.Series, Array]
-"""Number of the lap, empty where none, and track distance m, NaN away from the track, of each row."""
 
 
 def write_trajectory(

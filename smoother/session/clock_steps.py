@@ -61,7 +61,7 @@ def _by(t: Array, row: int, usual: float) -> float:
 def _goes_on(t: Array, row: int, usual: float) -> bool:
     """Whether times t (N,) s fall at a row, a little, and are in order before and after, without a leap ahead."""
     fall = float(t[row - 1] - t[row]) + usual
-    again = int(fall / usual) + 1 if usual > 0.0 and fall < LONGEST else t.size
+    again = int(fall / usual) + 1 if fall < min(LONGEST, t.size * usual) else t.size
     if not BESIDE + again <= row <= t.size - BESIDE - again:
         return False
     before, after = (np.diff(part) for part in (t[row - BESIDE - again : row], t[row : row + BESIDE + again]))

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.cli.lap_stage import analyse_rows, analysed_rows, lap_columns
 from smoother.cli.lap_tables import figures
 from smoother.frames import Origin
 from smoother.laps.analysis import LapOptions, analyse, reference_lap_of
@@ -21,6 +20,7 @@ from smoother.laps.delta import zones
 from smoother.laps.document import analysis_document, lap_rows, lap_table
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis
 from smoother.laps.sigma import are_real, sure_from
+from smoother.laps.stage import analyse_rows, analysed_rows, lap_columns
 from smoother.laps.stored import read_stored
 from smoother.report.files import to_json, write_csv, write_trajectory
 from smoother.samples import Problem

@@ -7,11 +7,11 @@ import polars as pl
 import pytest
 
 from smoother.arrays import Array
-from smoother.cli.lap_stage import Stated, fix_path, options_on
 from smoother.cli.pipeline import calibrated, read
 from smoother.estimate.gnss_only import GnssSmoother
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import Lap, LapAnalysis
+from smoother.laps.stage import Stated, fix_path, options_on
 from smoother.laps.tracks import TrackFile, line_from_text, load_tracks
 from smoother.samples import Session
 from smoother.trajectory import Trajectory

@@ -24,6 +24,7 @@ from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples
 from smoother.units import DEG
+from tests.live.same_noise import batch_with_noise_of
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 TICK = 300  # bytes at once, a fifteenth of a second
@@ -110,7 +111,7 @@ def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fe
     """In attitude, velocity and position, each over sqrt(P_lag - P_batch)."""
     session = prepare(drive.simulation.raw)
     assert session.imu is not None and navigating.start is not None
-    batch = comparing.told_batch(session, navigating.start)
+    batch = batch_with_noise_of(session, navigating.start)
     last = [s.lag for s in snapshots if s.lag is not None and batch.t[-1] - 1.0 < s.lag.t <= batch.t[-1]]
     assert len(last) > 10
     apart = np.array([comparing.apart_from(batch, state, session.imu.t[-1]) for state in last])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from smoother.cli.lap_stage import analysed_rows
 from smoother.laps.analysis import LapOptions, analyse, reference_lap_of
 from smoother.laps.results import FixPath, Lap
+from smoother.laps.stage import analysed_rows
 from smoother.laps.stored import Stored
 from smoother.prepare import prepare
 from smoother.report.compare_page import Compared

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.cli.lap_stage import fix_path
 from smoother.cli.lap_tables import figures
 from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
 from smoother.laps.analysis import analyse
 from smoother.laps.document import analysis_document, lap_rows
 from smoother.laps.results import FixPath, LapAnalysis
+from smoother.laps.stage import fix_path
 from smoother.report import page as page_module
 from smoother.report import page_data
 from smoother.report.files import to_json

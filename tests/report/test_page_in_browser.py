@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smoother.cli.lap_stage import stated
 from smoother.cli.pipeline import Options, Stopwatch, calibrated, estimate, read, with_laps
 from smoother.config import SessionConfig
 from smoother.estimate.quality import Quality
+from smoother.laps.stage import stated
 from smoother.prepare import prepare
 from smoother.report.compare_page import Compared, write_comparison
 from smoother.report.page import Report, write_page

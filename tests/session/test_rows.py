@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from smoother.session.rows import (
@@ -304,6 +304,8 @@ def test_rows_written_twice_are_not_spread() -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=60))
+@example([1.0, 0.0, 2.225073858507203e-309, 1.0])
+@example([0.0, 0.0])
 def test_whatever_the_times_the_result_increases_and_every_row_is_accounted_for(t: list[float]) -> None:
     time, index, rows = order(np.array(t, dtype=float))
     assert time.shape == index.shape

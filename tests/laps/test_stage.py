@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from smoother.cli.lap_stage import stated
 from smoother.config import SessionConfig
+from smoother.laps.stage import stated
 
 VBO = """[header]
 time

@@ -1,4 +1,5 @@
-"""The lap analysis as a stage of the pipeline: what was stated about the track, the analysis, and its files."""
+"""The lap analysis of a session: what is stated about the track, the analysis, and its tables. Heavy imports are inside
+the functions, so that the command line starts quickly."""
 
 from __future__ import annotations
 
@@ -12,11 +13,11 @@ if TYPE_CHECKING:
     from smoother.config import SessionConfig
     from smoother.frames import Origin
     from smoother.laps.analysis import LapOptions
+    from smoother.laps.document import LapColumns
     from smoother.laps.own_lines import OwnLine
     from smoother.laps.results import FixPath, LapAnalysis
     from smoother.laps.sigma import Drift
     from smoother.laps.tracks import TrackFile
-    from smoother.report.files import LapColumns
     from smoother.samples import Problem, Session
     from smoother.trajectory import Trajectory
 
