@@ -156,7 +156,8 @@ def change_columns(base: Path, changed: Path, before: Outcome, after: Outcome, s
 def trajectory_change(one: Table, other: Table) -> Columns:
     """Rms change of velocity, yaw and line over the sigmas of the first trajectory, at common times.
 
-    The line is the horizontal position without its mean; its sigma is sigma_track_m, of both axes together.
+    The line is the horizontal position without its mean; its sigma is sigma_track_m, of both axes together. That has
+    no slow wander of the fixes in it, which the line may share out anew: more than velocity and yaw, it may exceed 1.
     """
     t = one["t_s"]
     found: Columns = {}
