@@ -213,7 +213,7 @@ ADRIA = "kart_adria_first_half"
 
 SIMULATED = (
     Continuity("kart", _simulated("--seed", "11"), without=DECLINATION),
-    Continuity("kart_5s", _simulated(*RARE, interval=5), _simulated(*RARE, interval=5, more=True), quick=True),
+    Continuity("kart_5s", _simulated(*RARE, interval=5), _simulated(*RARE, interval=5, more=True)),
     Continuity("fixes_alone", _simulated("--seed", "13", "--no-imu", "--no-mag"), without=NO_SAMPLES, quick=True),
 )
 RECORDED = (

@@ -47,6 +47,7 @@ TOLERANCES: tuple[tuple[str, float, float], ...] = (
     ("distance", 0.003, 1.0),
 )
 DIGITS = 4  # significant, of every number
+LAP_TIME, LAP_TIME_DIGITS = "lap.*.time", 6  # a hundredth of a lap's second is half its sigma
 SMALLEST = 1e-6  # a figure below it is rounding
 HEAD = "# column  relative  absolute"
 
@@ -91,18 +92,22 @@ def number(text: str) -> float | None:
         return None
 
 
-def text_of(value: Value) -> str:
+def text_of(value: Value, digits: int = DIGITS) -> str:
     """Return a value as a table has it."""
     if isinstance(value, str):
         return " ".join(value.split()) or "-"
     if isinstance(value, int):
         return str(value)
-    return "0" if abs(value) < SMALLEST else f"{value:.{DIGITS}g}"
+    return "0" if abs(value) < SMALLEST else f"{value:.{digits}g}"
 
 
 def texts_of(rows: Mapping[str, Mapping[str, Value]]) -> Texts:
     """Return the texts of all values."""
-    return {(row, column): text_of(value) for row, values in rows.items() for column, value in values.items()}
+    return {
+        (row, column): text_of(value, LAP_TIME_DIGITS if fnmatchcase(column, LAP_TIME) else DIGITS)
+        for row, values in rows.items()
+        for column, value in values.items()
+    }
 
 
 def write_table(path: Path, texts: Texts) -> None:

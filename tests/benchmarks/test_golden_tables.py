@@ -27,6 +27,10 @@ def test_a_value_has_four_digits(value: float | str, text: str) -> None:
     assert text_of(value) == text
 
 
+def test_a_lap_time_shows_its_milliseconds() -> None:
+    assert texts_of({"kart": {"lap.03.time": 38.3649}}) == {("kart", "lap.03.time"): "38.3649"}
+
+
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     texts, tolerances = stored(tmp_path, ROWS)
     assert texts["kart", "quality.reasons"] == "far from the fixes"
