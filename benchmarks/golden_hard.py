@@ -206,7 +206,7 @@ def rattling_after(t: float, seconds: float) -> Damage:
 
     def swung_rates(times: Array, values: Array) -> Array:
         rate = np.where(_loose(times), amplitude * 2.0 * np.pi * np.cos(2.0 * np.pi * (times - t)), 0.0)
-        return swung(times, values) + np.outer(rate, [1.0, 0.0, 0.0])
+        return np.asarray(swung(times, values) + np.outer(rate, [1.0, 0.0, 0.0]))
 
     def _loose(times: Array) -> np.ndarray:
         return (times > t) & (times < t + seconds)
@@ -249,7 +249,7 @@ def coming_in(north: float, memory: float) -> Damage:
     """The receiver has just found its satellites: positions come in from `north` m off, by 1/e in `memory` s."""
 
     def change(t: Array, lat: Array) -> Array:
-        return lat + (north * np.exp(-(t - t[0]) / memory) / METRES_PER_DEGREE)[:, None]
+        return np.asarray(lat + (north * np.exp(-(t - t[0]) / memory) / METRES_PER_DEGREE)[:, None])
 
     return lambda folder: edit_numbers(folder / "gps.csv", ("lat_deg",), change, 10)
 
