@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from golden_command import Array, Bench, Outcome, Table, columns, read_table
-from golden_laps import change_of_line, crossings, lap_times
+from golden_laps import change_of_line, crossings, lap_times, slow_change
 from golden_tables import Columns
 
 OPTIONS = ("--json", "--no-baseline", "--no-figures")
@@ -148,13 +148,16 @@ def lap_columns(document: Mapping[str, Any], folder: Path) -> Columns:
 
 
 def line_columns(folder: Path, starts: Array, ends: Array) -> Columns:
-    """How much the line changes from a lap to the next, smoothed and raw, m; laps from starts to ends (L,) s."""
+    """How much the line changes from a lap to the next, and by a slow error, smoothed and raw, m; laps (L,) in s."""
     found: Columns = {}
     for name, file in (("smoothed", "trajectory.csv"), ("raw", "gps.csv")):
         table = read_table(folder / RESULTS / file)
-        change = change_of_line(table["t_s"], columns(table, "north_m", "west_m"), starts, ends)
-        if change is not None:
-            found[f"line_change.{name}"] = change
+        path = columns(table, "north_m", "west_m")
+        known = np.isfinite(path).all(axis=1)
+        for kind, measure in (("", change_of_line), (".slow", slow_change)):
+            change = measure(table["t_s"][known], path[known], starts, ends)
+            if change is not None:
+                found[f"line_change.{name}{kind}"] = change
     return found
 
 

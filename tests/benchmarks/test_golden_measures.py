@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from golden_command import Array, Table, columns, read_table
 from golden_continuity import CHANGES, trajectory_change
-from golden_laps import change_of_line, crossings, lap_times
+from golden_laps import change_of_line, crossings, lap_times, slow_change
 from golden_measures import KINDS, to_n, truth_columns
 from golden_recordings import matched
 from golden_thinned import kept_fixes, scored, with_one_more
@@ -38,8 +39,33 @@ def test_a_driver_who_runs_wide_in_one_corner_moves_no_lap() -> None:
     assert change_of_line(t, path, starts, ends) == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_the_slow_change_is_that_of_the_process_that_moved_the_laps(sigma: float) -> None:
+    tau, found = 80.0, []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t, path, starts, ends = laps_of_circle(np.zeros((12, 2)))
+        keep = np.exp(-0.1 / tau)
+        steps = sigma * np.sqrt(1 - keep**2) * rng.standard_normal(path.shape)
+        steps[0] = sigma * rng.standard_normal(2)
+        found.append(slow_change(t, path + lfilter([1.0], [1.0, -keep], steps, axis=0), starts, ends))
+    true = sigma * np.sqrt(2 * (1 - np.exp(-LAP / tau)))
+    assert np.exp(np.mean(np.log(found))) == pytest.approx(true, rel=0.25)
+
+
+def test_what_a_driver_does_in_a_corner_is_hardly_a_slow_change() -> None:
+    t, path, starts, ends = laps_of_circle(np.zeros((8, 2)))
+    rng = np.random.default_rng(2)
+    for lap in range(8):
+        corner = (t // LAP == lap) & (t % LAP > 8) & (t % LAP < 14)
+        path[corner] *= 1.0 + 0.006 * rng.standard_normal()  # half a metre
+    found = slow_change(t, path, starts, ends)
+    assert found is not None and found < 0.15
+
+
 def test_two_laps_have_no_change() -> None:
     assert change_of_line(*laps_of_circle(MOVES[:2])) is None
+    assert slow_change(*laps_of_circle(MOVES[:2])) is None
 
 
 def test_a_gate_is_crossed_once_a_lap() -> None:
