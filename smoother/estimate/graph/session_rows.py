@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
+from smoother.arrays import BoolArray
+from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.expected import DRIVEN_BELOW, DopplerNoise, ExpectedMotion, expected_motion, shown_below
 from smoother.estimate.graph.imu import DensePath
@@ -39,8 +40,6 @@ STILL_TURN = 3e-4  # rad between keyframes, likewise
 # m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
 # are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
 LEVEL_GROUND = 2.0
-FAR_FROM_HEIGHT = 20.0  # s; for so long the samples alone carry a height
-HEIGHTS_AROUND = np.arange(-2, 3)  # whose median is the nearest height: one of them may be wild
 
 
 def unsteady_share(state: ChainState, noise: Noise) -> float:
@@ -129,7 +128,7 @@ def session_rows(
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
     out.append(rw.prior_row("pose_prior", np.zeros(9), ANYWHERE, slice(0, 9)))
     if d.heights is not None:
-        at, height = _far_from_heights(d.heights, state.t)
+        at, height = far_from_heights(d.heights, state.t)
         if len(at):
             out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
     if len(d.still):
@@ -137,22 +136,6 @@ def session_rows(
     if d.heading is not None:
         out.append(rw.heading_rows(state, d.heading))
     return out
-
-
-def _far_from_heights(heights: Array, t: Array) -> tuple[IntArray, Array]:
-    """Keyframes of t (K,) s, but the last, that are far from any of the heights (H, 2), and the nearest one (n,) m.
-
-    That of the origin where there is none at all.
-    """
-    if not len(heights):
-        return np.arange(len(t) - 1), np.zeros(len(t) - 1)
-    times = heights[:, 0]
-    after = np.clip(np.searchsorted(times, t[:-1]), 0, len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    near = np.where(np.abs(times[after] - t[:-1]) < np.abs(times[before] - t[:-1]), after, before)
-    far = np.flatnonzero(np.abs(times[near] - t[:-1]) > FAR_FROM_HEIGHT)
-    around = np.clip(near[far, None] + HEIGHTS_AROUND, 0, len(times) - 1)
-    return far, np.median(heights[around, 1], axis=1)
 
 
 def robust(rows: Rows, doubted: BoolArray | None = None) -> Rows:

@@ -1,0 +1,40 @@
+"""GPS Doppler velocity: that of the antenna, late by a latency and behind the receiver's low-pass, beside a bias."""
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array
+from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.rows import Between, Rows, no_jacobian, rows_of
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.state import State
+from smoother.frames import UP_N
+
+LEVEL = np.array([1.0, 1.0, 0.0])
+
+
+def velocity_rows(state: State, motion: LowPassedMotion, t: Array, measured_n: Array, sigma: Array) -> Rows:
+    """Residual v(t - latency) + w x R l + response * jerk + bias - z, m/s in n; w is the turn rate about up.
+
+    t (N,) s: stamps; measured_n (N, 3) m/s, NaN unknown; sigma (N, 3) m/s. A kart bounces on its tyres: upwards there
+    is no slope by the latency, and no response.
+    """
+    latency = state.constant("velocity_latency")
+    between = Between.at(state, t - latency)
+    weights, axes, along = between.of_velocity(), arm_axes(between), motion.at(t - latency)
+    arm_n, turning = axes @ state.constants["lever_arm"], so3.skew(along.turn_rate[:, None] * UP_N)
+    swing_n = np.einsum("nij,nj->ni", turning, arm_n)
+    left, right = no_jacobian(len(t), 3)
+    between.put_value(left, right, weights)
+    if not state.geometry.is_steered:
+        between.put_turn(left, right, -turning @ so3.skew(arm_n))
+    acceleration_n = (along.acceleration_n + np.einsum("nij,nj->ni", turning, swing_n)) * LEVEL
+    constants = {
+        "velocity_latency": -acceleration_n[:, :, None],
+        "lever_arm": turning @ axes,
+        "doppler_bias": np.broadcast_to(np.eye(3), (len(t), 3, 3)),
+        "velocity_response": (along.jerk_n * LEVEL)[:, :, None],
+    }
+    beyond_n = state.constants["doppler_bias"] + state.constant("velocity_response") * along.jerk_n * LEVEL
+    residual = between.value(weights) + swing_n + beyond_n - measured_n
+    return rows_of("gps_velocity", between.interval, residual, sigma, left, right, constants)

@@ -1,0 +1,213 @@
+"""The graph of a session: what is measured and known, the table of factors, and the one function that builds the graph.
+
+The inertial factors and the priors are GTSAM's own. Everything else is one vectorised function a factor; the table says
+which of them a session has and whether outliers lose weight.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.estimate.factors.doppler import velocity_rows
+from smoother.estimate.factors.ground import ground_rows
+from smoother.estimate.factors.heading import heading_rows
+from smoother.estimate.factors.imu import imu_factors
+from smoother.estimate.factors.offset import offset_rows, offset_start_rows
+from smoother.estimate.factors.position import position_rows
+from smoother.estimate.factors.rows import Rows, robust
+from smoother.estimate.factors.standstill import standstill_rows
+from smoother.estimate.factors.wheels import slip_of, slip_rows
+from smoother.estimate.graph.heading import Heading
+from smoother.estimate.graph.imu import BinnedImu, shaken
+from smoother.estimate.graph.preintegration import preintegrate
+from smoother.estimate.model.motion import LowPassedMotion, cutoff_for
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import CONSTANTS, KEYS, State, keyframe_keys
+
+ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: prior of the first pose, which says nothing
+ANY_SPEED = 1e3  # m/s, likewise
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """What is measured besides the inertial samples, on their clock.
+
+    t (N,) s: stamps of the fixes. position_n m, velocity_n m/s (N, 3): NaN where unknown.
+    position_scale, velocity_scale (N,): factors of the session's sigmas.
+    still (S,): intervals at rest.
+    rejected (N,): fixes whose positions do not count.
+    heading: of the magnetometer.
+    rolls (K,): keyframes at which wheels roll, None asks nothing of them.
+    ground: keyframes far from any fix with a height, and the nearest height, m.
+    offset_share, offset_renewed (K-1,): slow error of the fixes in parts of its sigma, and where it is another one.
+    """
+
+    t: Array
+    position_n: Array
+    velocity_n: Array
+    position_scale: Array
+    velocity_scale: Array
+    still: IntArray
+    rejected: BoolArray | None = None
+    heading: Heading | None = None
+    rolls: BoolArray | None = None
+    ground: tuple[IntArray, Array] | None = None
+    offset_share: Array | None = None
+    offset_renewed: BoolArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """What is known beforehand: accel_bias m/s^2 and gyro_bias rad/s, sigmas of the first biases, about zero and
+    gyro_bias_mean (3,); constants: mean and sigma by name; held_s (3,): direction of the arm that stays at its mean.
+    """
+
+    accel_bias: float
+    gyro_bias: float
+    gyro_bias_mean: Array
+    constants: dict[str, tuple[Array, Array]]
+    held_s: Array | None = None
+
+
+HELD = 1e-4  # m, sigma of what is held
+WHEELS_BELOW = 1.5  # Hz; turns into corners are quicker than what latencies are told by
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """All that a factor may read: measurements, noise, priors, a state and the low-passed motion along it."""
+
+    measured: Measurements
+    noise: Noise
+    priors: Priors
+    state: State
+    motion: LowPassedMotion
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A line of the table: its rows for given inputs, and whether outliers lose weight."""
+
+    name: str
+    rows: Callable[[Inputs], Iterable[Rows]]
+    is_robust: bool = False
+
+
+def _position(x: Inputs) -> Iterable[Rows]:
+    m = x.measured
+    sigma = m.position_scale[:, None] * x.noise.position
+    usual = float(x.priors.constants["position_latency"][0][0])
+    position_n = m.position_n if m.rejected is None else np.where(m.rejected[:, None], np.nan, m.position_n)
+    yield position_rows(x.state, x.motion, m.t, position_n, sigma, usual)
+
+
+def _velocity(x: Inputs) -> Iterable[Rows]:
+    m = x.measured
+    yield velocity_rows(x.state, x.motion, m.t, m.velocity_n, m.velocity_scale[:, None] * x.noise.velocity)
+
+
+def _offset(x: Inputs) -> Iterable[Rows]:
+    m, sigma = x.measured, x.noise.offset_sigma
+    share = 1.0 if m.offset_share is None else m.offset_share[:, None]
+    first = 1.0 if m.offset_share is None else m.offset_share[0]
+    yield offset_start_rows(x.state, first * sigma)
+    yield offset_rows(x.state, share * sigma, x.noise.offset_tau, m.offset_renewed)
+
+
+def _heading(x: Inputs) -> Iterable[Rows]:
+    h = x.measured.heading
+    if h is not None:
+        yield heading_rows(x.state, h.interval, h.field_s, h.field_yaw, h.sigma, h.has_offset)
+
+
+def _wheels(x: Inputs) -> Iterable[Rows]:
+    if x.measured.rolls is not None and x.noise.slip is not None:
+        yield from slip_rows(
+            slip_of(x.state, LowPassedMotion(x.state, WHEELS_BELOW)), x.measured.rolls, x.noise.slip, x.state.interval
+        )
+
+
+def _standstill(x: Inputs) -> Iterable[Rows]:
+    if len(x.measured.still):
+        yield standstill_rows(x.state, x.measured.still)
+
+
+def _ground(x: Inputs) -> Iterable[Rows]:
+    if x.measured.ground is not None:
+        yield ground_rows(x.state, *x.measured.ground)
+
+
+TABLE = (
+    Factor("gps_position", _position, is_robust=True),
+    Factor("gps_velocity", _velocity, is_robust=True),
+    Factor("gps_offset", _offset),
+    Factor("heading", _heading),
+    Factor("wheels", _wheels, is_robust=True),
+    Factor("standstill", _standstill),
+    Factor("ground", _ground),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """The graph of a session for one noise: GTSAM's factors in `nonlinear`, the IMU factors of all intervals first, and
+    all others by :meth:`rows`. ordering: keyframes in their order, constants last. state: times and geometry.
+    """
+
+    nonlinear: gtsam.NonlinearFactorGraph
+    ordering: gtsam.Ordering
+    preintegrated: list[gtsam.PreintegratedCombinedMeasurements]
+    measured: Measurements
+    noise: Noise
+    priors: Priors
+    state: State
+    shaken: Array
+    table: tuple[Factor, ...] = TABLE
+
+    def rows(self, state: State) -> list[Rows]:
+        """All rows of the table, linearised at `state`, with robust weights."""
+        motion = LowPassedMotion(state, cutoff_for(self.noise.inertial.accel))
+        inputs = Inputs(self.measured, self.noise, self.priors, state, motion)
+        return [robust(r) if f.is_robust else r for f in self.table for r in f.rows(inputs) if len(r.interval)]
+
+
+def build_graph(
+    binned: BinnedImu,
+    measured: Measurements,
+    noise: Noise,
+    priors: Priors,
+    state: State,
+    table: tuple[Factor, ...] = TABLE,
+) -> Graph:
+    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`."""
+    biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
+    preintegrated = preintegrate(binned, noise.inertial, *biases)
+    nonlinear = imu_factors(preintegrated)
+    for factor in _prior_factors(priors, noise, state):
+        nonlinear.add(factor)
+    keys = [key for k in range(len(state.t)) for key in keyframe_keys(k)]
+    ordering = gtsam.Ordering([*keys, *KEYS.values()])
+    return Graph(nonlinear, ordering, preintegrated, measured, noise, priors, state, shaken(binned), table)
+
+
+def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam.NonlinearFactor]:
+    yield gtsam.PriorFactorPose3(X(0), gtsam.Pose3(gtsam.Rot3(state.R_ns[0]), state.position_n[0]), _diagonal(ANYWHERE))
+    yield gtsam.PriorFactorVector(V(0), state.velocity_n[0], _diagonal(np.full(3, ANY_SPEED)))
+    bias = gtsam.imuBias.ConstantBias(np.zeros(3), priors.gyro_bias_mean)
+    sigma = np.repeat([priors.accel_bias, priors.gyro_bias], 3)
+    yield gtsam.PriorFactorConstantBias(B(0), bias, _diagonal(sigma))
+    for constant in CONSTANTS:
+        mean, sigma = priors.constants[constant.name]
+        sigma = noise.constants.get(constant.name, sigma)
+        information = np.diag(1.0 / np.square(sigma))
+        if constant.name == "lever_arm" and priors.held_s is not None:
+            information += np.outer(priors.held_s, priors.held_s) / HELD**2
+        yield gtsam.PriorFactorVector(KEYS[constant.name], mean, gtsam.noiseModel.Gaussian.Information(information))
+
+
+def _diagonal(sigma: Array) -> gtsam.noiseModel.Diagonal:
+    return gtsam.noiseModel.Diagonal.Sigmas(np.asarray(sigma, dtype=np.float64))

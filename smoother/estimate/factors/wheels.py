@@ -1,0 +1,121 @@
+"""Wheels roll along the kart and hardly sideways: sideslip as constants and a Gauss-Markov process.
+
+Sideslip is the angle from the nose to the course. What it has in common over a session are four constants: an angle,
+what goes with lateral acceleration, with its rate, and with curvature (the box is ahead of the rear axle). The rest is
+a process whose sigma grows with how hard the kart corners. It ties the yaw to the course where the kart drives.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray
+from smoother.estimate.factors.rows import Rows, no_jacobian, rows_of
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.state import KEYFRAME_SIZE, ROTATION, VELOCITY, State
+from smoother.frames import UP_N, wrap_angle
+
+SLIDING, AROUND = np.radians(20.0), 1.0  # rad beside the usual slip, of a slide or a spin, and s around it
+MOST_SLIDING = 0.2  # of the time at speed; a box that points elsewhere more often is not fixed to a chassis
+MOST = np.radians(4.0)  # scatter of the slip of anything that is fixed to a chassis on wheels
+UNSURE = np.radians(1.0)  # error of a slip that leaves it a quarter of its weight
+ENOUGH = 100  # keyframes at speed
+MOVING = 4.0  # m/s from which on the course has a direction to speak of
+SIDEWAYS = 0.05  # m/s by which bumps push the kart, from keyframe to keyframe
+MEMORY = 2.0  # s; time constant of the process, a corner's worth
+# m/s^2 of lateral acceleration and m/s^3 of its rate at which the process has its sigma, and the share of that on
+# straights: a hard corner of a kart, the turn into it, and 0.2 deg
+HARD, QUICK, STRAIGHT = 10.0, 25.0, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Sideslip beyond its constants at the keyframes, over the level (K,) of the process there.
+
+    value (K,) rad; own (K,) rad: scatter from keyframe to keyframe; Jacobians by_keyframe (K, 18), by_constants (K, 4).
+    """
+
+    value: Array
+    own: Array
+    level: Array
+    by_keyframe: Array
+    by_constants: Array
+
+
+def slip_of(state: State, motion: LowPassedMotion) -> Slip:
+    """Return the sideslip at the keyframes of `state`."""
+    along, velocity_n = motion.at(state.t), state.velocity_n
+    ahead_n = state.R_ns @ state.geometry.level_axes_s[0]
+    speed = np.maximum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]), MOVING)
+    left_n = np.cross(UP_N, velocity_n) / speed[:, None]
+    lateral = np.sum(left_n * along.acceleration_n, axis=1)
+    later = np.sum(left_n * along.jerk_n, axis=1)
+    level = np.sqrt(STRAIGHT**2 + (lateral / HARD) ** 2 + (later / QUICK) ** 2)
+    design = np.column_stack([np.ones(len(speed)), lateral, later, lateral / speed**2])
+    course = np.arctan2(velocity_n[:, 1], velocity_n[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
+    by_keyframe = np.zeros((len(speed), KEYFRAME_SIZE))
+    by_keyframe[:, ROTATION], by_keyframe[:, VELOCITY] = -state.R_ns[:, 2, :], left_n / speed[:, None]
+    return Slip(
+        wrap_angle(course - design @ state.constants["slip"]) / level,
+        SIDEWAYS / speed / level,
+        level,
+        by_keyframe / level[:, None],
+        -design / level[:, None],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rolling:
+    """Keyframes (K,) at which the wheels roll, and sigma rad of the process by how far their slip scatters."""
+
+    at: BoolArray
+    sigma: float
+
+
+def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> Rolling | None:
+    """By the slip of a solution without wheels; None where the box does not follow the path.
+
+    moves (K,): keyframes at speed whose attitude the samples tell; variance (K,): of slip.value, by the errors of that
+    solution. interval s.
+    """
+    if np.count_nonzero(moves) < ENOUGH:
+        return None
+    angle = slip.value * slip.level
+    angle = wrap_angle(angle - np.median(angle[moves]))
+    sliding = moves & (np.abs(angle) > SLIDING)
+    around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
+    rolls = moves & ~around
+    if np.count_nonzero(rolls) < (1.0 - MOST_SLIDING) * np.count_nonzero(moves):
+        return None
+    weight = 1.0 / (variance[rolls] + UNSURE**2)
+    design = slip.by_constants[rolls] * np.sqrt(weight)[:, None]
+    value = angle[rolls] / slip.level[rolls]
+    fit = np.linalg.lstsq(design, value * np.sqrt(weight), rcond=None)[0]
+    beyond = np.minimum((value - slip.by_constants[rolls] @ fit) ** 2, SLIDING**2) - variance[rolls]
+    sigma = np.sqrt(max(float(np.average(beyond, weights=weight**2)), 0.0))
+    return None if sigma > MOST else Rolling(rolls, float(sigma))
+
+
+def slip_rows(slip: Slip, rolls: BoolArray, sigma: float, interval: float) -> tuple[Rows, Rows]:
+    """The process: its start wherever the kart gets going, and its steps, rad.
+
+    rolls (K,): keyframes at which the wheels roll. sigma rad at the level of a hard corner; interval s. No keyframe
+    needs an unknown for it. Source: Gelb 1974, 3.8.
+    """
+    phi = np.exp(-interval / MEMORY)
+    steps = np.flatnonzero(rolls[:-1] & rolls[1:])
+    starts = steps[np.diff(steps, prepend=-2) > 1]
+    left, right = no_jacobian(len(starts), 1)
+    left[:, 0] = slip.by_keyframe[starts]
+    spread = np.sqrt(sigma**2 + slip.own[starts] ** 2)
+    start = _rows("slip_start", starts, slip.value[starts], spread, left, right, slip.by_constants[starts])
+    left, right = no_jacobian(len(steps), 1)
+    left[:, 0], right[:, 0] = -phi * slip.by_keyframe[steps], slip.by_keyframe[steps + 1]
+    spread = np.sqrt(sigma**2 * (1.0 - phi**2) + slip.own[steps + 1] ** 2 + phi**2 * slip.own[steps] ** 2)
+    by_constants = slip.by_constants[steps + 1] - phi * slip.by_constants[steps]
+    value = slip.value[steps + 1] - phi * slip.value[steps]
+    return start, _rows("slip", steps, value, spread, left, right, by_constants)
+
+
+def _rows(name: str, at: IntArray, value: Array, sigma: Array, left: Array, right: Array, by_constants: Array) -> Rows:
+    return rows_of(name, at, value[:, None], sigma[:, None], left, right, {"slip": by_constants[:, None, :]})

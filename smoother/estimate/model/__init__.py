@@ -1,0 +1,1 @@
+"""What is estimated and what it is estimated from: unknowns, keyframes, inertial samples, motion, noise."""

@@ -1,0 +1,123 @@
+"""The unknowns of the graph: variables of each keyframe and constants of the session, as GTSAM values and as arrays.
+
+Keyframe k has the pose of the sensor X(k) = T_ns, its velocity V(k) in n, the biases B(k) of specific force and angular
+rate, and the slow error O(k) of the fixes in n (fix = position + error). The tangent of a keyframe has these 18 columns
+in this order; a rotation is `R_ns @ exp(w)` and a translation `p + R_ns @ d`, both in s, as in GTSAM's Pose3.
+
+A constant of the session is a small vector with a key of its own. To add one: a line in CONSTANTS, a prior in
+model/priors.py, and the factor whose Jacobian has it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, O, V, X
+
+from smoother.arrays import Array
+
+ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
+ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
+DIMENSIONS = (6, 3, 6, 3)  # of X, V, B, O
+KEYFRAME_SIZE = 18
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant of the session: its name, how many numbers it has, and what they are."""
+
+    name: str
+    size: int
+    meaning: str
+
+
+CONSTANTS = (
+    Constant("position_latency", 1, "s: a position stamped t was true at t - latency"),
+    Constant("velocity_latency", 1, "s: likewise of a Doppler velocity"),
+    Constant("lever_arm", 3, "m in s: from the IMU to the antenna"),
+    Constant("doppler_bias", 3, "m/s in n: constant error of the receiver's velocity"),
+    Constant("velocity_response", 1, "s^2: times the jerk, what a receiver's low-pass adds to the velocity"),
+    Constant("heading_offset", 1, "rad: by which the magnetic heading is too large"),
+    Constant("slip", 4, "rad, rad per m/s^2, rad per m/s^3, m: sideslip by lateral acceleration, its rate, curvature"),
+    Constant("accel_scale", 6, "1: error of specific force by force along the two level axes, (3, 2)"),
+    Constant("gyro_scale", 3, "1: error of angular rate by the rate about up"),
+    Constant("rectification", 6, "m/s^2: force by vibration of force and of rate, (3, 2)"),
+)
+KEYS: Mapping[str, int] = {c.name: gtsam.symbol("c", i) for i, c in enumerate(CONSTANTS)}
+_ENDS = np.cumsum([c.size for c in CONSTANTS])
+COLUMNS: Mapping[str, slice] = {
+    c.name: slice(int(end) - c.size, int(end)) for c, end in zip(CONSTANTS, _ENDS, strict=True)
+}
+"""Where each constant is among the columns of all of them: for matrices that go to GTSAM, and covariances."""
+CONSTANTS_SIZE = int(_ENDS[-1])
+
+
+def keyframe_keys(k: int) -> list[int]:
+    """GTSAM's keys of keyframe k, in the order of its tangent."""
+    return [X(k), V(k), B(k), O(k)]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What is known of the box beside the unknowns.
+
+    level_axes_s (3, 3): rows are two level axes and up, in s. is_steered: the box is on the steering wheel, and the
+    lever arm keeps to the course instead of the box.
+    """
+
+    level_axes_s: Array
+    is_steered: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All unknowns as arrays: t (K,) s, evenly spaced; R_ns (K, 3, 3); position_n of the IMU m, velocity_n m/s,
+    accel_bias_s m/s^2, gyro_bias_s rad/s, offset_n m, each (K, 3); constants by name, each (size,).
+    """
+
+    t: Array
+    R_ns: Array
+    position_n: Array
+    velocity_n: Array
+    accel_bias_s: Array
+    gyro_bias_s: Array
+    offset_n: Array
+    constants: Mapping[str, Array]
+    geometry: Geometry
+
+    @property
+    def interval(self) -> float:
+        """Time between keyframes, s."""
+        return float(self.t[1] - self.t[0])
+
+    def constant(self, name: str) -> float:
+        """A constant that is one number."""
+        return float(self.constants[name][0])
+
+    def values(self) -> gtsam.Values:
+        """The same as GTSAM's values."""
+        values = gtsam.Values()
+        for k in range(len(self.t)):
+            values.insert(X(k), gtsam.Pose3(gtsam.Rot3(self.R_ns[k]), self.position_n[k]))
+            values.insert(V(k), self.velocity_n[k])
+            values.insert(B(k), gtsam.imuBias.ConstantBias(self.accel_bias_s[k], self.gyro_bias_s[k]))
+            values.insert(O(k), self.offset_n[k])
+        for name, key in KEYS.items():
+            values.insert(key, self.constants[name])
+        return values
+
+    def with_values(self, values: gtsam.Values) -> "State":
+        """The state with all unknowns as GTSAM's values have them."""
+        pose = gtsam.utilities.extractPose3(values)  # rows by key, as all of these
+        biases = np.array([values.atConstantBias(B(k)).vector() for k in range(len(self.t))])
+        return replace(
+            self,
+            R_ns=pose[:, :9].reshape(-1, 3, 3),
+            position_n=pose[:, 9:],
+            velocity_n=gtsam.utilities.extractVectors(values, "v"),
+            accel_bias_s=biases[:, :3],
+            gyro_bias_s=biases[:, 3:],
+            offset_n=gtsam.utilities.extractVectors(values, "o"),
+            constants={name: values.atVector(key) for name, key in KEYS.items()},
+        )

@@ -1,0 +1,1 @@
+"""Ways to solve the graph, and what a solution says of its own uncertainty."""

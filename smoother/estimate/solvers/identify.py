@@ -1,0 +1,233 @@
+"""Solving and finding the noise, in turns: solve <-> noise from residuals, until neither moves."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.factors.graph import TABLE, WHEELS_BELOW, Factor, Graph, Measurements, Priors, build_graph
+from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
+from smoother.estimate.graph.heading import Heading
+from smoother.estimate.graph.imu import BinnedImu, are_told
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import COLUMNS, ROTATION, VELOCITY, State
+from smoother.estimate.solvers.batch import Step, step
+from smoother.estimate.solvers.covariance import Chain, Covariances
+from smoother.estimate.solvers.variance_components import (
+    USUAL_SLIP,
+    Components,
+    Scatter,
+    components_of,
+    update_noise,
+)
+
+FIRST_STEPS = 3  # before the first noise
+MOST_TURNS = 12
+MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
+NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
+FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
+NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
+ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A session or a part of it, ready to be solved: samples, measurements, priors, and where to begin.
+
+    usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
+    """
+
+    binned: BinnedImu
+    measured: Measurements
+    priors: Priors
+    state: State
+    usual: Noise
+    scatter: Scatter
+    stated: frozenset[str] = frozenset()
+    table: tuple[Factor, ...] = TABLE
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved graph: the last step, its chain and covariances, the noise it was solved with, and what that is from."""
+
+    graph: Graph
+    step: Step
+    chain: Chain
+    covariances: Covariances
+    components: Components
+
+    @property
+    def state(self) -> State:
+        """The state after the last step."""
+        return self.step.after
+
+    @property
+    def noise(self) -> Noise:
+        """The noise that the graph was solved with."""
+        return self.graph.noise
+
+
+def identify(
+    problem: Problem,
+    noise: Noise,
+    progress: Progress,
+    first_steps: int = FIRST_STEPS,
+    *,
+    wheels: bool = False,
+    heading: Callable[[State], Heading | None] | None = None,
+) -> Solution:
+    """Solve a problem and find its noise, from `noise`, in turns; progress is told the share of the turns.
+
+    wheels: they join once the noise is found and the attitudes are good enough to judge them by, where the box follows
+    the path. From then on only the slip's noise is found: slip changes more smoothly than its process, and what that
+    expects of quick steps would be missed in the noise of the samples.
+    heading: of a magnetometer, likewise; it returns the headings that can be used.
+    """
+    values, state = problem.state.values(), problem.state
+    graph = _graph(problem, state, noise)
+    for _ in range(first_steps):
+        values = step(graph, values).moved
+    damping = Damping()
+    wheels = wheels and not state.geometry.is_steered
+    for turn in range(MOST_TURNS):
+        taken = step(graph, values)
+        chain = taken.chain()
+        covariances = chain.covariances()
+        better, found = update_noise(
+            graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
+        )
+        better = damping.damped(graph.noise, better)
+        if graph.noise.slip is not None:
+            better = replace(graph.noise, slip=better.slip)
+        values = taken.moved
+        progress((turn + 1) / MOST_TURNS)
+        change, move, joined = relative_change(graph.noise, better), moved(taken, covariances), False
+        if heading is not None and move < NEAR:
+            field, heading = heading(taken.after), None
+            if field is not None:
+                problem = replace(problem, measured=replace(problem.measured, heading=field))
+                prior = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
+                problem = replace(problem, priors=replace(problem.priors, constants=prior))
+                change, joined = 1.0, True
+        if wheels and better.slip is None and move < NEAR and change < CHANGED:
+            wheels, found_rolling = False, _rolling(taken, covariances, problem)
+            if found_rolling is not None:
+                problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
+                better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
+                change, joined = 1.0, True
+        if (move < MOVED and change < CHANGED) or turn + 1 == MOST_TURNS:
+            break
+        graph = _graph(problem, taken.after, better) if joined else _renewed(problem, graph, taken.after, better)
+    return Solution(graph, taken, chain, covariances, found)
+
+
+def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
+    return build_graph(problem.binned, problem.measured, noise, problem.priors, state, problem.table)
+
+
+def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Graph:
+    """The graph with another noise and what joined the problem; samples are preintegrated again where it matters."""
+    one, two = graph.noise.inertial, noise.inertial
+    if max(abs(math.log(one.accel / two.accel)), abs(math.log(one.gyro / two.gyro))) > ALIKE:
+        return _graph(problem, state, noise)
+    same = replace(noise, inertial=one)
+    return replace(graph, measured=problem.measured, noise=same, priors=problem.priors)
+
+
+def moved(step: Step, covariances: Covariances) -> float:
+    """Root mean square of a step of attitude, velocity, and of latencies and arm, each over its sigma; the largest."""
+    variance = np.einsum("kii->ki", covariances.keyframes)
+    squares = [np.mean(step.keyframes[:, part] ** 2 / variance[:, part]) for part in (ROTATION, VELOCITY)]
+    own = np.maximum(np.diag(covariances.constants), FIXED**2)
+    squares += [
+        np.mean(step.constants[COLUMNS[name]] ** 2 / own[COLUMNS[name]])
+        for name in ("position_latency", "velocity_latency", "lever_arm")
+    ]
+    return math.sqrt(float(max(squares)))
+
+
+def solve_held(
+    problem: Problem, noise: Noise, covariance: Array, heading: Callable[[State], Heading | None] | None = None
+) -> Solution:
+    """Solve a part of a session for a noise and constants that are known from elsewhere: they do not move.
+
+    covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
+    """
+    priors = {name: (value, np.full(len(value), FIXED)) for name, value in problem.state.constants.items()}
+    problem = replace(problem, priors=replace(problem.priors, constants=priors))
+    slip = None if problem.state.geometry.is_steered else noise.slip
+    noise = replace(noise, slip=None, constants={})
+    graph, values = _graph(problem, problem.state, noise), problem.state.values()
+    for turn in range(MOST_TURNS):
+        taken = step(graph, values)
+        values, is_near = taken.moved, attitude_moved(taken) < NEAR_ANGLE
+        joins = is_near and (heading is not None or slip is not None)
+        if turn + 1 == MOST_TURNS or (attitude_moved(taken) < STILL_ANGLE and not joins):
+            break
+        if joins and heading is not None:
+            field, heading = heading(taken.after), None
+            problem = replace(problem, measured=replace(problem.measured, heading=field))
+        if joins and slip is not None:
+            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), problem)
+            if rolls is not None:
+                problem = replace(problem, measured=replace(problem.measured, rolls=rolls.at))
+                noise = replace(noise, slip=slip)
+            slip = None
+        if joins:
+            graph = replace(graph, measured=problem.measured, noise=noise)
+    chain = taken.chain().with_constants(covariance)
+    covariances = chain.covariances()
+    found = components_of(graph, taken, covariances, problem.binned)
+    return Solution(graph, taken, chain, covariances, found)
+
+
+def _rolling(step: Step, covariances: Covariances, problem: Problem) -> Rolling | None:
+    """Whether and where wheels roll, by a step without them."""
+    state = step.after
+    slip = slip_of(state, LowPassedMotion(state, WHEELS_BELOW))
+    speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+    variance = np.einsum("ki,kij,kj->k", slip.by_keyframe, covariances.keyframes, slip.by_keyframe)
+    return rolling(slip, (speed > MOVING) & are_told(problem.binned.missing), variance, state.interval)
+
+
+class Damping:
+    """Halves the steps of densities and sigmas that turn back, so that they come to rest instead of swinging."""
+
+    def __init__(self) -> None:
+        self._last, self._share = np.zeros(0), np.ones(0)
+
+    def damped(self, before: Noise, after: Noise) -> Noise:
+        """Return the noise part of the way from `before` to `after`."""
+        old, new = _levels(before), _levels(after)
+        if not self._last.size:
+            self._last, self._share = np.zeros_like(new), np.ones_like(new)
+        step = new - old
+        self._share = np.where(step * self._last < 0.0, 0.5 * self._share, np.minimum(1.0, 1.2 * self._share))
+        self._last = step
+        levels = np.exp(old + self._share * step)
+        inertial = replace(after.inertial, accel=float(levels[0]), gyro=float(levels[1]))
+        return replace(after, inertial=inertial, position=levels[2:5], velocity=levels[5:8])
+
+
+def _levels(noise: Noise) -> Array:
+    """Logarithms (8,) of the densities and the sigmas of fixes."""
+    return np.log([noise.inertial.accel, noise.inertial.gyro, *noise.position, *noise.velocity])
+
+
+def attitude_moved(step: Step) -> float:
+    """Root mean square turn of all keyframes in a step, rad."""
+    return math.sqrt(float(np.mean(np.sum(step.keyframes[:, ROTATION] ** 2, axis=1))))
+
+
+def relative_change(one: Noise, two: Noise) -> float:
+    """Largest relative difference of the densities and the sigmas of fixes.
+
+    The slow error and the slip come to rest later, and move nothing that is reported.
+    """
+    return float(np.max(np.abs(_levels(two) - _levels(one))))

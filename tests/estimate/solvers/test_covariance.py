@@ -1,0 +1,102 @@
+"""Covariances of a chain: those of gtsam.Marginals and of a dense inverse, whatever the factors."""
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from smoother.arrays import Array
+from smoother.estimate.factors.gaussian import WIDTH, linear_factors
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, KEYFRAME_SIZE, KEYS, keyframe_keys
+from smoother.estimate.solvers.covariance import Chain
+
+
+def random_system(rng: np.random.Generator, n: int) -> tuple[gtsam.GaussianFactorGraph, Array]:
+    """A chain of n keyframes with IMU factors, measurements in some intervals and priors; and its information."""
+    imu = rng.standard_normal((n - 1, 15, WIDTH))
+    interval = np.sort(rng.integers(0, n - 1, 3 * n))
+    shape = (len(interval), 2, KEYFRAME_SIZE)
+    constants = {c.name: rng.standard_normal((len(interval), 2, c.size)) for c in CONSTANTS[::2]}
+    unknown = rng.random((len(interval), 2)) < 0.2
+    sigma = np.where(unknown, np.inf, rng.uniform(0.5, 2.0, unknown.shape))
+    rows = Rows(
+        "random",
+        interval,
+        np.zeros(unknown.shape),
+        sigma,
+        rng.standard_normal(shape),
+        rng.standard_normal(shape),
+        constants,
+        rng.uniform(0.1, 1.0, len(interval)),
+    )
+    system = linear_factors([rows], imu)
+    keys = [key for k in range(n) for key in keyframe_keys(k)]
+    sizes = [*(6, 3, 6, 3) * n, *(c.size for c in CONSTANTS)]
+    for key, size in zip([*keys, *KEYS.values()], sizes, strict=True):
+        system.add(key, 0.3 * rng.standard_normal((size, size)) + np.eye(size), np.zeros(size), unit(size))
+    ordering = gtsam.Ordering([*keys, *KEYS.values()])
+    return system, system.hessian(ordering)[0]
+
+
+def unit(size: int) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Unit.Create(size)
+
+
+def chain_of(system: gtsam.GaussianFactorGraph, n: int) -> Chain:
+    keys = [key for k in range(n) for key in keyframe_keys(k)]
+    return Chain.of(system.eliminateMultifrontal(gtsam.Ordering([*keys, *KEYS.values()])), n)
+
+
+@pytest.mark.parametrize("n", [3, 4, 11])
+def test_they_are_the_blocks_of_the_inverse(n: int) -> None:
+    system, information = random_system(np.random.default_rng(n), n)
+    dense, found = np.linalg.inv(information), chain_of(system, n).covariances()
+    constants = slice(n * KEYFRAME_SIZE, None)
+    for k in range(n):
+        own = slice(k * KEYFRAME_SIZE, (k + 1) * KEYFRAME_SIZE)
+        np.testing.assert_allclose(found.keyframes[k], dense[own, own], atol=1e-9)
+        np.testing.assert_allclose(found.with_constants[k], dense[own, constants], atol=1e-9)
+        if k + 1 < n:
+            after = slice(own.stop, own.stop + KEYFRAME_SIZE)
+            np.testing.assert_allclose(found.neighbours[k], dense[own, after], atol=1e-9)
+    np.testing.assert_allclose(found.constants, dense[constants, constants], atol=1e-9)
+
+
+def test_they_are_those_of_gtsam_marginals() -> None:
+    n = 9
+    system, _ = random_system(np.random.default_rng(1), n)
+    found = chain_of(system, n).covariances()
+    values = gtsam.Values()
+    marginals = gtsam.Marginals(system, values)
+    for k in range(n):
+        np.testing.assert_allclose(found.keyframes[k][:6, :6], marginals.marginalCovariance(X(k)), rtol=1e-6, atol=1e-9)
+
+
+def test_the_joint_of_any_functions_is_that_of_the_inverse() -> None:
+    n, q, rng = 12, 7, np.random.default_rng(3)
+    system, information = random_system(rng, n)
+    first = rng.integers(0, n - 1, q)
+    left, right = rng.standard_normal((2, q, KEYFRAME_SIZE))
+    constants = rng.standard_normal((q, CONSTANTS_SIZE))
+    A = np.zeros((q, len(information)))
+    for i, k in enumerate(first.tolist()):
+        A[i, k * KEYFRAME_SIZE : (k + 1) * KEYFRAME_SIZE] = left[i]
+        A[i, (k + 1) * KEYFRAME_SIZE : (k + 2) * KEYFRAME_SIZE] = right[i]
+    A[:, n * KEYFRAME_SIZE :] = constants
+    expected = A @ np.linalg.inv(information) @ A.T
+    np.testing.assert_allclose(chain_of(system, n).joint(first, left, right, constants), expected, atol=1e-9)
+
+
+def test_a_thinned_chain_knows_the_same_of_the_keyframes_that_it_keeps() -> None:
+    n, every = 13, 4
+    system, _ = random_system(np.random.default_rng(4), n)
+    whole = chain_of(system, n)
+    few, all_of_them = whole.thinned(every).covariances(), whole.covariances()
+    np.testing.assert_allclose(few.keyframes, all_of_them.keyframes[::every], atol=1e-9)
+    np.testing.assert_allclose(few.with_constants, all_of_them.with_constants[::every], atol=1e-9)
+    for n in (14, 15):  # keyframes behind the last one that is kept
+        chain = chain_of(random_system(np.random.default_rng(n), n)[0], n)
+        np.testing.assert_allclose(
+            chain.thinned(every).covariances().keyframes, chain.covariances().keyframes[::every], atol=1e-9
+        )
