@@ -1,1 +1,1 @@
-"""The factors of the graph, one file each; table.py lists them and graph.py builds the graph of a session from it."""
+"""The factors of the graph, one file each; graph.py has their table and builds the graph of a session from it."""

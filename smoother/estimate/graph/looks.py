@@ -137,6 +137,10 @@ def _identify_and_solve(
     doubted = _jumped(session, start, start.noise, options, with_doppler=False)
     if doubted.any():
         start = seen(make_start(session, options, options.identification_span, doubted, start.pauses))
+    if options.solver == "gtsam":
+        from smoother.estimate.bridge import solve_with_gtsam  # which imports what is above this module
+
+        return solve_with_gtsam(session, start, options, say, doubted)
     constants, biases, noise = identify(start, options, say)
     if (slow := for_slow_receiver(start, constants)) is not None:
         start = slow

@@ -48,6 +48,18 @@ def where_sampled(start: Start) -> Start:
     return replace(part, data=replace(data, sampled=spans, pauses=start.pauses))
 
 
+def longest_sampled(start: Start) -> Start:
+    """Return the longest stretch of the start that has samples throughout; the start itself where all of it has."""
+    if not is_partly_sampled(start):
+        return start
+    t = start.state.t
+    inside = np.clip(start.spans, t[0], t[-1])
+    begin, end = inside[np.argmax(np.diff(inside, axis=1)[:, 0])]
+    first, last = np.searchsorted(t, [begin, end])
+    part = stretch(start, max(int(first) - 1, 0), min(int(last), len(t) - 1))
+    return replace(part, data=_of_fixes(part.data, have_samples(start.spans, part.data.t)))
+
+
 def fixes_between(start: Start, first: int, last: int) -> BoolArray:
     """Mask (N,) of the fixes that are read between the keyframes first and last, whatever their latency."""
     t, keyframes = start.data.t, start.state.t

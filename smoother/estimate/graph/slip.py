@@ -248,11 +248,11 @@ def slip_noise(slip: Slip, solution: ChainSolution, interval: float) -> SlipNois
     surely = by_all - BEYOND_DOUBT * spread * math.sqrt(MEMORY / interval)  # squares are alike for half as long
     moments = slip.by_constants[k].T @ slip.by_constants[k] / len(k)
     lateral = slip.by_constants[k, 1] / slip.by_constants[k, 0]
-    different = min(DIFFERENT, len(k) * interval / (2.0 * MEMORY), _corners(lateral))
+    different = min(DIFFERENT, len(k) * interval / (2.0 * MEMORY), corners(lateral))
     return SlipNoise(max(found, FIRST), math.sqrt(max(surely, 0.0)), unsure, moments, different)
 
 
-def _corners(lateral: Array) -> int:
+def corners(lateral: Array) -> int:
     """How often a kart went into a corner, by its lateral accelerations (N,) m/s^2; a steady circle is one."""
     part = lateral / max(float(np.percentile(np.abs(lateral), 90)), 1e-9)
     turns = np.where(np.abs(part) > ROUND_IT, np.sign(part), 0.0)

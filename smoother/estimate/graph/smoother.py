@@ -49,6 +49,7 @@ from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
 from smoother.estimate.noise_of_fixes import unseen_wander
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
+from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 from smoother.trajectory import (
@@ -151,7 +152,7 @@ class GraphSmoother:
     ) -> Trajectory | Exception:
         try:
             return self._from_graph(session, watch, cut_out)
-        except (_FixesAlone, NotPositiveDefiniteError, np.linalg.LinAlgError) as error:
+        except (_FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError) as error:
             return error.with_traceback(None)  # else all that was being solved stays in memory
 
     def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
@@ -173,7 +174,9 @@ class GraphSmoother:
         with watch("output"):
             trajectory = _output(session, solved, options)
         if _turns_with_a_wheel(trajectory, solved):
-            with suppress(_FixesAlone, NotPositiveDefiniteError, np.linalg.LinAlgError):  # then the first one counts
+            with suppress(
+                _FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError
+            ):  # then the first one counts
                 with watch("solve"):
                     steered = look(session, start, options, watch.say, on_the_wheel)
                 with watch("output"):

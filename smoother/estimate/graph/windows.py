@@ -30,7 +30,7 @@ from smoother.estimate.graph.inputs import Data, Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.parts import busiest_part, fixes_between, stretch, where_sampled
+from smoother.estimate.graph.parts import busiest_part, fixes_between, longest_sampled, stretch, where_sampled
 from smoother.estimate.graph.rows import Rows, heading_rows
 from smoother.estimate.graph.sampled import HOLE
 from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
@@ -82,9 +82,15 @@ class WindowsSolution:
 
 def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
     """Solve all keyframes of `start` window by window, with constants and noise of the busiest, sampled one."""
-    busiest = where_sampled(busiest_part(start, WINDOW))
-    in_one = replace(options, solver="batch")  # a stream takes the constants as they are
-    main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
+    if options.solver == "gtsam":
+        from smoother.estimate.bridge import solve_part  # which imports this module
+
+        busiest = longest_sampled(busiest_part(start, WINDOW))
+        main = solve_part(session, busiest, noise, options, lambda fraction: say(0.3 * fraction))
+    else:
+        busiest = where_sampled(busiest_part(start, WINDOW))
+        in_one = replace(options, solver="batch")  # a stream takes the constants as they are
+        main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
     held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
     priors, problems, heading = main.priors, main.problems, main.heading
     noise = replace(main.noise, inertial=main.noise.inertial.everywhere())
@@ -142,12 +148,23 @@ def _solve_piece(
     session: Session, start: Start, window: _Window, noise: Noise, held: Array, options: GraphOptions
 ) -> tuple[_Piece, Uncertainty]:
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
-    first, last, begin, end = window.first, window.last, window.begin, window.end - 1
+    begin, end = window.begin, window.end - 1
     part = stretch(start, begin, end)
+    if options.solver == "gtsam":
+        from smoother.estimate.bridge import solve_window  # likewise
+
+        return _cut_out(session, start, window, noise, solve_window(session, part, noise, held))
     state = near_solution(part, replace(noise, slip=None), options.approaches)
     data = _with_level_heading(session, part, state)
     batch = Batch(data, part.binned, start.priors)
-    solved = _solve_window(batch, data, part, state, noise, held, options)
+    return _cut_out(session, start, window, noise, _solve_window(batch, data, part, state, noise, held, options))
+
+
+def _cut_out(
+    session: Session, start: Start, window: _Window, noise: Noise, solved: Solved
+) -> tuple[_Piece, Uncertainty]:
+    """Return what counts of a solved window, and what is known of its errors."""
+    first, last, begin, end = window.first, window.last, window.begin, window.end - 1
     fixes = np.flatnonzero(fixes_between(start, begin, end))
     core, known = slice(first - begin, last - begin), uncertainty_of(solved, nose_variance(session, noise))
     known = Uncertainty(*(values[core] for values in vars(known).values()))

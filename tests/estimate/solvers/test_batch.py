@@ -1,0 +1,128 @@
+"""The batch: GTSAM carries it, all rows of the table count, and it ends where GTSAM's own optimizer ends."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from smoother.estimate.bridge import problem_of
+from smoother.estimate.factors.gaussian import custom_factors
+from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
+from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.graph.start import make_start
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.state import State
+from smoother.estimate.solvers.batch import step
+from smoother.estimate.solvers.identify import Problem, identify
+from smoother.prepare import prepare
+from smoother.samples import Session
+from smoother.sim.simulation import simulate_preset
+from smoother.trajectory import Trajectory
+
+ENGINE = GraphOptions(solver="gtsam")
+
+
+@pytest.fixture(name="session", scope="module")
+def _session() -> Session:
+    simulation = simulate_preset("kart", 3, track="tinbarn", duration=60.0, gnss_outages=(), motion_standstill=5.0)
+    return prepare(simulation.raw)
+
+
+@pytest.fixture(name="problem", scope="module")
+def _problem(session: Session) -> Problem:
+    return problem_of(make_start(session, GraphOptions()))[0]
+
+
+def no_progress(_: float) -> None:
+    return
+
+
+def estimate(session: Session) -> Trajectory:
+    return GraphSmoother(ENGINE).estimate(session)
+
+
+def test_without_the_elimination_of_gtsam_there_is_no_full_solution(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert estimate(session).report.mode == "full"
+
+    def fails(*_: object) -> None:
+        raise RuntimeError("no elimination")
+
+    monkeypatch.setattr(gtsam.GaussianFactorGraph, "eliminateMultifrontal", fails)
+    found = estimate(session)
+    assert found.report.mode == "gps-only"
+    assert [p.text for p in found.report.problems if p.code == "graph_failed"] == [
+        "the inertial solution failed (no elimination); smoothed from the fixes alone"
+    ]
+
+
+def test_the_trajectory_is_that_of_the_final_values(problem: Problem) -> None:
+    found = identify(problem, problem.usual, no_progress)
+    pose = found.step.moved.atPose3(gtsam.symbol("x", 40))
+    np.testing.assert_array_equal(found.state.position_n[40], pose.translation())
+    np.testing.assert_array_equal(found.state.R_ns[40], pose.rotation().matrix())
+
+
+@pytest.mark.parametrize(
+    "name", [factor.name for factor in TABLE if factor.name not in ("heading", "wheels", "ground")]
+)
+def test_each_row_of_the_table_counts(name: str, problem: Problem) -> None:
+    """The session has neither a usable heading without a solution, nor wheels or ground before one."""
+    without = replace(problem, table=tuple(factor for factor in TABLE if factor.name != name))
+    values = problem.state.values()
+
+    def moved(problem: Problem) -> np.ndarray:
+        graph = build_graph(
+            problem.binned, problem.measured, problem.usual, problem.priors, problem.state, problem.table
+        )
+        return step(graph, values).after.velocity_n
+
+    if name in ("gps_position", "gps_offset"):  # nothing else holds positions, or the slow error
+        with pytest.raises(ArithmeticError):
+            moved(without)
+    else:
+        assert np.abs(moved(problem) - moved(without)).max() > 1e-3
+
+
+def test_a_small_graph_ends_where_the_optimizer_of_gtsam_ends(problem: Problem) -> None:
+    """With the same rows as CustomFactor, along the same low-passed motion, from the same start."""
+    keyframes = 12
+    some = _first(problem, keyframes)
+    table = tuple(factor for factor in TABLE if factor.name in ("gps_position", "gps_velocity", "gps_offset"))
+    graph = build_graph(some.binned, some.measured, some.usual, some.priors, some.state, table)
+    motion = LowPassedMotion(some.state, 10.0)
+    whole = gtsam.NonlinearFactorGraph(graph.nonlinear)
+    for factor in table:
+        for i in range(len(list(factor.rows(_inputs(some, some.state, motion))))):
+
+            def build(state: State, factor=factor, i=i):  # type: ignore[no-untyped-def]
+                return list(factor.rows(_inputs(some, state, motion)))[i]
+
+            for one in custom_factors(build, some.state):
+                whole.add(one)
+    values = some.state.values()
+    start = whole.error(values)
+    found = gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()
+    ours = values
+    for _ in range(8):
+        ours = step(graph, ours).moved
+    assert whole.error(found) < 0.5 * start
+    assert whole.error(ours) < 1.02 * whole.error(found)
+
+
+def _inputs(problem: Problem, state: State, motion: LowPassedMotion) -> Inputs:
+    return Inputs(problem.measured, problem.usual, problem.priors, state, motion)
+
+
+def _first(problem: Problem, n: int) -> Problem:
+    """The first n keyframes of a problem, and the fixes between them."""
+    s, m = problem.state, problem.measured
+    names = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
+    state = replace(s, **{name: getattr(s, name)[:n] for name in names})
+    use = (m.t > s.t[2]) & (m.t < s.t[n - 2])
+    fixes = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+    measured = replace(m, still=np.empty(0, np.int64), **{name: getattr(m, name)[use] for name in fixes})
+    return replace(problem, state=state, measured=measured, binned=problem.binned.between(0, n))
