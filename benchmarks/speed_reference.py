@@ -2,7 +2,7 @@
 
 The reference graph has the same keyframes (one to a fix) and wrapped C++ factors only: CombinedImuFactor, GPSFactorArm
 and PriorFactorVector for the Doppler velocity, with true noise, arm and latency, built beforehand from a guess by fixes
-and course. `estimate` is GraphSmoother.estimate alone; `smooth` is the whole command in a process of its own,
+and course. `estimate` is api.smooth alone; `smooth` is the whole command in a process of its own,
 `--no-baseline --no-figures`, from the start of the interpreter to its end. Everything is run in turns, reference,
 estimate and command one after the other, and at 1 kHz and of an hour the ten minutes at 200 Hz beside them; the ratio
 is the middle one of those of each turn, since machines change their pace from one minute to the next. Seconds are the
@@ -30,14 +30,11 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from cost import Cost, cost_of, least
+from smoother import api
 from smoother.arrays import Array
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.frames import rotation_from_euler
-from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session
-from smoother.session.load import load_raw
-from smoother.sim.record import write_csv
-from smoother.sim.simulation import Simulation, simulate_preset
+from smoother.sim.simulation import Simulation
 from smoother.units import STANDARD_GRAVITY
 
 HOUR_TURNS = 3
@@ -137,7 +134,7 @@ def run(session: Session, directory: Path, turns: int, before: Callable[[], obje
     stages: dict[str, float] = {}
 
     def estimate() -> None:
-        stages.update(GraphSmoother().estimate(session).report.timings)
+        stages.update(api.smooth(session).report.timings)
 
     estimates, commands, memory = [], [], 0.0
     for _ in range(turns):
@@ -197,10 +194,10 @@ def turns_verdict(text: str, of_turns: list[float], limit: float) -> None:
 
 def smoothed(minutes: float, rate: float, seed: int, turns: int, before: Callable[[], object] | None = None) -> Run:
     """Simulate, run, show; `before` is called in each turn."""
-    simulation = simulate_preset("kart", seed, duration=60.0 * minutes, imu_rate=rate)
+    simulation = api.simulate("kart", seed, duration=60.0 * minutes, imu_rate=rate)
     with tempfile.TemporaryDirectory() as directory:
-        write_csv(simulation, Path(directory))
-        result = run(prepare(load_raw(Path(directory))), Path(directory), turns, before)
+        api.write_session(simulation, Path(directory))
+        result = run(api.read(Path(directory)), Path(directory), turns, before)
     show(f"{minutes:g} min, {rate:g} Hz", result)
     return result
 
@@ -214,7 +211,7 @@ def measure(minutes: list[float], turns: int, seed: int, quick: bool) -> None:
     if quick:
         return
     beside: list[Cost] = []
-    again = partial(GraphSmoother().estimate, session)
+    again = partial(api.smooth, session)
     kilohertz = smoothed(10.0, 1000.0, seed, turns, lambda: beside.append(cost_of(again)))
     turns_verdict("1 kHz / 200 Hz, estimate, CPU", ratios(kilohertz.estimates, beside, "cpu"), TIMES_KILOHERTZ)
     beside.clear()
@@ -227,7 +224,7 @@ def measure(minutes: list[float], turns: int, seed: int, quick: bool) -> None:
 
 def beside_reference(seed: int, turns: int) -> tuple[Run, list[Cost], Session]:
     """Ten minutes at 200 Hz, and in each turn one solve of the reference graph; both are shown. The session, too."""
-    simulation = simulate_preset("kart", seed, duration=600.0)
+    simulation = api.simulate("kart", seed, duration=600.0)
     optimizers: list[gtsam.LevenbergMarquardtOptimizer] = []
     references: list[Cost] = []
 
@@ -236,8 +233,8 @@ def beside_reference(seed: int, turns: int) -> tuple[Run, list[Cost], Session]:
         optimizers[0].optimize()
 
     with tempfile.TemporaryDirectory() as directory:
-        write_csv(simulation, Path(directory))
-        session = prepare(load_raw(Path(directory)))
+        api.write_session(simulation, Path(directory))
+        session = api.read(Path(directory))
         graph, values = reference_graph(simulation, session)
         ten = run(session, Path(directory), turns, lambda: references.append(cost_of(solve)))
     show("10 min, 200 Hz", ten)

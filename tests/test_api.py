@@ -27,7 +27,6 @@ PLAIN = (  # modules that docs/python.md names as stable
 DRAWING = ("report.style", "report.calibration_figures", "sim.bench", "sim.sensors")  # notebooks, beside PLAIN
 PARTS = ("batch", "export", "laps", "live", "report", "sim")  # benchmarks measure these themselves, beside PLAIN
 EXCEPTIONS = {  # of benchmarks
-    "speed_reference": ("estimate", "prepare", "session"),  # times the estimator beside a bare graph
     "scoring": ("estimate.bound",),  # the information bound, which is to move to benchmarks
     "lap_times": ("estimate.bound",),
     "live": ("estimate.bound",),

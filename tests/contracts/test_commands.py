@@ -237,3 +237,23 @@ def test_batch_smooths_every_session_below_a_folder_and_writes_one_page(
     assert (tmp_path / "day" / "a" / "smoothed" / "trajectory.csv").exists()
     for ending in ("html", "json", "csv"):
         assert (tmp_path / "day" / f"sessions.{ending}").exists()
+
+
+def test_a_truth_may_be_north_west_and_up_of_the_origin_instead_of_degrees(
+    short: Path, short_results: Path, smooth: Any
+) -> None:
+    origin = json.loads((short_results / "summary.json").read_text())["origin"]
+    truth = pl.read_csv(short / "truth.csv")
+    lat = np.radians(origin["lat_deg"])
+    shrink = 1.0 - 0.00669438 * np.sin(lat) ** 2  # WGS 84: radii of curvature along and across the meridian
+    along, across = 6_378_137.0 * 0.99330562 / shrink**1.5, 6_378_137.0 * np.cos(lat) / shrink**0.5
+    north = np.radians(truth["lat_deg"] - origin["lat_deg"]) * along
+    west = -np.radians(truth["lon_deg"] - origin["lon_deg"]) * across
+    in_metres = truth.drop("lat_deg", "lon_deg", "alt_m").with_columns(
+        north_m=north, west_m=west, up_m=truth["alt_m"] - origin["alt_m"]
+    )
+    in_degrees = smooth("evaluate", short, "--json").document["smoother"]
+    in_metres.write_csv(short / "truth.csv")
+    found = smooth("evaluate", short, "--json").document["smoother"]
+    assert found["horizontal_rms_m"] == pytest.approx(in_degrees["horizontal_rms_m"], abs=0.03)
+    assert found["up_rms_m"] == pytest.approx(in_degrees["up_rms_m"], abs=0.02)

@@ -324,3 +324,15 @@ def test_of_a_card_with_several_recordings_each_gets_its_folder_or_one_is_chosen
     chosen = smooth(card, "--recording", "2", "--json", "--out", tmp_path / "one", *TABLES_ONLY)
     assert chosen.code == 0 and chosen.document["session"]["name"] == "LOG00002"
     assert smooth(card, "--recording", "3").code == 2
+
+
+def test_the_date_of_the_magnetic_model_is_that_of_the_fixes_or_of_session_toml_or_missed(
+    short: Path, smooth: Any, read: Read
+) -> None:
+    missing = "magnetic_model_date"
+    assert missing not in codes(smooth(short, "--json", *TABLES_ONLY).document)
+    read(short / "gps.csv").drop("unix_s").write_csv(short / "gps.csv")
+    assert missing in codes(smooth(short, "--json", *TABLES_ONLY).document)
+    settings = (short / "session.toml").read_text()
+    (short / "session.toml").write_text(settings.replace("[session]", '[session]\ndate = "2026-05-16"', 1))
+    assert missing not in codes(smooth(short, "--json", *TABLES_ONLY).document)
