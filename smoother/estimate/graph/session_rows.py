@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from smoother.arrays import BoolArray
-from smoother.estimate.factors.ground import far_from_heights
+from smoother.estimate.factors import ground
 from smoother.estimate.graph import rows as rw
 from smoother.estimate.graph.expected import DRIVEN_BELOW, DopplerNoise, ExpectedMotion, expected_motion, shown_below
 from smoother.estimate.graph.imu import DensePath
@@ -40,6 +40,7 @@ STILL_TURN = 3e-4  # rad between keyframes, likewise
 # m/sqrt(Hz): what level ground is worth, a height to 2 m in a second. Much less than tracks are level to, since heights
 # are near one another for seconds: with this, what is said of climbing holds on tracks that rise by 3.5 m.
 LEVEL_GROUND = 2.0
+FAR_FROM_HEIGHT = ground.FAR_FROM_HEIGHT  # s; for so long the samples alone carry a height
 
 
 def unsteady_share(state: ChainState, noise: Noise) -> float:
@@ -128,7 +129,7 @@ def session_rows(
     out.append(rw.prior_row("bias_prior", bias, sigma, slice(ACCEL_BIAS.start, GYRO_BIAS.stop)))
     out.append(rw.prior_row("pose_prior", np.zeros(9), ANYWHERE, slice(0, 9)))
     if d.heights is not None:
-        at, height = far_from_heights(d.heights, state.t)
+        at, height = ground.far_from_heights(d.heights, state.t)
         if len(at):
             out.append(rw.ground_rows(state, LEVEL_GROUND / math.sqrt(state.interval), at, height))
     if len(d.still):

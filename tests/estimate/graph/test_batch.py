@@ -482,11 +482,11 @@ class TestNoise:
 
 def test_ground_stands_in_for_heights_where_none_is_near() -> None:
     t = np.arange(0.0, 100.0, 0.2)
-    at, height = session_rows._far_from_heights(np.empty((0, 2)), t)
+    at, height = session_rows.ground.far_from_heights(np.empty((0, 2)), t)
     np.testing.assert_array_equal(at, np.arange(len(t) - 1))
     np.testing.assert_array_equal(height, 0.0)
     heights = np.array([[10.0, 5.0], [11.0, 5.2], [12.0, 900.0], [13.0, 5.1], [14.0, 5.3], [90.0, 7.0]])
-    at, height = session_rows._far_from_heights(heights, t)
+    at, height = session_rows.ground.far_from_heights(heights, t)
     np.testing.assert_array_equal(t[at], t[(t > 34.0 + 1e-9) & (t < 70.0 - 1e-9)])
     assert height[0] == pytest.approx(5.3, abs=2.0)  # not 900
     assert height[-1] == pytest.approx(7.0, abs=2.0)

@@ -198,7 +198,7 @@ def test_corners_to_one_side_tell_the_nose_by_drawing_on_to_none() -> None:
     ],
 )
 def test_corners_are_told_from_one_another_by_what_lies_between_them(lateral: Array, corners: int) -> None:
-    assert slip_module._corners(lateral) == corners
+    assert slip_module.corners(lateral) == corners
 
 
 def test_what_the_mean_of_the_slip_says_of_the_nose_otherwise_is_found() -> None:
