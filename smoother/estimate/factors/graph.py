@@ -74,7 +74,7 @@ class Priors:
 
 
 HELD = 1e-4  # m, sigma of what is held
-WHEELS_BELOW = 1.5  # Hz; turns into corners are quicker than what latencies are told by
+WHEELS_BELOW = 1.5  # Hz; turns into corners are quicker than the motion that shows latencies
 
 
 @dataclass(frozen=True, eq=False)

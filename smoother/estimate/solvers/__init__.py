@@ -1,1 +1,1 @@
-"""Ways to solve the graph, and what a solution says of its own uncertainty."""
+"""Solvers of the graph, the covariance of a solution, and the noise that its residuals show."""

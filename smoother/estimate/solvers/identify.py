@@ -82,7 +82,7 @@ def identify(
     wheels: bool = False,
     heading: Callable[[State], Heading | None] | None = None,
 ) -> Solution:
-    """Solve a problem and find its noise, from `noise`, in turns; progress is told the share of the turns.
+    """Solve a problem and find its noise, from `noise`, in turns; `progress` gets the share of the turns.
 
     wheels: they join once the noise is found and the attitudes are good enough to judge them by, where the box follows
     the path. From then on only the slip's noise is found: slip changes more smoothly than its process, and what that
