@@ -202,7 +202,7 @@ def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam
     yield gtsam.PriorFactorConstantBias(B(0), bias, _diagonal(sigma))
     for constant in CONSTANTS:
         mean, sigma = priors.constants[constant.name]
-        sigma = noise.constants.get(constant.name, sigma)
+        sigma = np.minimum(sigma, noise.constants.get(constant.name, np.inf))  # what is held stays held
         information = np.diag(1.0 / np.square(sigma))
         if constant.name == "lever_arm" and priors.held_s is not None:
             information += np.outer(priors.held_s, priors.held_s) / HELD**2

@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import X
 from smoother.arrays import Array, IntArray
 from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, DIMENSIONS, KEYFRAME_SIZE, KEYS, keyframe_keys
 
-FEWEST = 3  # keyframes of a chain
+NONE = slice(0, 0)  # of the constants
 
 
 class IndeterminateError(ArithmeticError):
@@ -121,9 +121,20 @@ class Chain:
         root = np.linalg.cholesky(np.concatenate([noise, last[None]]))
         return Chain(gain, self.influence[at], root, self.constants)
 
-    def with_constants(self, covariance: Array) -> "Chain":
-        """The chain beside constants of another covariance (C, C)."""
-        return replace(self, constants=covariance)
+    def with_constants(self, covariance: Array, free: slice = NONE) -> "Chain":
+        """The chain beside constants of another covariance (C, C); those that are free follow the others as in its own.
+
+        The others were held when it was solved: x_free = A x_others + what its own covariance leaves of them.
+        """
+        others = np.delete(np.arange(CONSTANTS_SIZE), np.arange(CONSTANTS_SIZE)[free])
+        own, out = self.constants, covariance.copy()
+        follow = np.linalg.solve(own[np.ix_(others, others)], own[others, free]).T
+        known = own[free, free] - follow @ own[others, free]
+        out[free, :] = 0.0
+        out[free, others] = follow @ covariance[np.ix_(others, others)]
+        out[:, free] = out[free, :].T
+        out[free, free] = known + follow @ covariance[np.ix_(others, others)] @ follow.T
+        return replace(self, constants=out)
 
 
 def _squared(root: Array) -> Array:

@@ -85,19 +85,19 @@ def identify(
     """Solve a problem and find its noise, from `noise`, in turns; `progress` gets the share of the turns.
 
     wheels: they join once the noise is found and the attitudes are good enough to judge them by, where the box follows
-    the path. From then on only the slip's noise is found: slip changes more smoothly than its process, and what that
-    expects of quick steps would be missed in the noise of the samples.
+    the path. From then on only the slip is found: it changes more smoothly than its process, and what that expects of
+    quick steps would be missed in the noise of the samples, and looked for in the latencies (1.4 ms on twelve karts).
     heading: of a magnetometer, likewise; it returns the headings that can be used.
     """
     values, state = problem.state.values(), problem.state
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
         values = step(graph, values).moved
-    damping = Damping()
+    damping, held = Damping(), None
     wheels = wheels and not state.geometry.is_steered
     for turn in range(MOST_TURNS):
         taken = step(graph, values)
-        chain = taken.chain()
+        chain = taken.chain() if held is None else taken.chain().with_constants(held, COLUMNS["slip"])
         covariances = chain.covariances()
         better, found = update_noise(
             graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
@@ -119,7 +119,8 @@ def identify(
             wheels, found_rolling = False, _rolling(taken, covariances, problem)
             if found_rolling is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
-                better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
+                better = replace(graph.noise, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
+                held, problem = covariances.constants, _held(problem, taken.after, "slip")
                 change, joined = 1.0, True
         if (move < MOVED and change < CHANGED) or turn + 1 == MOST_TURNS:
             break
@@ -159,8 +160,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    priors = {name: (value, np.full(len(value), FIXED)) for name, value in problem.state.constants.items()}
-    problem = replace(problem, priors=replace(problem.priors, constants=priors))
+    problem = _held(problem, problem.state)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
@@ -185,6 +185,15 @@ def solve_held(
     covariances = chain.covariances()
     found = components_of(graph, taken, covariances, problem.binned)
     return Solution(graph, taken, chain, covariances, found)
+
+
+def _held(problem: Problem, state: State, free: str = "") -> Problem:
+    """The problem with constants that stay where they are in `state`, all but the one that is free."""
+    priors = {
+        name: problem.priors.constants[name] if name == free else (value, np.full(len(value), FIXED))
+        for name, value in state.constants.items()
+    }
+    return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
 def _rolling(step: Step, covariances: Covariances, problem: Problem) -> Rolling | None:
