@@ -9,7 +9,6 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.model.state import (
-    COLUMNS,
     CONSTANTS,
     CONSTANTS_SIZE,
     DIMENSIONS,
@@ -79,8 +78,3 @@ def custom_factors(build: Callable[[State], Rows], state: State) -> list[gtsam.C
         return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(rows.sigma[i][known]), keys, error)
 
     return [factor(i) for i in range(len(rows.interval)) if np.any(np.isfinite(rows.sigma[i]))]
-
-
-def columns_of(J: Array, name: str) -> Array:
-    """Columns of a constant in a Jacobian (.., 36 + C)."""
-    return J[..., 2 * KEYFRAME_SIZE :][..., COLUMNS[name]]
