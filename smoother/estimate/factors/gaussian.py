@@ -1,4 +1,8 @@
-"""How rows become factors of GTSAM: linear ones for the batch loop, CustomFactor for small graphs."""
+"""How rows become factors of GTSAM: linear ones for the batch loop, CustomFactor for small graphs.
+
+In the linear system a keyframe is one block of 18 columns, in the order of its tangent, and the constants that are
+solved for are one more: GTSAM eliminates few large blocks in half the time of many small ones.
+"""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -6,9 +10,10 @@ from itertools import pairwise
 import gtsam
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.model.state import (
+    COLUMNS,
     CONSTANTS,
     CONSTANTS_SIZE,
     DIMENSIONS,
@@ -18,15 +23,20 @@ from smoother.estimate.model.state import (
     keyframe_keys,
 )
 
-BLOCKS = [*DIMENSIONS, *DIMENSIONS, *(c.size for c in CONSTANTS), 1]
 WIDTH = 2 * KEYFRAME_SIZE + CONSTANTS_SIZE + 1
+CONSTANTS_BLOCK = gtsam.symbol("c", len(CONSTANTS))
 
 
-def linear_factors(rows: Sequence[Rows], imu: Array) -> gtsam.GaussianFactorGraph:
+def block(k: int) -> int:
+    """Key of keyframe k in the linear system."""
+    return gtsam.symbol("k", k)
+
+
+def linear_factors(rows: Sequence[Rows], imu: Array, free: IntArray) -> gtsam.GaussianFactorGraph:
     """One linear factor of GTSAM an interval, of all its rows; imu (K-1, 15, WIDTH) of factors/imu.py.
 
-    All of them have the same keys, so that all cliques of the chain look alike. (In Python gtsam.JacobianFactor takes
-    three keys at most; a GaussianConditional is one, and takes any number.)
+    free: columns of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
+    GTSAM a Jacobian factor: one array that is copied once.)
     """
     interval = np.concatenate([np.repeat(np.arange(len(imu)), imu.shape[1])] + [_repeated(r) for r in rows])
     order = np.argsort(interval, kind="stable")
@@ -39,12 +49,35 @@ def linear_factors(rows: Sequence[Rows], imu: Array) -> gtsam.GaussianFactorGrap
         n = r.residual.size
         r.put_whitened(A, place[begin : begin + n])
         begin += n
+    if len(free) < CONSTANTS_SIZE:
+        A = A[:, np.concatenate([np.arange(2 * KEYFRAME_SIZE), 2 * KEYFRAME_SIZE + free, [WIDTH - 1]])]
     bounds = np.searchsorted(interval[order], np.arange(len(imu) + 1)).tolist()
-    graph, of_constants = gtsam.GaussianFactorGraph(), list(KEYS.values())
+    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, len(free), 1]
     for k, (begin, end) in enumerate(pairwise(bounds)):
-        keys = [*keyframe_keys(k), *keyframe_keys(k + 1), *of_constants]
-        graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(BLOCKS, A[begin:end])))
+        keys = [block(k), block(k + 1), CONSTANTS_BLOCK]
+        graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
+
+
+def put_in_blocks(factor: gtsam.JacobianFactor, free: IntArray, system: gtsam.GaussianFactorGraph) -> None:
+    """Add a linear factor of one variable, as GTSAM makes of a prior, to the system of blocks."""
+    (key,) = factor.keys()
+    A, b = factor.jacobian()
+    if key in _OF_CONSTANTS:
+        wide = np.zeros((len(b), CONSTANTS_SIZE))
+        wide[:, COLUMNS[_OF_CONSTANTS[key]]] = A
+        if np.any(wide[:, free]):
+            system.add(CONSTANTS_BLOCK, wide[:, free], b, gtsam.noiseModel.Unit.Create(len(b)))
+        return
+    k = gtsam.Symbol(key).index()
+    start = _STARTS[keyframe_keys(k).index(key)]
+    wide = np.zeros((len(b), KEYFRAME_SIZE))
+    wide[:, start : start + A.shape[1]] = A
+    system.add(block(k), wide, b, gtsam.noiseModel.Unit.Create(len(b)))
+
+
+_OF_CONSTANTS = {key: name for name, key in KEYS.items()}
+_STARTS = np.cumsum([0, *DIMENSIONS]).tolist()
 
 
 def _repeated(rows: Rows) -> Array:

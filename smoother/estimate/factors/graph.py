@@ -26,7 +26,7 @@ from smoother.estimate.graph.imu import BinnedImu, shaken
 from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.model.motion import LowPassedMotion, cutoff_for
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.state import CONSTANTS, KEYS, State, keyframe_keys
+from smoother.estimate.model.state import CONSTANTS, KEYS, State
 
 ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: prior of the first pose, which says nothing
 ANY_SPEED = 1e3  # m/s, likewise
@@ -155,11 +155,10 @@ TABLE = (
 @dataclass(frozen=True, eq=False)
 class Graph:
     """The graph of a session for one noise: GTSAM's factors in `nonlinear`, the IMU factors of all intervals first, and
-    all others by :meth:`rows`. ordering: keyframes in their order, constants last. state: times and geometry.
+    all others by :meth:`rows`. state: times and geometry.
     """
 
     nonlinear: gtsam.NonlinearFactorGraph
-    ordering: gtsam.Ordering
     preintegrated: list[gtsam.PreintegratedCombinedMeasurements]
     measured: Measurements
     noise: Noise
@@ -167,6 +166,10 @@ class Graph:
     state: State
     shaken: Array
     table: tuple[Factor, ...] = TABLE
+
+    def prior_variances(self) -> Array:
+        """Variances (C,) of the priors of all constants."""
+        return np.concatenate([_prior_sigma(c.name, self.priors, self.noise) ** 2 for c in CONSTANTS])
 
     def rows(self, state: State) -> list[Rows]:
         """All rows of the table, linearised at `state`, with robust weights."""
@@ -189,9 +192,7 @@ def build_graph(
     nonlinear = imu_factors(preintegrated)
     for factor in _prior_factors(priors, noise, state):
         nonlinear.add(factor)
-    keys = [key for k in range(len(state.t)) for key in keyframe_keys(k)]
-    ordering = gtsam.Ordering([*keys, *KEYS.values()])
-    return Graph(nonlinear, ordering, preintegrated, measured, noise, priors, state, shaken(binned), table)
+    return Graph(nonlinear, preintegrated, measured, noise, priors, state, shaken(binned), table)
 
 
 def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam.NonlinearFactor]:
@@ -201,12 +202,16 @@ def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam
     sigma = np.repeat([priors.accel_bias, priors.gyro_bias], 3)
     yield gtsam.PriorFactorConstantBias(B(0), bias, _diagonal(sigma))
     for constant in CONSTANTS:
-        mean, sigma = priors.constants[constant.name]
-        sigma = np.minimum(sigma, noise.constants.get(constant.name, np.inf))  # what is held stays held
-        information = np.diag(1.0 / np.square(sigma))
+        mean = priors.constants[constant.name][0]
+        information = np.diag(1.0 / np.square(_prior_sigma(constant.name, priors, noise)))
         if constant.name == "lever_arm" and priors.held_s is not None:
             information += np.outer(priors.held_s, priors.held_s) / HELD**2
         yield gtsam.PriorFactorVector(KEYS[constant.name], mean, gtsam.noiseModel.Gaussian.Information(information))
+
+
+def _prior_sigma(name: str, priors: Priors, noise: Noise) -> Array:
+    sigma = priors.constants[name][1]
+    return np.asarray(np.minimum(sigma, noise.constants.get(name, np.inf)))  # what is held stays held
 
 
 def _diagonal(sigma: Array) -> gtsam.noiseModel.Diagonal:

@@ -121,3 +121,17 @@ class State:
             offset_n=gtsam.utilities.extractVectors(values, "o"),
             constants={name: values.atVector(key) for name, key in KEYS.items()},
         )
+
+
+def vector_values(keyframes: Array, constants: Array) -> gtsam.VectorValues:
+    """A tangent, keyframes (K, 18) and constants (C,), as GTSAM's: a vector for each variable."""
+    out = gtsam.VectorValues()
+    for k, x in enumerate(keyframes):
+        for key, part in zip(keyframe_keys(k), _PARTS, strict=True):
+            out.insert(key, x[part])
+    for name, key in KEYS.items():
+        out.insert(key, constants[COLUMNS[name]])
+    return out
+
+
+_PARTS = (slice(0, 6), VELOCITY, slice(9, 15), OFFSET)

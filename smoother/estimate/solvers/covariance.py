@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
 from smoother.arrays import Array, IntArray
-from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, DIMENSIONS, KEYFRAME_SIZE, KEYS, keyframe_keys
+from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block
+from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE
 
 NONE = slice(0, 0)  # of the constants
 
@@ -45,30 +45,32 @@ class Chain:
     constants: Array
 
     @staticmethod
-    def of(tree: gtsam.GaussianBayesTree, n: int) -> "Chain":
-        """Read the Bayes tree of n keyframes, eliminated in their order with the constants last."""
-        m, size = CONSTANTS_SIZE, KEYFRAME_SIZE
-        cliques = [tree[X(k)].conditional() for k in range(n - 2)]
-        root, gain, influence = np.empty((n, size, size)), np.empty((n - 1, size, size)), np.empty((n, size, m))
+    def of(tree: gtsam.GaussianBayesTree, n: int, free: IntArray, held: Array) -> "Chain":
+        """Read the Bayes tree of n keyframes, eliminated in their order with the constants last.
+
+        free (m,): columns of the constants that were solved for; held (C,): variances of all others.
+        """
+        m, size = len(free), KEYFRAME_SIZE
+        cliques = [tree[block(k)].conditional() for k in range(n - 2)]
+        root, gain, influence = np.empty((n, size, size)), np.empty((n - 1, size, size)), np.zeros((n, size, m))
         if cliques:
-            separator = np.empty((n - 2, size, size + m))
-            columns = _columns(cliques[0].keys()[len(DIMENSIONS) :], [*keyframe_keys(1), *KEYS.values()])
+            separator = np.array([c.S() for c in cliques])
+            order = _columns(cliques[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
             root[: n - 2] = np.linalg.inv(np.array([c.R() for c in cliques]))
-            separator[:, :, columns] = np.array([c.S() for c in cliques])
-            by_others = -root[: n - 2] @ separator
+            by_others = -root[: n - 2] @ separator[:, :, order]
             gain[: n - 2], influence[: n - 2] = by_others[:, :, :size], by_others[:, :, size:]
-        R, a, b, c = (
-            _last_two(tree[X(n - 1)].conditional(), n),
-            slice(0, size),
-            slice(size, 2 * size),
-            slice(2 * size, None),
-        )
+        R = _last_two(tree[block(n - 1)].conditional(), n, m)
+        a, b, c = slice(0, size), slice(size, 2 * size), slice(2 * size, None)
         root[-2], root[-1], of_constants = (np.linalg.inv(R[part, part]) for part in (a, b, c))
         gain[-1], influence[-1] = -root[-2] @ R[a, b], -root[-1] @ R[b, c]
         influence[-2] = -root[-2] @ R[a, c] + gain[-1] @ influence[-1]
         for k in range(n - 3, -1, -1):
             influence[k] += gain[k] @ influence[k + 1]
-        return Chain(gain, influence, root, of_constants @ of_constants.T)
+        constants, of_all = np.diag(held), np.zeros((n, size, CONSTANTS_SIZE))
+        constants[free] = 0.0
+        constants[np.ix_(free, free)] = of_constants @ of_constants.T
+        of_all[:, :, free] = influence
+        return Chain(gain, of_all, root, constants)
 
     def covariances(self) -> Covariances:
         """The blocks at and beside the diagonal, and those with the constants."""
@@ -141,24 +143,17 @@ def _squared(root: Array) -> Array:
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
-def _columns(keys: list[int], wanted: list[int]) -> IntArray:
-    """Where the columns of `keys`, in their order, belong among those of `wanted`."""
-    widths = dict(zip(wanted, _widths(wanted), strict=True))
-    starts = dict(zip(wanted, np.cumsum([0, *widths.values()]), strict=False))
-    return np.concatenate([starts[key] + np.arange(widths[key]) for key in keys])
+def _columns(keys: list[int], sizes: dict[int, int]) -> IntArray:
+    """Where the columns of `sizes`, in its order, are among those of `keys`."""
+    starts = dict(zip(keys, np.cumsum([0, *(sizes[key] for key in keys)]), strict=False))
+    return np.concatenate([starts[key] + np.arange(size) for key, size in sizes.items() if key in starts])
 
 
-def _widths(keys: list[int]) -> list[int]:
-    keyframes = (len(keys) - len(CONSTANTS)) // len(DIMENSIONS)
-    return [*DIMENSIONS * keyframes, *(c.size for c in CONSTANTS)]
-
-
-def _last_two(root: gtsam.GaussianConditional, n: int) -> Array:
-    """Square-root information (36 + C, 36 + C), triangular, of the last two keyframes and the constants.
+def _last_two(root: gtsam.GaussianConditional, n: int, m: int) -> Array:
+    """Square-root information (36 + m, 36 + m), triangular, of the last two keyframes and m constants.
 
     They are the root of the tree, in an order of GTSAM's.
     """
-    at = _columns(root.keys(), [*keyframe_keys(n - 2), *keyframe_keys(n - 1), *KEYS.values()])
-    R = np.empty((len(at), len(at)))
-    R[:, at] = root.R()
+    sizes = {block(n - 2): KEYFRAME_SIZE, block(n - 1): KEYFRAME_SIZE, CONSTANTS_BLOCK: m}
+    R = root.R()[:, _columns(root.keys(), sizes)]
     return np.asarray(np.linalg.qr(R, mode="r"))

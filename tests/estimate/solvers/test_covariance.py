@@ -3,13 +3,14 @@
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import X
 
 from smoother.arrays import Array
-from smoother.estimate.factors.gaussian import WIDTH, linear_factors
+from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, WIDTH, block, linear_factors
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, KEYFRAME_SIZE, KEYS, keyframe_keys
+from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, KEYFRAME_SIZE
 from smoother.estimate.solvers.covariance import Chain
+
+ALL = np.arange(CONSTANTS_SIZE)
 
 
 def random_system(rng: np.random.Generator, n: int) -> tuple[gtsam.GaussianFactorGraph, Array]:
@@ -30,13 +31,14 @@ def random_system(rng: np.random.Generator, n: int) -> tuple[gtsam.GaussianFacto
         constants,
         rng.uniform(0.1, 1.0, len(interval)),
     )
-    system = linear_factors([rows], imu)
-    keys = [key for k in range(n) for key in keyframe_keys(k)]
-    sizes = [*(6, 3, 6, 3) * n, *(c.size for c in CONSTANTS)]
-    for key, size in zip([*keys, *KEYS.values()], sizes, strict=True):
+    system = linear_factors([rows], imu, ALL)
+    for key, size in [*((block(k), KEYFRAME_SIZE) for k in range(n)), (CONSTANTS_BLOCK, CONSTANTS_SIZE)]:
         system.add(key, 0.3 * rng.standard_normal((size, size)) + np.eye(size), np.zeros(size), unit(size))
-    ordering = gtsam.Ordering([*keys, *KEYS.values()])
-    return system, system.hessian(ordering)[0]
+    return system, system.hessian(ordering(n))[0]
+
+
+def ordering(n: int) -> gtsam.Ordering:
+    return gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK])
 
 
 def unit(size: int) -> gtsam.noiseModel.Base:
@@ -44,8 +46,7 @@ def unit(size: int) -> gtsam.noiseModel.Base:
 
 
 def chain_of(system: gtsam.GaussianFactorGraph, n: int) -> Chain:
-    keys = [key for k in range(n) for key in keyframe_keys(k)]
-    return Chain.of(system.eliminateMultifrontal(gtsam.Ordering([*keys, *KEYS.values()])), n)
+    return Chain.of(system.eliminateMultifrontal(ordering(n)), n, ALL, np.zeros(CONSTANTS_SIZE))
 
 
 @pytest.mark.parametrize("n", [3, 4, 11])
@@ -70,7 +71,27 @@ def test_they_are_those_of_gtsam_marginals() -> None:
     values = gtsam.Values()
     marginals = gtsam.Marginals(system, values)
     for k in range(n):
-        np.testing.assert_allclose(found.keyframes[k][:6, :6], marginals.marginalCovariance(X(k)), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(found.keyframes[k], marginals.marginalCovariance(block(k)), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.constants, marginals.marginalCovariance(CONSTANTS_BLOCK), rtol=1e-6, atol=1e-9)
+
+
+def test_constants_that_nothing_measures_stay_at_their_priors() -> None:
+    """Left out of the system they have the covariance of their priors, and all else is as with them."""
+    n, rng = 5, np.random.default_rng(6)
+    idle = np.arange(4, 9)
+    free = np.delete(ALL, idle)
+    imu = rng.standard_normal((n - 1, 15, WIDTH))
+    imu[:, :, 2 * KEYFRAME_SIZE + idle] = 0.0
+    sigma, found = rng.uniform(0.5, 2.0, CONSTANTS_SIZE), []
+    for some in (ALL, free):
+        system = linear_factors([], imu, some)
+        for k in range(n):
+            system.add(block(k), np.eye(KEYFRAME_SIZE), np.zeros(KEYFRAME_SIZE), unit(KEYFRAME_SIZE))
+        system.add(CONSTANTS_BLOCK, np.diag(1.0 / sigma[some]), np.zeros(len(some)), unit(len(some)))
+        found.append(Chain.of(system.eliminateMultifrontal(ordering(n)), n, some, sigma**2).covariances())
+    np.testing.assert_allclose(found[1].constants, found[0].constants, atol=1e-9)
+    np.testing.assert_allclose(found[1].keyframes, found[0].keyframes, atol=1e-9)
+    np.testing.assert_allclose(found[1].with_constants, found[0].with_constants, atol=1e-9)
 
 
 def test_the_joint_of_any_functions_is_that_of_the_inverse() -> None:
