@@ -10,18 +10,17 @@ derivatives of the residual: they are those of the low-passed motion. This is th
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
-from scipy.signal import butter, sosfiltfilt
 
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.model.state import State
 
-ORDER = 2  # of the Butterworth filter, which runs forwards and backwards: no delay
+ORDER = 2  # of the low-pass, that of a Butterworth filter without its phase
 # Hz, of samples as noisy as m/s^2/sqrt(Hz): what a kart does above it is weaker than the noise. Its accelerations fall
 # with about the fifth power of the frequency; real karts' samples have 0.5 to 0.9, and are served best by 1 to 1.2 Hz
 CUTOFF, AT_DENSITY, SLOWEST, QUICKEST, POWER = 1.5, 0.3, 1.0, 1.5, 5.0
-FEWEST = 30  # keyframes that the filter needs for its ends
+BEYOND = 10.0  # s by which both ends are mirrored
+FINER = 4  # times the rate of the keyframes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +39,36 @@ def cutoff_for(accel: float) -> float:
 
 
 class LowPassedMotion:
-    """Cubic splines through the velocities and the heading of the keyframes of a state, below `cutoff` Hz."""
+    """The velocities and the heading of the keyframes of a state below `cutoff` Hz, and their derivatives.
+
+    Made of their spectrum: exact between keyframes too, up to the linear interpolation of a FINER grid.
+    """
 
     def __init__(self, state: State, cutoff: float) -> None:
         turn = so3.log(state.R_ns[:-1].transpose(0, 2, 1) @ state.R_ns[1:])
         about_up = np.einsum("kj,kj->k", state.R_ns[:-1, 2, :], turn)
         values = np.column_stack([state.velocity_n, np.concatenate([[0.0], np.cumsum(about_up)])])
-        share = 2.0 * cutoff * state.interval  # of the Nyquist frequency
-        if share < 0.95 and len(values) > FEWEST:
-            values = sosfiltfilt(butter(ORDER, share, output="sos"), values, axis=0)
-        self._span = float(state.t[0]), float(state.t[-1])
-        self._values: BSpline = make_interp_spline(state.t, values, min(3, len(values) - 1))
-        self._slope, self._bend = self._values.derivative(), self._values.derivative(2)
+        n = len(values)
+        beyond = min(n - 1, round(BEYOND / state.interval))
+        values = np.pad(values, ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
+        slope = (values[-1] - values[0]) / (len(values) - 1)
+        line = values[0] + np.arange(len(values))[:, None] * slope  # what is left of the values can be periodic
+        spectrum, frequency = np.fft.rfft(values - line, axis=0), np.fft.rfftfreq(len(values), state.interval)[:, None]
+        spectrum /= 1.0 + (frequency / cutoff) ** (2 * ORDER)
+        inside = slice(beyond * FINER, (beyond + n - 1) * FINER + 1)
+
+        def derivative(order: int) -> Array:
+            of = spectrum * (2j * np.pi * frequency) ** order
+            return np.asarray(FINER * np.fft.irfft(of, FINER * len(values), axis=0)[inside])
+
+        fine = line[0] + np.arange(inside.start, inside.stop)[:, None] / FINER * slope
+        self._values = np.column_stack([derivative(0) + fine, derivative(1) + slope / state.interval, derivative(2)])
+        self._start, self._step = float(state.t[0]), state.interval / FINER
 
     def at(self, t: Array) -> Motion:
         """Motion at t (N,) s, beyond the ends that at the ends."""
-        t = np.clip(t, *self._span)
-        slope = self._slope(t)
-        return Motion(self._values(t)[:, :3], slope[:, :3], self._bend(t)[:, :3], slope[:, 3])
+        u = np.clip((t - self._start) / self._step, 0.0, len(self._values) - 1)
+        k = np.minimum(u.astype(np.int64), len(self._values) - 2)
+        share = (u - k)[:, None]
+        x = (1.0 - share) * self._values[k] + share * self._values[k + 1]
+        return Motion(x[:, :3], x[:, 4:7], x[:, 8:11], x[:, 7])
