@@ -39,7 +39,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, Geometry, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Problem, Solution, identify, solve_held
+from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held
 from smoother.estimate.solvers.variance_components import Scatter
 from smoother.samples import Problem as SessionProblem
 from smoother.samples import Session
@@ -99,7 +99,15 @@ def solve_with_gtsam(
     whole = replace(whole, state=replace(whole.state, constants=state.constants))
     field = _Field(session, start)
     noise = replace(part.noise, slip=None)
-    solved = identify(whole, noise, lambda share: say(0.5 + 0.5 * share), 1, wheels=wheels, heading=field.heading)
+    solved = identify(
+        whole,
+        noise,
+        lambda share: say(0.5 + 0.5 * share),
+        1,
+        wheels=wheels,
+        sigmas=Sigmas.of(part.covariances),
+        heading=field.heading,
+    )
     theirs = solved_of(solved)
     found = noise_of(solved, theirs, start.noise)
     solution = OldSolution(theirs, found, field.priors, field.problems, field.data.heading)

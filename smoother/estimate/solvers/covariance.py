@@ -6,6 +6,8 @@ the same numbers one key at a time, which costs 2 to 7 ms each and grows with th
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -72,41 +74,62 @@ class Chain:
         of_all[:, :, free] = influence
         return Chain(gain, of_all, root, constants)
 
+    @cached_property
+    def given_constants(self) -> Array:
+        """Covariances (K, 18, 18) of the keyframes, were the constants known."""
+        P = self.root @ self.root.transpose(0, 2, 1)
+        for k in range(len(self.gain) - 1, -1, -1):
+            P[k] += self.gain[k] @ P[k + 1] @ self.gain[k].T
+        return np.asarray(P)
+
     def covariances(self) -> Covariances:
         """The blocks at and beside the diagonal, and those with the constants."""
-        P = self.root @ self.root.transpose(0, 2, 1)
-        cross = np.empty_like(self.gain)
-        for k in range(len(self.gain) - 1, -1, -1):
-            np.matmul(self.gain[k], P[k + 1], out=cross[k])
-            P[k] += cross[k] @ self.gain[k].T
+        P, cross = self.given_constants, self.gain @ self.given_constants[1:]
         with_constants, by_constants = self.influence @ self.constants, self.influence.transpose(0, 2, 1)
         cross += with_constants[:-1] @ by_constants[1:]
-        P += with_constants @ by_constants
-        return Covariances(P, cross, self.constants, with_constants)
+        return Covariances(P + with_constants @ by_constants, cross, self.constants, with_constants)
 
     def joint(self, first: IntArray, left: Array, right: Array, constants: Array) -> Array:
         """Covariance (q, q) of q linear functions of keyframes `first` and `first + 1` (q,) and of the constants.
 
-        left, right (q, 18), constants (q, C): their coefficients. Each function is carried forwards through the chain,
-        where it adds up the noise of the keyframes that it passes.
+        left, right (q, 18), constants (q, C): their coefficients. A function is the next keyframe's share in it and
+        noise of its own; that share is carried forwards through the chain to the functions that come later.
         """
         by_constants = constants + np.einsum("qi,qim->qm", left, self.influence[first])
         by_constants += np.einsum("qi,qim->qm", right, self.influence[first + 1])
-        out = by_constants @ self.constants @ by_constants.T
         order = np.argsort(first, kind="stable")
-        begins = first[order]
-        carried, inner, added = np.zeros((len(first), KEYFRAME_SIZE)), np.zeros((len(first), len(first))), 0
-        for k in range(int(begins[0]), len(self.root)):
-            fresh = slice(added, int(np.searchsorted(begins, k, side="right")))
-            carried[fresh] += left[order[fresh]]
-            noise = carried[: fresh.stop] @ self.root[k]
-            inner[: fresh.stop, : fresh.stop] += noise @ noise.T
-            if k + 1 < len(self.root):
-                carried[: fresh.stop] = carried[: fresh.stop] @ self.gain[k]
-                carried[fresh] += right[order[fresh]]
-            added = fresh.stop
+        starts = np.flatnonzero(np.diff(first[order], prepend=-1))
+        P, carried, at = self.given_constants, np.empty((len(first), KEYFRAME_SIZE)), 0
+        inner = np.empty((len(first), len(first)))
+        for begin, end in pairwise([*starts.tolist(), len(first)]):
+            k, some = int(first[order[begin]]), order[begin:end]
+            carried[:begin] = self._through(carried[:begin], at, k)
+            ahead = left[some] @ self.gain[k] + right[some]
+            own = left[some] @ self.root[k]
+            of_next = ahead @ P[k + 1]
+            earlier = carried[:begin] @ (left[some] @ P[k] + right[some] @ P[k + 1] @ self.gain[k].T).T
+            inner[:begin, begin:end], inner[begin:end, :begin] = earlier, earlier.T
+            inner[begin:end, begin:end] = of_next @ ahead.T + own @ own.T
+            carried[:begin], carried[begin:end], at = carried[:begin] @ self.gain[k], ahead, k + 1
+        out = by_constants @ self.constants @ by_constants.T
         out[np.ix_(order, order)] += inner
         return np.asarray(out)
+
+    def _through(self, carried: Array, begin: int, end: int) -> Array:
+        """Rows (q, 18) times the gains of keyframes begin .. end - 1, by products of 2, 4, 8 .. of them."""
+        while len(carried) and begin < end:
+            level = min((begin & -begin).bit_length() - 1 if begin else 63, (end - begin).bit_length() - 1)
+            carried, begin = carried @ self._products[level][begin >> level], begin + (1 << level)
+        return carried
+
+    @cached_property
+    def _products(self) -> list[Array]:
+        """Of each level l the products of 2^l gains in a row, from multiples of 2^l on."""
+        out = [self.gain]
+        while len(out[-1]) > 1:
+            even = len(out[-1]) // 2 * 2
+            out.append(out[-1][0:even:2] @ out[-1][1:even:2])
+        return out
 
     def thinned(self, every: int) -> "Chain":
         """The chain of the first, the `every`-th .. keyframe alone."""

@@ -80,6 +80,7 @@ def identify(
     first_steps: int = FIRST_STEPS,
     *,
     wheels: bool = False,
+    sigmas: "Sigmas | None" = None,
     heading: Callable[[State], Heading | None] | None = None,
 ) -> Solution:
     """Solve a problem and find its noise, from `noise`, in turns; `progress` gets the share of the turns.
@@ -87,16 +88,21 @@ def identify(
     wheels: they join once the noise is found and the attitudes are good enough to judge them by, where the box follows
     the path. From then on only the slip is found: it changes more smoothly than its process, and what that expects of
     quick steps would be missed in the noise of the samples, and looked for in the latencies (1.4 ms on twelve karts).
-    heading: of a magnetometer, likewise; it returns the headings that can be used.
+    sigmas: of a solution of a part of the session, where there is one. heading: of a magnetometer, likewise; it returns
+    the headings that can be used.
     """
     values, state = problem.state.values(), problem.state
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
         values = step(graph, values).moved
-    damping, held = Damping(), None
+    damping, held, is_settled = Damping(), None, False
     wheels = wheels and not state.geometry.is_steered
     for turn in range(MOST_TURNS):
         taken = step(graph, values)
+        values, is_last = taken.moved, turn + 1 == MOST_TURNS
+        progress((turn + 1) / MOST_TURNS)
+        if sigmas is not None and moved(taken, sigmas) > (MOVED if is_settled else NEAR) and not is_last:
+            continue  # covariances cost as much as a step, and say little of a state that is on its way
         chain = taken.chain() if held is None else taken.chain().with_constants(held, COLUMNS["slip"])
         covariances = chain.covariances()
         better, found = update_noise(
@@ -105,24 +111,24 @@ def identify(
         better = damping.damped(graph.noise, better)
         if graph.noise.slip is not None:
             better = replace(graph.noise, slip=better.slip)
-        values = taken.moved
-        progress((turn + 1) / MOST_TURNS)
-        change, move, joined = relative_change(graph.noise, better), moved(taken, covariances), False
+        sigmas = Sigmas.of(covariances)
+        change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
             if field is not None:
                 problem = replace(problem, measured=replace(problem.measured, heading=field))
                 prior = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
                 problem = replace(problem, priors=replace(problem.priors, constants=prior))
-                change, joined = 1.0, True
+                joined = True
         if wheels and better.slip is None and move < NEAR and change < CHANGED:
             wheels, found_rolling = False, _rolling(taken, covariances, problem)
             if found_rolling is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
-                better = replace(graph.noise, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
+                better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
                 held, problem = covariances.constants, _held(problem, taken.after, "slip")
-                change, joined = 1.0, True
-        if (move < MOVED and change < CHANGED) or turn + 1 == MOST_TURNS:
+                joined = True
+        is_settled = change < CHANGED
+        if (move < MOVED and is_settled and not joined) or is_last:
             break
         graph = _graph(problem, taken.after, better) if joined else _renewed(problem, graph, taken.after, better)
     return Solution(graph, taken, chain, covariances, found)
@@ -141,15 +147,26 @@ def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Grap
     return replace(graph, measured=problem.measured, noise=same, priors=problem.priors)
 
 
-def moved(step: Step, covariances: Covariances) -> float:
+@dataclass(frozen=True, eq=False)
+class Sigmas:
+    """Mean variances (18,) of a keyframe and those of the constants (C,)."""
+
+    keyframe: Array
+    constants: Array
+
+    @staticmethod
+    def of(covariances: Covariances) -> "Sigmas":
+        """Of a solution."""
+        keyframe = np.einsum("kii->i", covariances.keyframes) / len(covariances.keyframes)
+        return Sigmas(keyframe, np.diag(covariances.constants))
+
+
+def moved(step: Step, sigmas: Sigmas) -> float:
     """Root mean square of a step of attitude, velocity, and of latencies and arm, each over its sigma; the largest."""
-    variance = np.einsum("kii->ki", covariances.keyframes)
-    squares = [np.mean(step.keyframes[:, part] ** 2 / variance[:, part]) for part in (ROTATION, VELOCITY)]
-    own = np.maximum(np.diag(covariances.constants), FIXED**2)
-    squares += [
-        np.mean(step.constants[COLUMNS[name]] ** 2 / own[COLUMNS[name]])
-        for name in ("position_latency", "velocity_latency", "lever_arm")
-    ]
+    of_keyframe = np.mean(step.keyframes**2, axis=0) / sigmas.keyframe
+    of_constants = step.constants**2 / np.maximum(sigmas.constants, FIXED**2)
+    squares = [np.mean(of_keyframe[part]) for part in (ROTATION, VELOCITY)]
+    squares += [np.mean(of_constants[COLUMNS[name]]) for name in ("position_latency", "velocity_latency", "lever_arm")]
     return math.sqrt(float(max(squares)))
 
 

@@ -95,7 +95,7 @@ def test_constants_that_nothing_measures_stay_at_their_priors() -> None:
 
 
 def test_the_joint_of_any_functions_is_that_of_the_inverse() -> None:
-    n, q, rng = 12, 7, np.random.default_rng(3)
+    n, q, rng = 40, 25, np.random.default_rng(3)
     system, information = random_system(rng, n)
     first = rng.integers(0, n - 1, q)
     left, right = rng.standard_normal((2, q, KEYFRAME_SIZE))
