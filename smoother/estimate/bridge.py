@@ -96,7 +96,7 @@ def solve_with_gtsam(
         in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
         return start, in_windows.found, in_windows
     whole, _ = problem_of(start)
-    whole = replace(whole, state=replace(whole.state, constants=state.constants))
+    whole = replace(whole, state=replace(whole.state, constants=state.constants), sensor_errors=False)
     field = _Field(session, start)
     noise = replace(part.noise, slip=None)
     solved = identify(
@@ -260,11 +260,14 @@ def solved_of(s: Solution) -> old_batch.Solved:
         step.keyframes, constants, c.keyframes, c.neighbours, own, cross, cast(ChainFactor, ChainOfGtsam(s.chain))
     )
     whitened = np.zeros((keyframes - 1, 15, 46))
-    whitened[:, :, :15], whitened[:, :, 15:30] = step.imu[:, :, :15], step.imu[:, :, 18:33]
-    by_constants = step.imu[:, :, 2 * KEYFRAME_SIZE : -1]
-    whitened[:, :, 30:45] = by_constants[:, :, COLUMNS["accel_scale"].start : COLUMNS["rectification"].stop]
-    whitened[:, :, 45] = -step.imu[:, :, -1]
-    rows = {name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items()}
+    imu = step.rows["imu"]
+    whitened[:, :, :15], whitened[:, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
+    if imu.constants:
+        whitened[:, :, 30:45] = np.concatenate(list(imu.constants.values()), axis=2)
+    whitened[:, :, 45] = imu.residual
+    rows = {
+        name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items() if name != "imu"
+    }
     inertial = old_inertial.LinearInertial(whitened)
     return old_batch.Solved(chain_state(s.state), chain_state(step.state), solution, inertial, rows, None)
 

@@ -156,6 +156,7 @@ TABLE = (
 class Graph:
     """The graph of a session for one noise: GTSAM's factors in `nonlinear`, the IMU factors of all intervals first, and
     all others by :meth:`rows`. state: times and geometry.
+    sensor_errors: whether errors of scale and rectification are unknowns.
     """
 
     nonlinear: gtsam.NonlinearFactorGraph
@@ -165,6 +166,7 @@ class Graph:
     priors: Priors
     state: State
     shaken: Array
+    sensor_errors: bool = True
     table: tuple[Factor, ...] = TABLE
 
     def prior_variances(self) -> Array:
@@ -185,14 +187,19 @@ def build_graph(
     priors: Priors,
     state: State,
     table: tuple[Factor, ...] = TABLE,
+    *,
+    sensor_errors: bool = True,
 ) -> Graph:
-    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`."""
+    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`.
+
+    sensor_errors: whether errors of scale and rectification are unknowns.
+    """
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     preintegrated = preintegrate(binned, noise.inertial, *biases)
     nonlinear = imu_factors(preintegrated)
     for factor in _prior_factors(priors, noise, state):
         nonlinear.add(factor)
-    return Graph(nonlinear, preintegrated, measured, noise, priors, state, shaken(binned), table)
+    return Graph(nonlinear, preintegrated, measured, noise, priors, state, shaken(binned), sensor_errors, table)
 
 
 def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam.NonlinearFactor]:

@@ -50,20 +50,22 @@ class Rows:
             by_constants[:, :, COLUMNS[name]] = block
         return J
 
-    def put_whitened(self, A: Array, at: IntArray) -> None:
+    def take(self, at: IntArray) -> "Rows":
+        """Some of the measurements."""
+        parts = {name: getattr(self, name)[at] for name in ("interval", "residual", "sigma", "left", "right", "weight")}
+        return replace(self, **parts, constants={name: block[at] for name, block in self.constants.items()})
+
+    def put_whitened(self, A: Array, at: IntArray, starts: Mapping[str, int]) -> None:
         """Write Jacobian and, as last column, minus the residual, each over its sigma, into the rows `at` (N r,) of A.
 
-        A (.., 36 + C + 1) is zero there.
+        A is zero there. starts: first columns of the constants that are unknown; those of the keyframes are first.
         """
         root = (np.sqrt(self.weight)[:, None] / self.sigma).reshape(-1, 1)
-        starts = (0, KEYFRAME_SIZE)
-        for start, J in zip(starts, (self.left, self.right), strict=True):
+        for start, J in ((0, self.left), (KEYFRAME_SIZE, self.right)):
             for part in used_columns(J):
                 A[at, start + part.start : start + part.stop] = J[:, :, part].reshape(len(at), -1) * root
         for name, J in self.constants.items():
-            columns = COLUMNS[name]
-            first = 2 * KEYFRAME_SIZE + columns.start
-            A[at, first : first + J.shape[2]] = J.reshape(len(at), -1) * root
+            A[at, starts[name] : starts[name] + J.shape[2]] = J.reshape(len(at), -1) * root
         A[at, -1] = -self.residual.ravel() * root[:, 0]
 
 

@@ -40,6 +40,7 @@ class Problem:
     """A session or a part of it, ready to be solved: samples, measurements, priors, and where to begin.
 
     usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
+    sensor_errors: whether errors of scale and rectification are unknowns, as in the part that identifies them.
     """
 
     binned: BinnedImu
@@ -50,6 +51,7 @@ class Problem:
     scatter: Scatter
     stated: frozenset[str] = frozenset()
     table: tuple[Factor, ...] = TABLE
+    sensor_errors: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,8 @@ def identify(
 
 
 def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
-    return build_graph(problem.binned, problem.measured, noise, problem.priors, state, problem.table)
+    p = problem
+    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table, sensor_errors=p.sensor_errors)
 
 
 def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Graph:
@@ -177,7 +180,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    problem = _held(problem, problem.state)
+    problem = replace(_held(problem, problem.state), sensor_errors=False)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
