@@ -137,7 +137,7 @@ def _identify_and_solve(
     doubted = _jumped(session, start, start.noise, options, with_doppler=False)
     if doubted.any():
         start = seen(make_start(session, options, options.identification_span, doubted, start.pauses))
-    if options.solver == "gtsam":
+    if options.solver != "isam2":
         from smoother.estimate.bridge import solve_with_gtsam  # which imports what is above this module
 
         return solve_with_gtsam(session, start, options, say, doubted)

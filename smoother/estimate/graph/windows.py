@@ -82,7 +82,7 @@ class WindowsSolution:
 
 def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
     """Solve all keyframes of `start` window by window, with constants and noise of the busiest, sampled one."""
-    if options.solver == "gtsam":
+    if options.solver != "isam2":
         from smoother.estimate.bridge import solve_part  # which imports this module
 
         busiest = longest_sampled(busiest_part(start, WINDOW))
@@ -150,7 +150,7 @@ def _solve_piece(
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
     begin, end = window.begin, window.end - 1
     part = stretch(start, begin, end)
-    if options.solver == "gtsam":
+    if options.solver != "isam2":
         from smoother.estimate.bridge import solve_window  # likewise
 
         return _cut_out(session, start, window, noise, solve_window(session, part, noise, held))
