@@ -16,10 +16,10 @@ from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph.arm import course
 from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear
 from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.imu import DensePath, at_times, attitude_at
+from smoother.estimate.model.imu import DensePath, at_times, attitude_at
 from smoother.estimate.graph.increments import left_jacobian_inverse, linearize_increments
 from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.inertial_noise import interval_noise
+from smoother.estimate.model.inertial_noise import interval_noise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.response import evened, low_passed
 from smoother.estimate.graph.rows import Rows, ground_rows

@@ -1,19 +1,17 @@
-"""Between the first edition's preparation and output and the graph of GTSAM; it goes with what it bridges.
+"""Between the graph of GTSAM and the first edition's output; it goes with what it bridges.
 
-In: a Start becomes a Problem. Out: a Solution becomes the Solved that the output reads. Constants that the graph of
-GTSAM does not have (evenness, delay of the course) stay zero, with no covariance.
+Out: a Solution becomes the Solved that the output reads. Constants that the graph of GTSAM does not have (evenness,
+delay of the course) stay zero, with no covariance.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.factors.graph import WHEELS_BELOW, Measurements, Priors
-from smoother.estimate.factors.ground import far_from_heights
-from smoother.estimate.factors.heading import heading_rows
+from smoother.arrays import Array, IntArray
+from smoother.estimate.factors.graph import WHEELS_BELOW, Priors
 from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.factors.wheels import slip_of
 from smoother.estimate.graph import batch as old_batch
@@ -23,25 +21,25 @@ from smoother.estimate.graph import rows as old_rows
 from smoother.estimate.graph import state as old
 from smoother.estimate.graph.chain import ChainFactor, ChainSolution
 from smoother.estimate.graph.estimated import Estimated, are_made_up, estimated
-from smoother.estimate.graph.first_noise import scatter_of
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.parts import is_partly_sampled
 from smoother.estimate.graph.row_components import RowComponent
 from smoother.estimate.graph.slip import DIFFERENT, FIT_SIGMA, MEMORY, PRIOR, SlipNoise, corners
-from smoother.estimate.graph.solve import Say, with_heading
+from smoother.estimate.graph.solve import Say
 from smoother.estimate.graph.solve import Solution as OldSolution
-from smoother.estimate.graph.start import Start, informed
 from smoother.estimate.graph.told import told_by
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
+from smoother.estimate.initial.compass import Compass
+from smoother.estimate.initial.guess import Start, informed, problem_of
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.initial.parts import is_partly_sampled
+from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, Geometry, State
+from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held
-from smoother.estimate.solvers.variance_components import Scatter
-from smoother.samples import Problem as SessionProblem
+from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held
+from smoother.estimate.solvers.incremental import solve_as_stream
+from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.samples import Session
 
 PARTS = {
@@ -58,139 +56,59 @@ PARTS = {
 }
 OURS = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in PARTS])
 THEIRS = np.concatenate([np.arange(part.start, part.stop) for part in PARTS.values()])
-DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
 
 
-def solve_part(session: Session, part: Start, noise: inputs.Noise, options: GraphOptions, say: Say) -> OldSolution:
+def solve_part(
+    session: Session, part: Start, noise: Noise, options: GraphOptions, say: Say
+) -> tuple[Solution, OldSolution]:
     """Identify constants and noise of a part of a session that has samples throughout, from `noise`."""
-    problem, _ = problem_of(part)
-    field = _Field(session, part)
-    wheels = options.wheels and part.wheels
-    solved = identify(problem, noise_before(noise), say, 1, wheels=wheels, heading=field.heading)
-    theirs = solved_of(solved)
-    return OldSolution(theirs, noise_of(solved, theirs, part.noise), field.priors, field.problems, field.data.heading)
+    compass, wheels = Compass(session, part), options.wheels and part.wheels
+    solved = identify(problem_of(part), noise, say, 1, wheels=wheels, heading=compass.heading)
+    return solved, _old_solution(solved, part, compass)
 
 
-def solve_window(session: Session, part: Start, noise: inputs.Noise, held: Array) -> old_batch.Solved:
-    """Solve a window with constants and noise that are known; held (31, 31): covariance of the constants."""
-    problem, _ = problem_of(part)
-    covariance = np.zeros((CONSTANTS_SIZE, CONSTANTS_SIZE))
-    covariance[np.ix_(OURS, OURS)] = held[np.ix_(THEIRS, THEIRS)]
-    slip = None if noise.slip is None else noise.slip.sigma
-    known = replace(noise_before(noise), slip=slip)
-    return solved_of(solve_held(problem, known, covariance, _LevelField(session, part).heading))
+def solve_window(session: Session, part: Start, noise: Noise, held: Array, options: GraphOptions) -> old_batch.Solved:
+    """Solve a window with constants and noise that are known; held (C, C): covariance of the constants."""
+    solve = solve_as_stream if options.solver == "isam2" else solve_held
+    return solved_of(solve(problem_of(part), noise, held, Compass(session, part, is_level=True).heading))
 
 
-def solve_with_gtsam(
-    session: Session, start: Start, options: GraphOptions, say: Say, doubted: BoolArray
+def solve_session(
+    session: Session, start: Start, options: GraphOptions, say: Say
 ) -> tuple[Start, Estimated, OldSolution | WindowsSolution]:
-    """Identify constants and noise on the busiest part, then solve all of the session, with the graph of GTSAM."""
-    wheels = options.wheels and start.wheels
-    problem, noise = problem_of(start)
-    part = identify(problem, noise, lambda share: say(0.5 * share), wheels=wheels)
-    state = part.state
-    biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
-    first = start.noise
-    start = informed(session, start, options, chain_state(state).constants, biases, doubted)
+    """Identify constants and noise on the busiest part, then solve all of the session."""
+    wheels, busiest = options.wheels and start.wheels, problem_of(start)
+    part = identify(busiest, busiest.usual, lambda share: say(0.5 * share), wheels=wheels)
+    start = informed(session, start, options, part.state)
     if is_partly_sampled(start) or is_long(start):
-        in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
+        in_windows = solve_in_windows(session, start, part.noise, options, say)
         return start, in_windows.found, in_windows
-    whole, _ = problem_of(start)
-    whole = replace(whole, state=replace(whole.state, constants=state.constants), sensor_errors=False)
-    field = _Field(session, start)
-    noise = replace(part.noise, slip=None)
+    whole, compass = replace(problem_of(start), sensor_errors=False), Compass(session, start)
     solved = identify(
         whole,
-        noise,
+        replace(part.noise, slip=None),
         lambda share: say(0.5 + 0.5 * share),
         1,
         wheels=wheels,
         sigmas=Sigmas.of(part.covariances),
-        heading=field.heading,
+        heading=compass.heading,
     )
+    if options.solver == "isam2":
+        held = replace(whole, state=replace(whole.state, constants=solved.state.constants))
+        solved = solve_as_stream(held, solved.noise, solved.covariances.constants, compass.heading)
+    solution = _old_solution(solved, start, compass)
+    beyond = nose_variance(session, solution.noise)
+    return start, estimated(solution.solved, beyond, are_made_up(start.binned)), solution
+
+
+def _old_solution(solved: Solution, start: Start, compass: Compass) -> OldSolution:
     theirs = solved_of(solved)
-    found = noise_of(solved, theirs, start.noise)
-    solution = OldSolution(theirs, found, field.priors, field.problems, field.data.heading)
-    return start, estimated(theirs, nose_variance(session, found), are_made_up(start.binned)), solution
-
-
-@dataclass
-class _Field:
-    """What the magnetometer is worth, once it was asked."""
-
-    session: Session
-    start: Start
-
-    def __post_init__(self) -> None:
-        self.data, self.priors = self.start.data, self.start.priors
-        self.problems: tuple[SessionProblem, ...] = ()
-
-    def heading(self, state: State) -> Heading | None:
-        """Return the headings that can be used, by the attitudes of `state`."""
-        self.data, self.priors, self.problems = with_heading(self.session, self.start, chain_state(state))
-        return self.data.heading
-
-
-class _LevelField(_Field):
-    """Headings whose mean says nothing: the magnetometer is fitted to each window anew, and its offset with it."""
-
-    def heading(self, state: State) -> Heading | None:
-        """Return the headings that can be used, turned to the yaw of `state` in the mean."""
-        found = super().heading(state)
-        if found is None:
-            return None
-        known = replace(found, has_offset=False)
-        rows = heading_rows(state, known.interval, known.field_s, known.field_yaw, known.sigma, has_offset=False)
-        return replace(known, field_yaw=known.field_yaw + float(np.median(rows.residual)))
-
-
-def problem_of(start: Start) -> tuple[Problem, Noise]:
-    """Return a start as a problem of the graph, and the noise to begin with."""
-    d, p, noise = start.data, start.priors, noise_before(start.noise)
-    state = state_of(start.state)
-    ground = None if d.heights is None else far_from_heights(d.heights, state.t)
-    share, renewed = (None, None)
-    if len(d.claims.renewed):
-        share, renewed = d.claims.between(state.t, float(p.constants[0]))
-    measured = Measurements(
-        d.t,
-        d.position_n,
-        d.velocity_n,
-        d.position_scale,
-        d.velocity_scale,
-        d.still,
-        d.doubted,
-        ground=ground if ground is not None and len(ground[0]) else None,
-        offset_share=share,
-        offset_renewed=renewed,
-    )
-    constants = {name: (p.constants[part], p.constants_sigma[part]) for name, part in PARTS.items()}
-    held_s = state.geometry.level_axes_s[2] if p.holds_height else None
-    priors = Priors(p.accel_bias, p.gyro_bias, p.gyro_bias_mean, constants, held_s)
-    scatter = scatter_of(start.binned)
-    stated = frozenset(name for name in DENSITIES if getattr(start.stated, name))
-    problem = Problem(start.binned, measured, priors, state, noise, Scatter(scatter.accel, scatter.gyro), stated)
-    return problem, noise
-
-
-def state_of(s: old.ChainState) -> State:
-    """Return a state of the first edition as one of the graph of GTSAM."""
-    constants = s.constants.as_vector()
-    return State(
-        s.t,
-        s.R_ns,
-        s.position_n,
-        s.velocity_n,
-        s.accel_bias_s,
-        s.gyro_bias_s,
-        s.offset_n,
-        {name: constants[part] for name, part in PARTS.items()},
-        Geometry(s.constants.level_axes_s, s.constants.is_steered),
-    )
+    priors = old_priors(start.priors, compass.found)
+    return OldSolution(theirs, noise_of(solved, theirs), priors, compass.problems, compass.found)
 
 
 def chain_state(s: State) -> old.ChainState:
-    """Inverse of :func:`state_of`."""
+    """Return a state as one of the first edition."""
     vector = np.zeros(old.CONSTANTS_SIZE)
     for name, part in PARTS.items():
         vector[part] = s.constants[name]
@@ -198,24 +116,15 @@ def chain_state(s: State) -> old.ChainState:
     return old.ChainState(s.t, s.R_ns, s.position_n, s.velocity_n, s.accel_bias_s, s.gyro_bias_s, s.offset_n, constants)
 
 
-def noise_before(n: inputs.Noise) -> Noise:
-    """Return the noise that a start has."""
-    accel, gyro, rectification = n.sensor_error.tolist()
-    spread = {
-        "accel_scale": np.full(6, accel),
-        "gyro_scale": np.full(3, gyro),
-        "rectification": np.full(6, rectification),
-    }
-    inertial = replace(n.inertial, local=None)
-    return Noise(
-        inertial,
-        n.position,
-        n.velocity,
-        n.offset_sigma,
-        n.offset_tau,
-        constants=spread,
-        offset_most=n.offset_most,
-    )
+def old_priors(p: Priors, heading: Heading | None) -> inputs.Priors:
+    """Return priors as the first edition's."""
+    mean, sigma = np.zeros(old.CONSTANTS_SIZE), np.full(old.CONSTANTS_SIZE, 1e-3)
+    for name, part in PARTS.items():
+        mean[part], sigma[part] = p.constants[name]
+    if heading is not None:
+        sigma[old.HEADING_OFFSET] = heading.offset_sigma
+    of_biases = p.accel_bias, p.gyro_bias, p.gyro_bias_mean
+    return inputs.Priors(*of_biases, mean, sigma, p.held_s is not None, p.has_height, p.drives)
 
 
 class ChainOfGtsam:
@@ -272,7 +181,7 @@ def solved_of(s: Solution) -> old_batch.Solved:
     return old_batch.Solved(chain_state(s.state), chain_state(step.state), solution, inertial, rows, None)
 
 
-def noise_of(s: Solution, solved: old_batch.Solved, before: inputs.Noise) -> inputs.Noise:
+def noise_of(s: Solution, solved: old_batch.Solved) -> inputs.Noise:
     """Return the noise that was found, in the first edition's type."""
     n, found = s.noise, s.components
     force, rate = (
@@ -280,15 +189,9 @@ def noise_of(s: Solution, solved: old_batch.Solved, before: inputs.Noise) -> inp
         for c in (found.force, found.rate)
     )
     position, velocity = (RowComponent(c.squares, c.expected) for c in (found.position, found.velocity))
-    spread = np.array([float(n.constants[name][0]) for name in ("accel_scale", "gyro_scale", "rectification")])
-    noise = replace(
-        before,
-        inertial=n.inertial,
-        position=n.position,
-        velocity=n.velocity,
-        offset_sigma=n.offset_sigma,
-        sensor_error=spread,
-    )
+    spread = np.array([float(n.constants[name][0]) if n.constants else 0.0 for name in SENSOR_SCALE])
+    of_fixes = n.position, n.velocity, n.offset_sigma, n.offset_tau
+    noise = inputs.Noise(n.inertial, *of_fixes, spread, n.offset_tau_spread, offset_most=n.offset_most)
     noise = replace(noise, told=told_by(solved, noise, (force, rate), (position, velocity)))
     return noise if n.slip is None else replace(noise, slip=_slip_noise(s, n.slip))
 

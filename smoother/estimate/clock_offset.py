@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.align import align
 from smoother.estimate.averages import WINDOW, averages_of
+from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import MIN_SPEED, PathMotion, path_axes
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session

@@ -15,9 +15,9 @@ from pathlib import PurePath
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.align import Alignment
 from smoother.estimate.averages import WINDOW, averages_of
 from smoother.estimate.delays import Felt, Said, common, said
+from smoother.estimate.initial.align import Alignment
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.samples import Problem, Session
 from smoother.trajectory import ClockMove, Identified

@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 
 from smoother.arrays import Array, median
-from smoother.estimate.align import Alignment, align
 from smoother.estimate.averages import averages_of
 from smoother.estimate.delays import Felt, Said, common, said
+from smoother.estimate.initial.align import Alignment, align
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed, thinned
 from smoother.estimate.retimed import with_samples_at
 from smoother.samples import ImuSamples, Problem, Session

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment
 from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.initial.align import Alignment
 
 ROUNDS = 4  # of reweighting
 TURN = 0.05  # s to either side, over which the slope of what was felt is read

@@ -6,8 +6,8 @@ not as the places do.
 
 import numpy as np
 
-from smoother.estimate.align import align
 from smoother.estimate.gnss_screen import says_velocity
+from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion
 from smoother.frames import Origin
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session

@@ -16,10 +16,10 @@ from itertools import combinations
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, are_near, median, runs_of
-from smoother.estimate.align import Alignment
 from smoother.estimate.averages import averages_of, in_gap
 from smoother.estimate.clock_steps import QUICK, SLOWEST
 from smoother.estimate.delays import Felt, common, said
+from smoother.estimate.initial.align import Alignment
 from smoother.estimate.left_out import tell_motion
 from smoother.estimate.path_motion import PathMotion, path_axes, sampled_at_speed
 from smoother.estimate.pauses import Pauses

@@ -18,8 +18,8 @@ from gtsam.symbol_shorthand import B, C, O, V, X
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.graph.imu import bin_imu
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.imu import bin_imu
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.frames import GRAVITY_N
 from smoother.live import lag_rows as rows
 from smoother.samples import ImuSamples

@@ -12,8 +12,8 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.graph.imu import BinnedImu
-from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.inertial_noise import InertialNoise, interval_noise
 from smoother.frames import GRAVITY_N
 
 POSITION_LATENCY, VELOCITY_LATENCY, LEVER_ARM, DOPPLER_BIAS = 0, 1, slice(2, 5), slice(5, 8)

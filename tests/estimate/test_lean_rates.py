@@ -8,7 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.align import Alignment, align
+from smoother.estimate.initial.align import Alignment, align
 from smoother.estimate.check import check
 from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.lean_rates import NAMINGS, lean_rates

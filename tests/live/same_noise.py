@@ -14,7 +14,7 @@ from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.smoother import GraphOptions
-from smoother.estimate.graph.start import make_start
+from smoother.estimate.initial.guess import make_start
 from smoother.live.lag import LagOptions, LagStart
 from smoother.samples import Session
 from smoother.trajectory import Trajectory

@@ -5,7 +5,7 @@ which of them a session has and whether outliers lose weight.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -21,15 +21,16 @@ from smoother.estimate.factors.position import position_rows
 from smoother.estimate.factors.rows import Rows, robust
 from smoother.estimate.factors.standstill import standstill_rows
 from smoother.estimate.factors.wheels import slip_of, slip_rows
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.imu import BinnedImu, shaken
-from smoother.estimate.graph.preintegration import preintegrate
+from smoother.estimate.model.heading import Heading
+from smoother.estimate.model.imu import BinnedImu, shaken
 from smoother.estimate.model.motion import LowPassedMotion, cutoff_for
 from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.preintegration import preintegrate
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
 
 ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: prior of the first pose, which says nothing
 ANY_SPEED = 1e3  # m/s, likewise
+MAX_LATENCY = 0.6  # s; the slowest receiver seen lags 0.58 s
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +60,44 @@ class Measurements:
     offset_share: Array | None = None
     offset_renewed: BoolArray | None = None
 
+    def of(self, fixes: BoolArray) -> "Measurements":
+        """With some of the fixes (N,) alone."""
+        names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
+        rejected = None if self.rejected is None else self.rejected[fixes]
+        return replace(self, **{name: getattr(self, name)[fixes] for name in names}, rejected=rejected)
+
+    def are_between(self, t: Array, first: int, last: int) -> BoolArray:
+        """Mask (N,) of the fixes that are read between the keyframes first to last, exclusive, whatever their latency.
+
+        t (K,) s: of the keyframes.
+        """
+        return np.asarray((self.t > t[first] + MAX_LATENCY) & (self.t < t[last - 1]))
+
+    def between(self, t: Array, first: int, last: int) -> "Measurements":
+        """Of the keyframes first to last, exclusive, of t (K,) s.
+
+        Without heading and wheels, which join where attitudes are known.
+        """
+        share, renewed, ground = self.offset_share, self.offset_renewed, self.ground
+        if ground is not None:
+            inside = (ground[0] >= first) & (ground[0] < last - 1)
+            ground = (ground[0][inside] - first, ground[1][inside]) if np.any(inside) else None
+        return replace(
+            self.of(self.are_between(t, first, last)),
+            still=self.still[(self.still >= first) & (self.still < last - 1)] - first,
+            heading=None,
+            rolls=None,
+            ground=ground,
+            offset_share=None if share is None else share[first : last - 1],
+            offset_renewed=None if renewed is None else renewed[first : last - 1],
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Priors:
     """What is known beforehand: accel_bias m/s^2 and gyro_bias rad/s, sigmas of the first biases, about zero and
     gyro_bias_mean (3,); constants: mean and sigma by name; held_s (3,): direction of the arm that stays at its mean.
+    has_height: some fix has a height. drives: the kart went at a speed that shows the constants.
     """
 
     accel_bias: float
@@ -71,6 +105,8 @@ class Priors:
     gyro_bias_mean: Array
     constants: dict[str, tuple[Array, Array]]
     held_s: Array | None = None
+    has_height: bool = True
+    drives: bool = True
 
 
 HELD = 1e-4  # m, sigma of what is held

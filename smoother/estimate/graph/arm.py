@@ -10,8 +10,8 @@ slip, some degrees. An antenna in the box itself has no arm either way.
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.state import ChainState, Constants
+from smoother.estimate.model.imu import DensePath
 
 HEADED = 2.0  # m/s; below, the course is that between the times at which the kart last and next was faster
 

@@ -11,15 +11,16 @@ from smoother.estimate.graph.arm import arm_axes_at
 from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on
-from smoother.estimate.graph.imu import BinnedImu, DensePath, corrected, dense_path, motion_at
-from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.mounting import (
     FittedMounting,
 )
 from smoother.estimate.graph.state import (
     ChainState,
+    new_state,
 )
+from smoother.estimate.model.imu import BinnedImu, DensePath, corrected, dense_path, motion_at
+from smoother.estimate.model.inertial_noise import InertialNoise, interval_noise
 from smoother.estimate.pauses import Pauses
 from smoother.frames import euler_jacobian
 from smoother.trajectory import (
@@ -62,9 +63,9 @@ class DenseSource:
 
     def _stretch(self, keys: slice) -> "_Stretch":
         state, bins = self.state.between(keys.start, keys.stop), self.binned.between(keys.start, keys.stop)
-        c = state.constants
+        c, corrected_bins = state.constants, corrected(bins, new_state(state))
         path = dense_path(
-            corrected(bins, c), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
+            corrected_bins, state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
         )
         return _Stretch(
             keys,

@@ -7,7 +7,6 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.graph.batch import Solved
-from smoother.estimate.graph.imu import BinnedImu, are_told
 from smoother.estimate.graph.joint import ChainJoint
 from smoother.estimate.graph.leftovers import left_of_inertial
 from smoother.estimate.graph.mounting import (
@@ -22,6 +21,7 @@ from smoother.estimate.graph.state import (
     ChainState,
 )
 from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
+from smoother.estimate.model.imu import BinnedImu, are_told
 from smoother.trajectory import (
     JointPosition,
     ResidualStatistics,

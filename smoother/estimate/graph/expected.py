@@ -58,9 +58,9 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.graph.arm import course
-from smoother.estimate.graph.imu import DensePath
-from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.wiener import MostProbable, Transform, most_probable
+from smoother.estimate.model.imu import DensePath
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.on_wheel import QUICK_TURN, SLOW_TURN
 from smoother.fit.running import running_mean
 from smoother.frames import to_left

@@ -12,8 +12,8 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion, expected_tilting
-from smoother.estimate.graph.imu import DensePath, at_times
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.imu import DensePath, at_times
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.frames import UP_N
 
 

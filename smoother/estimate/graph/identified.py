@@ -9,10 +9,8 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.gnss_offset import OffsetModel
 from smoother.estimate.graph.components import SMALLEST_POSITION
-from smoother.estimate.graph.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.slip import ANY_SLIP
 from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
 from smoother.estimate.graph.state import (
@@ -24,6 +22,7 @@ from smoother.estimate.graph.state import (
     VELOCITY_RESPONSE,
     Constants,
 )
+from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
@@ -146,7 +145,7 @@ def _of_the_receiver(
         own = math.hypot(own, SLIP_PRIOR[1] * float(np.linalg.norm(constants.lever_arm_s)))
     out["gps_velocity_response"] = _value(values[response], own, "s^2", observable, False)
     course, beforehand = COURSE_DELAY.start, priors.constants_sigma[COURSE_DELAY.start]
-    sought = bool(beforehand > GraphOptions.course_delay_sigma)  # else it stands for nothing
+    sought = bool(beforehand > 1.5e-3)  # else it stands for nothing
     out["gps_course_delay"] = _value(
         values[course], sigma[course], "s", sought and bool(sigma[course] < OBSERVABLE * beforehand), False
     )

@@ -1,14 +1,11 @@
 """What a graph is given beside the state it is linearised at: its noise, what is known beforehand, measurements."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray
-from smoother.estimate.graph.claims import ALIKE, Claims
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.arrays import Array
 from smoother.estimate.graph.slip import (
     SlipNoise,
 )
@@ -17,11 +14,10 @@ from smoother.estimate.graph.state import (
     GYRO_ERROR,
     RECTIFICATION,
 )
-from smoother.estimate.pauses import NO_PAUSES, Pauses
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.fit.noise_spread import ANY_NOISE
 
 SENSOR_ERRORS = (ACCEL_ERROR, GYRO_ERROR, RECTIFICATION)
-LEVELS_SIZE = 11  # densities of force and rate; sigmas of position, velocity and offset per axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,33 +69,6 @@ class Noise:
         """Sigma (3,) m/s with which a velocity counts."""
         return np.asarray(self.velocity * [self.counted, self.counted, 1.0])
 
-    def change(self, other: "Noise") -> float:
-        """Largest relative difference of any sigma or mean density to those of `other`.
-
-        What of the densities goes with vibration takes turns more to come to rest than they do, and moves nothing.
-        """
-        return float(np.max(np.abs(self.step_from(other))))
-
-    def step_from(self, other: "Noise") -> Array:
-        """Steps (LEVELS_SIZE,) of the logarithms of densities and sigmas since `other`."""
-        return np.asarray(np.log(self._levels() / other._levels()))
-
-    def moved_by(self, step: Array) -> "Noise":
-        """The noise with densities and sigmas of which the logarithms are greater by step (LEVELS_SIZE,)."""
-        levels = self._levels() * np.exp(step)
-        return replace(
-            self,
-            inertial=replace(self.inertial, accel=float(levels[0]), gyro=float(levels[1])),
-            position=levels[2:5],
-            velocity=levels[5:8],
-            offset_sigma=levels[8:],
-        )
-
-    def _levels(self) -> Array:
-        return np.concatenate(
-            [[self.inertial.accel, self.inertial.gyro], self.position, self.velocity, self.offset_sigma]
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Priors:
@@ -121,38 +90,6 @@ class Priors:
     holds_height: bool = False
     has_height: bool = True
     drives: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Data:
-    """Measurements on the clock of the inertial samples.
-
-    t (N,) s: stamps of the fixes. position_n m, velocity_n m/s (N, 3): NaN where unknown.
-    position_scale, velocity_scale (N,): factors of the session's sigmas.
-    still (S,): intervals at rest. heading: of the magnetometer, None without.
-    doubted (N,): fixes whose positions have no weight, whatever their residuals; None where there are none.
-    heights (H, 2): time s and up in n, m, of all fixes of the session that have a height; None asks nothing of the
-        ground.
-    sampled (S, 2) s: spans that all samples are in, and all fixes, between which nothing is said of the motion; None
-        bridges what is missing.
-    pauses: time that is cut out between some of them, for which the biases walk on.
-    lasting m/s: sigma of the part of velocities' errors that lasts for a while.
-    claims: stretches of different accuracy.
-    """
-
-    t: Array
-    position_n: Array
-    velocity_n: Array
-    position_scale: Array
-    velocity_scale: Array
-    still: np.ndarray
-    heading: Heading | None = None
-    doubted: BoolArray | None = None
-    heights: Array | None = None
-    sampled: Array | None = None
-    pauses: Pauses = NO_PAUSES
-    lasting: float = 0.0
-    claims: Claims = ALIKE
 
 
 def constants_sigma(priors: Priors, noise: Noise) -> Array:

@@ -15,9 +15,9 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray
 from smoother.estimate.graph.ground import CELL, Visits
-from smoother.estimate.graph.imu import are_told
 from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
+from smoother.estimate.model.imu import are_told
 from smoother.estimate.path_motion import MIN_SPEED
 from smoother.fit.running import gaussian_mean
 from smoother.frames import to_left, wrap_angle

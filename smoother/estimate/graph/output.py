@@ -7,13 +7,11 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.disc import release
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
-from smoother.estimate.graph.claims import claims_of
 from smoother.estimate.graph.components import unseen_offset
 from smoother.estimate.graph.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.identified import doubt_by_rates, identified_values, unsure_moment
-from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.joint import Wandering
 from smoother.estimate.graph.kart_keyframes import keyframes_of_kart, widen
@@ -24,6 +22,8 @@ from smoother.estimate.graph.mounting import (
 )
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.wander import share_wander
+from smoother.estimate.initial.claims import claims_of
+from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (

@@ -17,24 +17,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.estimate.align import Alignment
 from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
-from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
 from smoother.estimate.graph.identified import field_values
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
 from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
-from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.output import build_trajectory, row_times
-from smoother.estimate.graph.sampled import sampled_spans
 from smoother.estimate.graph.slip import tells_nose
-from smoother.estimate.graph.start import Start, have_samples, on_the_wheel
 from smoother.estimate.graph.state import SLIP
 from smoother.estimate.graph.stated import (
     contradicted_constants,
@@ -45,8 +40,13 @@ from smoother.estimate.graph.stated import (
 from smoother.estimate.graph.uncertainty import nose_variance
 from smoother.estimate.graph.upright import unsteadiness
 from smoother.estimate.in_step import identified as identified_delay
+from smoother.estimate.initial.align import Alignment
+from smoother.estimate.initial.begin import Begun, begin
+from smoother.estimate.initial.guess import Start, have_samples, on_the_wheel
+from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.leaning import leaning_problems
 from smoother.estimate.mirrored import explained
+from smoother.estimate.model.sampled import sampled_spans
 from smoother.estimate.noise_of_fixes import unseen_wander
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.solvers.covariance import IndeterminateError

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother import so3
 from smoother.arrays import Array
+from smoother.estimate.model.state import Geometry, State
 
 ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
@@ -118,10 +118,6 @@ class Constants:
             is_steered,
         )
 
-    def retract(self, delta: Array) -> "Constants":
-        """Return the constants moved by delta (CONSTANTS_SIZE,)."""
-        return Constants.from_vector(self.as_vector() + delta, self.level_axes_s, is_steered=self.is_steered)
-
 
 @dataclass(frozen=True, eq=False)
 class ChainState:
@@ -145,27 +141,17 @@ class ChainState:
 
     def between(self, first: int, last: int, every: int = 1) -> "ChainState":
         """Return keyframes first to last, exclusive, one in `every`."""
-        keys = slice(first, last, every)
-        return replace(
-            self,
-            t=self.t[keys],
-            R_ns=self.R_ns[keys],
-            position_n=self.position_n[keys],
-            velocity_n=self.velocity_n[keys],
-            accel_bias_s=self.accel_bias_s[keys],
-            gyro_bias_s=self.gyro_bias_s[keys],
-            offset_n=self.offset_n[keys],
-        )
+        names = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
+        return replace(self, **{name: getattr(self, name)[first:last:every] for name in names})
 
-    def retract(self, delta: Array, constants_delta: Array) -> "ChainState":
-        """Return the state moved by delta (K, KEYFRAME_SIZE) and constants_delta (CONSTANTS_SIZE,)."""
-        return replace(
-            self,
-            R_ns=self.R_ns @ so3.exp(delta[:, ROTATION]),
-            position_n=self.position_n + np.einsum("kij,kj->ki", self.R_ns, delta[:, TRANSLATION]),
-            velocity_n=self.velocity_n + delta[:, VELOCITY],
-            accel_bias_s=self.accel_bias_s + delta[:, ACCEL_BIAS],
-            gyro_bias_s=self.gyro_bias_s + delta[:, GYRO_BIAS],
-            offset_n=self.offset_n + delta[:, OFFSET],
-            constants=self.constants.retract(constants_delta),
-        )
+
+def new_state(s: ChainState) -> State:
+    """Return the state with the constants of the samples alone, in the graph's own type."""
+    c = s.constants
+    constants = {
+        "accel_scale": c.accel_error.ravel(),
+        "gyro_scale": c.gyro_error,
+        "rectification": c.rectification.ravel(),
+    }
+    of_keyframes = s.t, s.R_ns, s.position_n, s.velocity_n, s.accel_bias_s, s.gyro_bias_s, s.offset_n
+    return State(*of_keyframes, constants, Geometry(c.level_axes_s, c.is_steered))

@@ -18,13 +18,13 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.graph.components import OWN_SCATTER
 from smoother.estimate.graph.estimated import Estimated
-from smoother.estimate.graph.first_noise import scatter_of
 from smoother.estimate.graph.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
 from smoother.estimate.graph.inputs import Noise, Priors, constants_sigma
 from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.start import Start
 from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
+from smoother.estimate.initial.first_noise import scatter_of
+from smoother.estimate.initial.guess import Start
+from smoother.estimate.initial.options import GraphOptions
 from smoother.samples import Problem, Session
 from smoother.trajectory import STATED
 from smoother.units import DEG
@@ -75,11 +75,11 @@ def contradicted_constants(
         return ()
     usual, loose = GraphOptions(), np.zeros(CONSTANTS_SIZE)
     if timing.position_latency is not None:
-        loose[POSITION_LATENCY] = usual.latency_sigma
+        loose[POSITION_LATENCY] = usual.sigmas["position_latency"]
     if timing.velocity_latency is not None and np.any(np.isfinite(session.gnss.velocity_n[:, 0])):
-        loose[VELOCITY_LATENCY] = usual.latency_sigma
+        loose[VELOCITY_LATENCY] = usual.sigmas["position_latency"]
     if arm is not None:
-        loose[LEVER_ARM] = usual.lever_arm_sigma
+        loose[LEVER_ARM] = usual.sigmas["lever_arm"]
     try:
         free = loosened(found, priors, noise, loose)
     except np.linalg.LinAlgError:

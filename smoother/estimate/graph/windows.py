@@ -20,23 +20,21 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import roomy, settle
-from smoother.estimate.graph.batch import Batch, Solved
-from smoother.estimate.graph.coarse import NEAR, near_solution
+from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.estimated import Estimated, are_made_up, common_attitude
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.incremental import solve_as_stream
-from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.inputs import Data, Noise, Priors
+from smoother.estimate.graph.inputs import Noise, Priors
 from smoother.estimate.graph.joint import WindowFactor, WindowsJoint, window_factor
 from smoother.estimate.graph.leftovers import joined, left_of_inertial
-from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.parts import busiest_part, fixes_between, longest_sampled, stretch, where_sampled
-from smoother.estimate.graph.rows import Rows, heading_rows
-from smoother.estimate.graph.sampled import HOLE
-from smoother.estimate.graph.solve import ROLLING, Say, fits_wheels, solve_whole, with_heading
-from smoother.estimate.graph.start import Start
+from smoother.estimate.graph.rows import Rows
+from smoother.estimate.graph.solve import Say
 from smoother.estimate.graph.state import ChainState
 from smoother.estimate.graph.uncertainty import Uncertainty, nose_variance, uncertainty_of
+from smoother.estimate.initial.guess import Start
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.initial.parts import busiest_part, fixes_between, longest_sampled, stretch
+from smoother.estimate.model.heading import Heading
+from smoother.estimate.model.noise import Noise as NewNoise
+from smoother.estimate.model.sampled import HOLE
 from smoother.samples import Problem, Session
 from smoother.trajectory import ResidualStatistics
 
@@ -80,34 +78,31 @@ class WindowsSolution:
     heading: Heading | None = None
 
 
-def solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> WindowsSolution:
+def solve_in_windows(
+    session: Session, start: Start, noise: NewNoise, options: GraphOptions, say: Say
+) -> WindowsSolution:
     """Solve all keyframes of `start` window by window, with constants and noise of the busiest, sampled one."""
-    if options.solver != "isam2":
-        from smoother.estimate.bridge import solve_part  # which imports this module
+    from smoother.estimate.bridge import solve_part  # which imports this module
 
-        busiest = longest_sampled(busiest_part(start, WINDOW))
-        main = solve_part(session, busiest, noise, options, lambda fraction: say(0.3 * fraction))
-    else:
-        busiest = where_sampled(busiest_part(start, WINDOW))
-        in_one = replace(options, solver="batch")  # a stream takes the constants as they are
-        main = solve_whole(session, busiest, noise, in_one, lambda fraction: say(0.3 * fraction))
-    held, constants = main.solved.solution.constants_covariance, main.solved.state.constants
-    priors, problems, heading = main.priors, main.problems, main.heading
-    noise = replace(main.noise, inertial=main.noise.inertial.everywhere())
+    busiest = longest_sampled(busiest_part(start, WINDOW))
+    solved, main = solve_part(session, busiest, noise, options, lambda fraction: say(0.3 * fraction))
+    held, constants, known = solved.covariances.constants, solved.state.constants, solved.noise
+    held_out = main.solved.solution.constants_covariance
+    priors, problems, heading, noise_out = main.priors, main.problems, main.heading, main.noise
     common = _common_attitude(main.solved, start, are_made_up(busiest.binned))
-    del main, busiest  # the windows need its room
+    del solved, main, busiest  # the windows need its room
     start = replace(start, state=replace(start.state, constants=constants))
     windows = _windows(start)
     n, pieces = len(start.state.t), []
     whole = Uncertainty(roomy((n, 9, 9)), roomy((n, 6)), roomy((n, 2)), roomy((n, 3, 3)))
     for i, window in enumerate(windows):
-        piece, known = _solve_piece(session, start, window, noise, held, options)
+        piece, of_errors = _solve_piece(session, start, window, (known, noise_out), held, options)
         pieces.append(piece)
         for name, values in vars(whole).items():
-            values[window.first : window.last] = getattr(known, name)
+            values[window.first : window.last] = getattr(of_errors, name)
         settle(whole, start.binned)
         say(0.3 + 0.7 * (i + 1) / len(windows))
-    return WindowsSolution(_joined(pieces, start, held, whole, common), noise, priors, problems, heading)
+    return WindowsSolution(_joined(pieces, start, held_out, whole, common), noise_out, priors, problems, heading)
 
 
 def _common_attitude(main: Solved, start: Start, made_up: BoolArray | None) -> Array:
@@ -145,19 +140,13 @@ def _windows(start: Start) -> list[_Window]:
 
 
 def _solve_piece(
-    session: Session, start: Start, window: _Window, noise: Noise, held: Array, options: GraphOptions
+    session: Session, start: Start, window: _Window, noise: tuple[NewNoise, Noise], held: Array, options: GraphOptions
 ) -> tuple[_Piece, Uncertainty]:
     """Return what counts of a window, and what is known of the errors of its keyframes that count."""
-    begin, end = window.begin, window.end - 1
-    part = stretch(start, begin, end)
-    if options.solver != "isam2":
-        from smoother.estimate.bridge import solve_window  # likewise
+    from smoother.estimate.bridge import solve_window  # likewise
 
-        return _cut_out(session, start, window, noise, solve_window(session, part, noise, held))
-    state = near_solution(part, replace(noise, slip=None), options.approaches)
-    data = _with_level_heading(session, part, state)
-    batch = Batch(data, part.binned, start.priors)
-    return _cut_out(session, start, window, noise, _solve_window(batch, data, part, state, noise, held, options))
+    part = stretch(start, window.begin, window.end - 1)
+    return _cut_out(session, start, window, noise[1], solve_window(session, part, noise[0], held, options))
 
 
 def _cut_out(
@@ -171,52 +160,10 @@ def _cut_out(
     return _piece(solved, first, last, begin, fixes), known
 
 
-def _solve_window(
-    batch: Batch, data: Data, part: Start, state: ChainState, noise: Noise, held: Array, options: GraphOptions
-) -> Solved:
-    """Solve a window, with wheels where what comes without them agrees: the box may have moved since the main one.
-
-    state: of the batch, near the solution without wheels. Where that agrees already, all its keyframes go on with them.
-    """
-    no_slip, graph = replace(noise, slip=None), batch.graph(state, noise)
-    if options.solver == "isam2":
-        constants = part.state.constants
-        solved = solve_as_stream(batch, data, part.binned, part.priors, no_slip, part.state, constants, held)
-        state = solved.state
-        del solved
-    else:
-        if (rolling := _on_wheels(batch, graph, state, noise, held)) is not None:
-            return rolling
-        state = batch.approach(graph, state, no_slip, NEAR, 2 * options.approaches)
-    rolling = _on_wheels(batch, graph, state, noise, held)
-    return batch.step(graph, state, no_slip, held=held) if rolling is None else rolling
-
-
-def _on_wheels(batch: Batch, graph: InertialGraph, state: ChainState, noise: Noise, held: Array) -> Solved | None:
-    """Return the solution with wheels, from a state without; None where the two do not agree."""
-    if not batch.is_of_wheels(state, noise):
-        return None
-    solved = batch.step(graph, batch.approach(graph, state, noise, *ROLLING), noise, held=held)
-    return solved if fits_wheels(solved) else None
-
-
-def _with_level_heading(session: Session, part: Start, state: ChainState) -> Data:
-    """Add heading factors whose mean says nothing: they hold the turns together, but not to a held heading offset.
-
-    The compass is fitted to each window anew, and its offset with it.
-    """
-    data, _, _ = with_heading(session, part, state)
-    if data.heading is None:
-        return data
-    known = replace(data.heading, has_offset=False)
-    mean = float(np.median(heading_rows(state, known).residual))
-    return replace(data, heading=replace(known, field_yaw=known.field_yaw + mean))
-
-
 def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -> _Piece:
     """Cut out keyframes first to last of the session from a window that starts at `begin` and read `fixes`."""
     s, solution, core = solved.state, solved.solution, slice(first - begin, last - begin)
-    margin = _margin(s)
+    margin = _margin(s.interval)
     outer = slice(max(0, core.start - margin), core.stop + margin)
     state = ChainState(constants=s.constants, **{name: getattr(s, name)[outer].copy() for name in STATES})
     rows, own = {}, {}
@@ -231,9 +178,9 @@ def _piece(solved: Solved, first: int, last: int, begin: int, fixes: IntArray) -
     return _Piece(first, last, begin + outer.start, state, factor, rows, own, left_of_inertial(solved, core))
 
 
-def _margin(state: ChainState) -> int:
+def _margin(interval: float) -> int:
     """Keyframes on each side of a seam that are blended."""
-    return round(0.5 * BLEND / state.interval)
+    return round(0.5 * BLEND / interval)
 
 
 def _figures(rows: Rows, use: IntArray, begin: int) -> Rows:
@@ -256,13 +203,13 @@ def _joined(pieces: list[_Piece], start: Start, held: Array, uncertainty: Uncert
     rows = {name: _joined_rows(name, pieces, len(start.data.t)) for name in kinds}
     joint = partial(WindowsJoint, [piece.factor for piece in pieces])
     inertial = joined([piece.inertial for piece in pieces])
-    return Estimated(_blended(pieces, start.state), held, uncertainty, rows, joint, common, inertial)
+    return Estimated(_blended(pieces, start.state.interval), held, uncertainty, rows, joint, common, inertial)
 
 
-def _blended(pieces: list[_Piece], whole: ChainState) -> ChainState:
+def _blended(pieces: list[_Piece], interval: float) -> ChainState:
     """States of all keyframes; around each seam those of one window give way to the next one's bit by bit."""
     parts = {name: np.concatenate([_of_core(piece, name) for piece in pieces]) for name in STATES}
-    margin = _margin(whole)
+    margin = _margin(interval)
     for before, after in pairwise(pieces):
         if after.begin == before.last:  # a pause: neither knows of the other's keyframes
             continue

@@ -1,12 +1,13 @@
 """How noisy the sensors of a session are, as its graph takes it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.inertial_noise import InertialNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +16,8 @@ class Noise:
     per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process; offset_most
     (3,) m: what its sigma may be found to be at most. slip rad: sideslip in a hard corner, None without wheels, no
     less than least_slip.
-    constants: prior sigmas by name that are found with the noise.
+    constants: prior sigmas by name that are found with the noise. offset_tau_spread: sigma of the logarithm of
+    offset_tau where the session shows it, infinite where it is the population's.
     """
 
     inertial: InertialNoise
@@ -27,3 +29,4 @@ class Noise:
     least_slip: float = 0.0
     constants: Mapping[str, Array] = field(default_factory=dict)
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))
+    offset_tau_spread: float = math.inf

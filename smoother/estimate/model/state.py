@@ -54,6 +54,9 @@ COLUMNS: Mapping[str, slice] = {
 CONSTANTS_SIZE = int(_ENDS[-1])
 
 
+OF_KEYFRAMES = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
+
+
 def keyframe_keys(k: int) -> list[int]:
     """GTSAM's keys of keyframe k, in the order of its tangent."""
     return [X(k), V(k), B(k), O(k)]
@@ -95,6 +98,10 @@ class State:
     def constant(self, name: str) -> float:
         """A constant that is one number."""
         return float(self.constants[name][0])
+
+    def between(self, first: int, last: int) -> "State":
+        """Keyframes first to last, exclusive."""
+        return replace(self, **{name: getattr(self, name)[first:last] for name in OF_KEYFRAMES})
 
     def values(self) -> gtsam.Values:
         """The same as GTSAM's values."""

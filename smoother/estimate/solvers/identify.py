@@ -9,8 +9,8 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.estimate.factors.graph import TABLE, WHEELS_BELOW, Factor, Graph, Measurements, Priors, build_graph
 from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.imu import BinnedImu, are_told
+from smoother.estimate.model.heading import Heading
+from smoother.estimate.model.imu import BinnedImu, are_told
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, ROTATION, VELOCITY, State
@@ -127,7 +127,7 @@ def identify(
             if found_rolling is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
                 better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
-                held, problem = covariances.constants, _held(problem, taken.after, "slip")
+                held, problem = covariances.constants, held_at(problem, taken.after, "slip")
                 joined = True
         is_settled = change < CHANGED
         if (move < MOVED and is_settled and not joined) or is_last:
@@ -180,7 +180,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    problem = replace(_held(problem, problem.state), sensor_errors=False)
+    problem = replace(held_at(problem, problem.state), sensor_errors=False)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
@@ -207,7 +207,7 @@ def solve_held(
     return Solution(graph, taken, chain, covariances, found)
 
 
-def _held(problem: Problem, state: State, free: str = "") -> Problem:
+def held_at(problem: Problem, state: State, free: str = "") -> Problem:
     """The problem with constants that stay where they are in `state`, all but the one that is free."""
     priors = {
         name: problem.priors.constants[name] if name == free else (value, np.full(len(value), FIXED))

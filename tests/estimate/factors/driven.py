@@ -6,8 +6,8 @@ from scipy.integrate import cumulative_simpson
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.factors.graph import Inputs, Measurements, Priors
-from smoother.estimate.graph.heading import Heading
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.heading import Heading
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State

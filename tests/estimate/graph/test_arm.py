@@ -5,7 +5,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.arm import arm_axes, arm_axes_along, arm_axes_at, course, turning_arm
-from smoother.estimate.graph.imu import DensePath
+from smoother.estimate.model.imu import DensePath
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.frames import rotation_from_euler
 

@@ -9,9 +9,9 @@ from smoother.arrays import Array
 from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.dense_rows import DenseRows, _between_samples, _bridge
-from smoother.estimate.graph.imu import BinnedImu
+from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.graph.inertial import LinearInertial
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,

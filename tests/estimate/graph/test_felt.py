@@ -7,8 +7,8 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.expected import DopplerNoise, expected_motion
 from smoother.estimate.graph.felt import Felt, felt_on, swing_covariance
-from smoother.estimate.graph.imu import DensePath
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.imu import DensePath
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.fit.running import gaussian_mean
 from smoother.units import DEG
 

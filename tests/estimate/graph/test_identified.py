@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from smoother.config import SessionConfig
-from smoother.estimate.graph.heading import FieldFit, Heading
+from smoother.estimate.model.heading import FieldFit, Heading
 from smoother.estimate.graph.identified import field_values, identified_values
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise, Priors, Told
 from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.smoother import _early, _velocities_early

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.imu import are_told
+from smoother.estimate.model.imu import are_told
 from smoother.estimate.graph.mounting import (
     CROSSFALL,
     FittedMounting,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.graph.inertial import VarianceComponent
-from smoother.estimate.graph.inertial_noise import InertialNoise
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.row_components import RowComponent
 from smoother.estimate.graph.state import KEYFRAME_SIZE, OFFSET

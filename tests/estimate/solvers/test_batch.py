@@ -9,9 +9,9 @@ import pytest
 from smoother.estimate.bridge import problem_of
 from smoother.estimate.factors.gaussian import custom_factors
 from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
-from smoother.estimate.graph.options import GraphOptions
+from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.graph.start import make_start
+from smoother.estimate.initial.guess import make_start
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
 from smoother.estimate.solvers.batch import step

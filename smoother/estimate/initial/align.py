@@ -1,0 +1,380 @@
+"""Attitude to start from: for any mounting of the box, with or without a standstill.
+
+While a kart drives, its nose points nearly along its path and its floor is nearly level. So, in axes of the path
+(forward, left, up), rate and specific force are known from the fixes: the rate is the course's rate about up, the force
+is the path's acceleration plus g upwards. Both are linear in what the box measures,
+
+    angular_rate_s   = R_sb (0, 0, yaw_rate)          + gyro_bias,
+    specific_force_s = R_sb (a_forward, a_left, g)    + accel_bias,
+
+and a least-squares fit over the whole session averages vibration away. The slopes are directions of the kart's axes in
+the box: together they give the mounting by Wahba's problem, the intercept of the first line is the gyro bias, even one
+of 60 deg/s. Repeating the fit at shifted times tells how far the fixes lag. A kart at rest, or one that never turns,
+leaves less; then gravity alone levels, and what is unknown is said.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import Array, BoolArray, ComplexArray, IntArray, runs_of
+from smoother.disc import pieces, release, roomy
+from smoother.estimate import axis_mistakes
+from smoother.estimate.averages import WINDOW, averages_of, in_gap, steps
+from smoother.estimate.initial.align_rare import RareAlignment, align_rare, are_rare
+from smoother.estimate.lean_rates import (
+    AROUND,
+    LeanRates,
+    both_turned_round,
+    lean_rates,
+    slight_mistakes,
+    wrong_naming,
+)
+from smoother.estimate.path_motion import LAGS, MIN_SPEED, PathMotion, path_axes, peak, sampled_at_speed, thinned
+from smoother.frames import rotation_from_euler, wrap_angle
+from smoother.samples import ImuSamples, Problem
+from smoother.trajectory import MIRRORED_AXES, UNLIKE_AXES
+from smoother.units import DEG, STANDARD_GRAVITY
+
+# fixes at speed from which on they tell how the box lies; and those that a parked kart's noise does not make up
+FEWEST_AT_SPEED, SOME_AT_SPEED = 30, 10
+STUCK = 1e-4  # m/s^2 or rad/s of scatter, less than the last digit of any sensor on a moving kart
+ROUNDS = 6  # of reweighting
+UNKNOWN = 1e-15  # share of the largest eigenvalue below which one is rounding
+FINER_LAGS = np.array([-0.05, 0.0, 0.05])  # s about the best of them
+# Fixes, evenly taken, that are enough to find the lag roughly, and for the fit: 4000 windows with a kart's vibration
+# know the mounting to 0.1 deg, ten times better than a kart that leans and slides shows it.
+ENOUGH_FOR_LAG, ENOUGH = 500, 4000
+LEAST_SLOPE, LEAST_SHARE = 0.4, 0.5  # of 1 in both; karts and cars have 0.55 and 0.78 or more, noise alone 0.2 and 0.1
+OVER = 100.0 * DEG  # likewise of boxes on steering wheels
+APART = 45.0 * DEG  # between what is up by forces and by turns; real and simulated boxes have 8 deg or less
+MIRRORED = (
+    "ax, ay, az are not right-handed: the forces fit a mirrored box and no turned one; one axis has the wrong sign, or "
+    "two are exchanged{}. Change it in the recording; attitude and accelerations are wrong"
+)
+DISAGREE = (
+    "the axis about which the gyroscope turns is {:.0f} deg from the one along which gravity is felt: its axes are not "
+    "the accelerometer's, one has the wrong sign, or two are exchanged{}. Change it in the recording; attitude is wrong"
+)
+LEANS_ELSEWHERE = (
+    "the axes of the gyroscope are not the accelerometer's: in bends, on the way into them and on the brakes the box "
+    "turns as no kart leans{}. Change it in the recording; roll and pitch are wrong"
+)
+SETTLED = 10.0  # s of driving over which the nose's angle to the path is averaged; a spin takes one or two of them
+SPUN = np.pi / 4.0  # rad off that mean on either side: no kart slides so far and drives on
+BESIDE_SPIN = 1.0  # s
+# rad by which course and nose part between two drives, one of which goes backwards, by FEW_BESIDE fixes of each; how
+# steady they are meanwhile, and s for which; s in between, in which a gyroscope is not yet off by as much
+BACKWARDS, FEW_BESIDE, STEADY, LONGEST_BACK, TURNS_BACK = 0.75 * np.pi, 15, 0.8, 60.0, 60.0
+MOST_SPUN = 0.4  # share of the fixes; beyond, it is the gyro that does not turn as the kart does
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """R_bs (3, 3) rough mounting; gyro_bias_s (3,) rad/s; lag, s, of the fixes behind the IMU.
+
+    share_explained is the part (0..1) of the box's rate and force that the fixes explain, the judge of the fit;
+    is_level_only: the heading of the box in the kart could not be found, for want of fixes at speed. accel_noise
+    m/s^2/sqrt(Hz) and gyro_noise rad/s/sqrt(Hz) are densities of white noise that would explain the rest: upper bounds,
+    since slip, lean and the noise of the fixes are in it. problems: axes of the sensor that no rotation explains.
+    turn_scale, force_scale: how many times as fast as the course the box turns, and how many times gravity it feels;
+    NaN where the fixes do not explain it. is_misnamed: problems are of axes that no box on a steering wheel has either.
+    felt (3, 3): columns of what is felt ahead, to the left and upwards in s, in parts of what there is; a rotation if
+    all axes are in one unit, and None where the fixes do not explain it. by_changes: fixes are rare, and explained are
+    turns and changes of velocity from one to the next, whichever less.
+    """
+
+    R_bs: Array
+    gyro_bias_s: Array
+    lag: float
+    share_explained: float
+    is_level_only: bool
+    accel_noise: float = 0.0
+    gyro_noise: float = 0.0
+    problems: tuple[Problem, ...] = ()
+    turn_scale: float = np.nan
+    force_scale: float = np.nan
+    is_misnamed: bool = False
+    felt: Array | None = None
+    by_changes: bool = False
+
+
+def align(imu: ImuSamples, path: PathMotion) -> Alignment:
+    """Fit mounting, gyro bias and lag to a whole session; see the module's text."""
+    if path.is_measured and are_rare(path.t) and (rare := align_rare(imu, path)) is not None:
+        return _of_rare(rare)
+    use = sampled_at_speed(imu, path)
+    if use.size < FEWEST_AT_SPEED:
+        return _level_only(imu, use.size)
+    averages, axes = averages_of(imu), path_axes(path)
+
+    def best(tried: Array, rows: IntArray) -> float:
+        force, rate = averages.around(path.t[rows] - tried[:, None], WINDOW)
+        return peak(tried, _fit_lines(axes[rows, :2], force).share + _fit_lines(axes[rows, 2:], rate).share)
+
+    few, use = thinned(use, ENOUGH_FOR_LAG), thinned(use, ENOUGH)
+    lag = best(best(LAGS, few) + FINER_LAGS, use)
+    at = path.t[use]
+    _, rate = averages.around(at - lag, AROUND)
+    return _fit(axes[use], *averages.around(at - lag, WINDOW), lag, lean_rates(path.t, axes, at, rate))
+
+
+def _unsampled(sampled: Array, t: Array) -> BoolArray:
+    """Mask (N,) of times t s in or beside a stretch without samples, also before the first and after the last one."""
+    return np.asarray(in_gap(sampled, t) | (t < sampled[0]) | (t > sampled[-1]))
+
+
+def _of_rare(found: RareAlignment) -> Alignment:
+    share = max(min(found.turned, found.moved), 0.0)
+    noise = found.accel_noise, found.gyro_noise
+    return Alignment(found.R_bs, found.gyro_bias_s, found.lag, share, False, *noise, by_changes=True)
+
+
+def _fit(axes: Array, force: Array, rate: Array, lag: float, leaning: LeanRates | None) -> Alignment:
+    """Mounting and biases from motion along the path's axes (N, 3) and what the box measured, each (N, 3).
+
+    leaning: what the rates say of how the vehicle leans.
+    """
+    rate_fit, force_fit = _fit_lines(axes[:, 2:], rate), _fit_lines(axes[:, :2], force)
+    # each slope is a direction of the kart's axis in the box; gravity's is the intercept of the force
+    upward, (along, aside, gravity) = rate_fit.lines[0], force_fit.lines
+    directions_s = np.stack([along, aside, gravity / STANDARD_GRAVITY, upward])
+    directions_b = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, 1.0]])
+    forward, left, yaw_rate = np.std(axes, axis=0)
+    weights = np.array([forward, left, STANDARD_GRAVITY, 10.0 * yaw_rate])
+    turned = np.einsum("i,ij,ik->ijk", weights, directions_b, directions_s)
+    R_bs, by_forces = so3.normalized(turned.sum(axis=0)), so3.normalized(turned[:3].sum(axis=0))
+    doubts = tuple(_doubts(force_fit, rate_fit, leaning, by_forces))
+    is_misnamed = bool(doubts) and _no_wheel_does(upward, gravity, leaning, by_forces)
+    share, root = 0.5 * float(rate_fit.share + force_fit.share), float(np.sqrt(WINDOW))
+    return Alignment(
+        R_bs,
+        rate_fit.lines[1],
+        lag,
+        share,
+        False,
+        float(force_fit.rest) * root,
+        float(rate_fit.rest) * root,
+        doubts,
+        float(np.linalg.norm(upward)) if rate_fit.share > LEAST_SHARE else np.nan,
+        float(np.linalg.norm(gravity)) / STANDARD_GRAVITY if force_fit.share > LEAST_SHARE else np.nan,
+        is_misnamed,
+        directions_s[:3].T if force_fit.share > LEAST_SHARE else None,
+    )
+
+
+def _doubts(force_fit: "_Lines", rate_fit: "_Lines", leaning: LeanRates | None, by_forces: Array) -> Iterator[Problem]:
+    """What speaks against axes that are right-handed and shared by both sensors, where the slopes are known well.
+
+    Along, aside and gravity are found each by itself, so that nothing forces them to be right-handed: of every box they
+    came out within 15 deg of it or the mirror image. What is up by the forces and by turns likewise: within 8 deg.
+    by_forces (3, 3): the mounting that the forces alone tell.
+    """
+    along, aside, gravity = force_fit.lines
+    upward = rate_fit.lines[0]
+    feels = min(np.linalg.norm(along), np.linalg.norm(aside)) > LEAST_SLOPE and force_fit.share > LEAST_SHARE
+    turns = np.linalg.norm(upward) > LEAST_SLOPE and rate_fit.share > LEAST_SHARE
+    is_mirrored = bool(feels) and axis_mistakes.handedness(along, aside, gravity) < -axis_mistakes.HANDED
+    hint = axis_mistakes.advice(along, aside, gravity, upward) if feels and turns else ""
+    if is_mirrored:
+        yield Problem(MIRRORED_AXES, MIRRORED.format(hint))
+    known = leaning if feels and turns and not is_mirrored else None
+    wrong = None if known is None else wrong_naming(known, by_forces)
+    if wrong is not None:
+        hint = axis_mistakes.remedy(wrong.words)
+    if turns and (angle := axis_mistakes.apart(upward, gravity)) > APART:
+        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, hint))
+    elif wrong is not None:
+        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(hint))
+    elif known is not None and (words := both_turned_round(known, by_forces)) is not None:
+        yield Problem(UNLIKE_AXES, LEANS_ELSEWHERE.format(axis_mistakes.remedy(words)))
+    elif known is not None and (mistakes := slight_mistakes(known, by_forces)):
+        yield Problem(UNLIKE_AXES, DISAGREE.format(angle / DEG, axis_mistakes.remedy(*mistakes)))
+
+
+def _no_wheel_does(upward: Array, gravity: Array, leaning: LeanRates | None, by_forces: Array) -> bool:
+    """Whether a box whose axes are doubted has them wrong on a steering wheel, too.
+
+    A wheel turns about its column, which is less than OVER from up; and leans otherwise than any vehicle.
+    """
+    if axis_mistakes.apart(upward, gravity) > OVER:
+        return True
+    return leaning is not None and wrong_naming(leaning, by_forces) is not None
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines (..., p + 1, 3): slopes, then intercept; share explained (...); robust rms per axis of the rest (...)."""
+
+    lines: Array
+    share: Array
+    rest: Array
+
+
+def _fit_lines(known: Array, measured: Array) -> _Lines:
+    """Lines through measured (..., N, 3) over known (N, p), by least squares with Cauchy weights; stacks at once."""
+    design = np.concatenate([known.T, np.ones((1, len(known)))])
+    values = np.ascontiguousarray(np.moveaxis(measured, -1, -2))  # (..., 3, N): what is long comes last, for speed
+    weight = np.ones(measured.shape[:-1])
+    for _ in range(ROUNDS):
+        weighted = weight[..., None, :] * design
+        lines = _least(weighted @ design.T, weighted @ measured)
+        squared = _squared_length(values - np.moveaxis(lines, -1, -2) @ design)
+        median = np.median(np.sqrt(squared), axis=-1, keepdims=True)
+        weight = 1.0 / (1.0 + squared / (2.0 * (median + 1e-9)) ** 2)
+    total = np.sum(weight, axis=-1)
+    mean = (values @ weight[..., None]) / total[..., None, None]
+    unexplained = np.sum(weight * squared, axis=-1) / total
+    spread = np.sum(weight * _squared_length(values - mean), axis=-1) / total
+    # a sensor that always reads the same has nothing to be explained
+    share = np.where(spread > STUCK**2, 1.0 - unexplained / np.maximum(spread, STUCK**2), 0.0)
+    return _Lines(lines, share, median[..., 0] / 1.538)  # median of chi(3)
+
+
+def _least(normal: Array, right: Array) -> Array:
+    """Smallest solution (..., p, 3) of normal equations (..., p, p): a kart that never turns leaves a slope open."""
+    values, vectors = np.linalg.eigh(normal)
+    is_known = values > UNKNOWN * values[..., -1:]
+    inverse = np.where(is_known, 1.0 / np.where(is_known, values, 1.0), 0.0)
+    return np.asarray((vectors * inverse[..., None, :]) @ (np.moveaxis(vectors, -1, -2) @ right))
+
+
+def _squared_length(vectors: Array) -> Array:
+    """Squared length (..., N) of vectors (..., 3, N)."""
+    return np.asarray(np.einsum("...in,...in->...n", vectors, vectors))
+
+
+def _level_only(imu: ImuSamples, at_speed: int) -> Alignment:
+    up_s = np.median(imu.specific_force_s, axis=0)
+    up_s = up_s / max(float(np.linalg.norm(up_s)), 1e-9)
+    problems: tuple[Problem, ...] = ()
+    if at_speed >= SOME_AT_SPEED:
+        text = (
+            f"only {at_speed} fixes at more than {MIN_SPEED:.0f} m/s (at least {FEWEST_AT_SPEED}): where the box "
+            "points in the kart could not be found, yaw may be anything"
+        )
+        problems = (Problem("heading_unknown", text),)
+    gyro_bias_s = np.median(imu.angular_rate_s, axis=0)
+    return Alignment(so3.rotation_to_up(up_s), gyro_bias_s, 0.0, 0.0, True, problems=problems)
+
+
+def initial_attitude(t: Array, imu: ImuSamples, path: PathMotion, alignment: Alignment) -> Array:
+    """Attitude R_ns (K, 3, 3) at t (K,): level, yaw from the course while moving, from the gyro in between.
+
+    The gyro's yaw follows every turn, the course says where it stands: their difference, smoothed over seconds, is
+    added to the gyro's yaw, and held over standstills. A kart that spins while it slides on has no course to go by:
+    its nose is the gyro's alone, else the whole turn would be taken out of it and no solution would put it back. Where
+    samples are missing there are turns that the gyro has not seen, and the course alone has a say.
+    """
+    of_gyro = gyro_yaw(imu, alignment)
+    moving = path.moves
+    if alignment.is_level_only or not np.any(moving):
+        yaw = np.interp(t, imu.t, of_gyro)
+    else:
+        times, course = path.t[moving] - alignment.lag, path.yaw[moving]
+        course = course + np.pi * _backwards(path.t, moving, course - np.interp(times, imu.t, of_gyro))
+        seen = ~_unsampled(imu.t, times)
+        if not np.any(seen):
+            seen[:] = True
+        difference = course[seen] - np.interp(times[seen], imu.t, of_gyro)
+        straight = ~_spinning(times[seen], difference)
+        known = times[seen][straight], _unwrapped(times[seen][straight], difference[straight])
+        yaw = np.interp(t, imu.t, of_gyro) + _smoothed(t, *known, 3.0)
+        yaw = np.where(_unsampled(imu.t, t), np.interp(t, times, np.unwrap(course)), yaw)
+    level = np.zeros(len(t))
+    return rotation_from_euler(level, level, yaw) @ alignment.R_bs
+
+
+def _backwards(t: Array, moving: BoolArray, difference: Array) -> BoolArray:
+    """Mask (M,) of those of the fixes at t (N,) s that move (N,) whose course points where the kart's tail does.
+
+    difference (M,) rad: course less the gyro's yaw. From the drive before to a drive backwards, and from there to the
+    one after, it jumps by half a turn while the kart is too slow to have a course. A spin has one all the way.
+    """
+    times, phasors, out = t[moving], np.exp(1j * difference), np.zeros(len(difference), dtype=np.bool_)
+    drives = _drives(times, moving, phasors)
+    for before, drive, after in zip(drives, drives[1:], drives[2:], strict=False):
+        here = slice(drive[0].start, drive[-1].stop)
+        to_either = times[here.start] - times[before[-1].stop - 1], times[after[0].start] - times[here.stop - 1]
+        most = sum(rows.stop - rows.start for rows in (*before, *after))
+        is_nose = out[before[-1].start] or here.stop - here.start > most  # between two drives backwards
+        is_short = max(to_either) < TURNS_BACK and times[here.stop - 1] - times[here.start] < LONGEST_BACK
+        out[here] = not is_nose and is_short and abs(np.mean(phasors[here])) > STEADY
+    return out if np.mean(out) < MOST_SPUN else np.zeros_like(out)
+
+
+def _drives(times: Array, moving: BoolArray, phasors: ComplexArray) -> list[list[slice]]:
+    """Rows of the fixes that move, at times (M,) s, by drive: runs of them that last, up to where the angle jumps."""
+    first, behind = runs_of(moving)
+    ends = np.cumsum(behind - first)
+    drives: list[list[slice]] = []
+    for start, stop in zip((ends - (behind - first)).tolist(), ends.tolist(), strict=True):
+        rows = slice(start, stop)
+        if times[stop - 1] - times[start] <= BESIDE_SPIN:
+            continue
+        if drives and _apart(phasors, drives[-1][-1], rows) < BACKWARDS:
+            drives[-1].append(rows)
+        else:
+            drives.append([rows])
+    return drives
+
+
+def _apart(phasors: ComplexArray, before: slice, after: slice) -> float:
+    """By how much, rad, angles, as phasors (M,), jump from the end of one run of rows to the beginning of the next."""
+    one, other = phasors[before][-FEW_BESIDE:], phasors[after][:FEW_BESIDE]
+    return abs(float(np.angle(np.sum(other) * np.conj(np.sum(one)))))
+
+
+def _unwrapped(t: Array, angle: Array) -> Array:
+    """Angles (N,) rad at t (N,) s, N at least 1, without steps of a whole turn, those of a steady drift among them.
+
+    Over an outage of some seconds a bias of the gyro by some degrees a second adds up to more than half a turn.
+    """
+    if len(t) < 2:
+        return angle
+    drift = float(np.median(np.diff(np.unwrap(angle)) / np.diff(t))) * t
+    return np.asarray(np.unwrap(angle - drift) + drift)
+
+
+def _spinning(t: Array, difference: Array) -> BoolArray:
+    """Mask (N,) of fixes t s of a moving kart whose nose is far off the path, by both what came before and after.
+
+    With them those beside: a spin begins and ends slowly. difference (N,) rad: course less the gyro's yaw, which drifts
+    slowly and, where the gyro misses a turn, jumps. Means are over SETTLED of driving, however long the kart stood in
+    between.
+    """
+    n = len(t)
+    count = max(1, round(SETTLED / max(float(np.median(np.diff(t))), 1e-3))) if n > 1 else 1
+    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * difference))])
+    k = np.arange(n)
+    spinning = np.ones(n, dtype=np.bool_)
+    for first, last in ((np.maximum(k - count, 0), k + 1), (k, np.minimum(k + count + 1, n))):
+        off = np.abs(wrap_angle(difference - np.angle(sums[last] - sums[first])))
+        spinning &= (off > SPUN) | (last - first < count // 2)
+    spun = np.concatenate([[-np.inf], t[spinning], [np.inf]])
+    after = np.clip(np.searchsorted(spun, t), 1, len(spun) - 1)
+    beside = np.minimum(spun[after] - t, t - spun[after - 1]) < BESIDE_SPIN
+    return np.asarray(beside & (np.mean(beside) < MOST_SPUN))
+
+
+def gyro_yaw(imu: ImuSamples, alignment: Alignment) -> Array:
+    """Turn about up since the first sample, (N,) rad; nothing is known of what a gap holds but half a second."""
+    yaw, before = roomy(len(imu.t)), 0.0
+    for part in pieces(len(imu.t)):
+        rate_up = (imu.angular_rate_s[part] - alignment.gyro_bias_s) @ alignment.R_bs[2]
+        yaw[part] = before + np.cumsum(rate_up * np.clip(steps(imu.t, part), 0.0, 0.5))
+        before = float(yaw[part.stop - 1])
+        release(imu, yaw)
+    return yaw
+
+
+def _smoothed(t: Array, times: Array, values: Array, width: float) -> Array:
+    """Mean of `values` over `width` seconds around t, the nearest ones where none fall into the window."""
+    cumulative = np.concatenate([[0.0], np.cumsum(values)])
+    i = np.searchsorted(times, t - 0.5 * width)
+    j = np.searchsorted(times, t + 0.5 * width)
+    empty = i >= j
+    mean = (cumulative[j] - cumulative[i]) / np.maximum(j - i, 1)
+    return np.where(empty, np.interp(t, times, values), mean)

@@ -1,0 +1,121 @@
+"""The noise that a graph starts from, before any residual tells it: of fixes and samples by themselves."""
+
+import math
+
+import numpy as np
+
+from smoother.arrays import MAD_TO_SIGMA, Array, median
+from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
+from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.initial.align import Alignment
+from smoother.estimate.initial.claims import RTK, claimed_accuracy
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.model.imu import BinnedImu, tell_of_samples
+from smoother.estimate.model.inertial_noise import InertialNoise
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import SIZES
+from smoother.estimate.solvers.variance_components import OWN_SCATTER, SENSOR_SCALE, Scatter
+from smoother.samples import Session
+from smoother.units import DEG, STANDARD_GRAVITY
+
+DATA_SHEET_ACCEL = 300e-6 * STANDARD_GRAVITY  # m/s^2/sqrt(Hz), MPU9250 product specification
+DATA_SHEET_GYRO = 0.01 * DEG  # rad/s/sqrt(Hz), likewise
+START_SHARE = 0.5  # of what alignment left unexplained, half of which is typically not the samples' noise
+ENOUGH_BINS = 40_000  # intervals whose bins tell their noise; more than two hours
+# m: scatter and wander of fixed carrier phases beside Doppler at most; of all other receivers these are 0.06 and 0.35
+# or more, of those 0.02 and 0.13 or less. The least error that is left to them. That scatter is of fixes every tenth of
+# a second: of rarer ones it is what a kart does between two of them that is left, 0.045 m at 5 Hz and 0.09 at 2 Hz.
+RTK_SCATTER, RTK_WALK, RTK_LEAST = 0.03, 0.25, 0.01
+RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s, the latter where it no longer grows
+# m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
+# alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
+MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
+
+# Receivers claim half to twice what their fixes are off by, of both axes; and no more than that is believed.
+WORSE, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
+
+
+def receiver_share(session: Session, options: GraphOptions) -> float:
+    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so.
+
+    One that claims to be far worse is believed as well: nobody else tells of a wander slower than the session is long.
+    """
+    claimed = claimed_accuracy(session.gnss)
+    if claimed is None:
+        return 1.0
+    share = claimed / options.offset_sigma[0]
+    return float(np.clip(share, 0.1, np.clip(share / WORSE, 1.0, MOST_WORSE)))
+
+
+def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:
+    """Reported horizontal accuracy, m, of a receiver that fixes carrier phases (RTK), None of others.
+
+    It is believed where the fixes say the same: they scatter by hardly more than a digit and stay beside the Doppler,
+    which wanders by more than they do; taken for white, it would outvote them.
+    """
+    claimed = claimed_accuracy(session.gnss)
+    if claimed is None:
+        return None
+    every = float(np.clip(median(np.diff(session.gnss.t)), RTK_EVERY, RTK_RARELY))
+    scatters = path.position_sigma[0] >= RTK_SCATTER * every / RTK_EVERY
+    is_one = claimed < RTK and not scatters and offset.sigma[0] < RTK_WALK
+    return max(claimed, RTK_LEAST) if is_one else None
+
+
+def first_noise(
+    session: Session, path: GnssPath, alignment: Alignment, binned: BinnedImu, options: GraphOptions
+) -> Noise:
+    """Noise to start from: of the fixes from their own smoothing, of the IMU from what alignment left unexplained.
+
+    That is too much, and the identification comes down from it. From too little, with few fixes, it would find that the
+    samples are perfect and the fixes are bad. Nor do fixes far apart tell their own noise: from too little of it, all
+    of it would pass for a wandering offset.
+    """
+    stated = session.config.imu
+    inertial = InertialNoise(
+        stated.accel_noise
+        or max(START_SHARE * alignment.accel_noise, _density(binned, binned.specific_force_s, DATA_SHEET_ACCEL)),
+        stated.gyro_noise
+        or max(START_SHARE * alignment.gyro_noise, _density(binned, binned.angular_rate_s, DATA_SHEET_GYRO)),
+        stated.accel_bias_walk or options.accel_bias_walk,
+        stated.gyro_bias_walk or options.gyro_bias_walk,
+    )
+    usual = OffsetModel(np.array(options.offset_sigma), options.offset_tau)
+    offset = offset_model(session.gnss.t, path, usual, path.position_sigma[0] < UNFILTERED)
+    most = np.full(3, np.inf)
+    if (claimed := _centimetres(session, path, offset)) is not None:
+        most = usual.sigma * (claimed / usual.sigma[0])
+        offset = OffsetModel(most, usual.tau)
+    position = path.position_sigma
+    if follows_positions(session.gnss.t, path):
+        position = np.maximum(position, MOST_SCATTER if has_doppler(path) else SOME_SCATTER)
+    return Noise(
+        inertial,
+        position,
+        path.velocity_sigma,
+        offset.sigma,
+        offset.tau,
+        constants={name: np.full(SIZES[name], options.sigmas[name]) for name in SENSOR_SCALE},
+        offset_most=most,
+        offset_tau_spread=offset.tau_spread,
+    )
+
+
+def _density(binned: BinnedImu, bins: Array, floor: float) -> float:
+    """Noise density of bins (K, n, 3) of `binned`: second differences of white noise have six times its variance."""
+    bins = bins if np.all(telling := tell_of_samples(binned.missing)) else bins[telling]
+    if len(bins) > ENOUGH_BINS:  # a day: those within intervals, evenly taken, are as good
+        some = bins[:: len(bins) // ENOUGH_BINS]
+        second = some[:, 2:] - 2.0 * some[:, 1:-1] + some[:, :-2]
+    else:
+        flat = bins.reshape(-1, 3)
+        second = flat[2:] - 2.0 * flat[1:-1] + flat[:-2]
+    sigma = MAD_TO_SIGMA * median(np.abs(second).ravel())
+    return max(floor, sigma * math.sqrt(binned.dt / 6.0))
+
+
+def scatter_of(binned: BinnedImu) -> Scatter:
+    """Return the densities that neighbouring bins show."""
+    accel = _density(binned, binned.specific_force_s, 2.0 * DATA_SHEET_ACCEL / OWN_SCATTER)
+    gyro = _density(binned, binned.angular_rate_s, 2.0 * DATA_SHEET_GYRO / OWN_SCATTER)
+    return Scatter(accel, gyro)

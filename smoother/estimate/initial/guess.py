@@ -1,0 +1,302 @@
+"""What is known before the first solve: a path through the fixes, attitudes, keyframes, bins, noise and priors."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray
+from smoother.config import ImuNoise
+from smoother.estimate.factors.graph import MAX_LATENCY, Measurements, Priors
+from smoother.estimate.factors.ground import far_from_heights
+from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
+from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.gnss_screen import most_say_velocity
+from smoother.estimate.initial.align import Alignment, align, initial_attitude
+from smoother.estimate.initial.at_rest import scale_at_rest
+from smoother.estimate.initial.claims import claims_of
+from smoother.estimate.initial.first_noise import first_noise, receiver_share, scatter_of
+from smoother.estimate.initial.missing_samples import MissingSamples
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.left_out import tell_motion
+from smoother.estimate.model.imu import BinnedImu, bin_imu, halved
+from smoother.estimate.model.inertial_noise import hole_lengths
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.sampled import are_sampled, has_hole, sampled_spans
+from smoother.estimate.model.state import CONSTANTS, Geometry, State
+from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
+from smoother.estimate.path_motion import MIN_SPEED, PathMotion, near_told
+from smoother.estimate.pauses import NO_PAUSES, Pauses
+from smoother.estimate.solvers.identify import Problem
+from smoother.estimate.solvers.variance_components import SENSOR_SCALE
+from smoother.fit.standstill import believed_at_rest, session_standstill
+from smoother.samples import Session
+from smoother.units import DEG
+
+DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
+# rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
+# karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
+DOUBTED_RATES = 2.0 * DEG
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """All that is known before the first solve. The graph is solved with the bins `binned`; `fine` make the output.
+
+    receiver: how the reported accuracy compares with the population's, at most 1. stated: densities of the settings,
+    which are not estimated. spans (S, 2) s: from when to when there are samples, see model/sampled.py. wheels: whether
+    the factor of the wheels joins where they roll. pauses: where time is cut out of the session.
+    """
+
+    path: GnssPath
+    driven: PathMotion
+    alignment: Alignment
+    state: State
+    fine: BinnedImu
+    binned: BinnedImu
+    noise: Noise
+    data: Measurements
+    priors: Priors
+    receiver: float
+    stated: ImuNoise
+    spans: Array
+    wheels: bool
+    pauses: Pauses = NO_PAUSES
+
+
+def make_start(session: Session, options: GraphOptions, span: float = math.inf, pauses: Pauses = NO_PAUSES) -> Start:
+    """Return what the fixes alone and the alignment with the inertial samples show.
+
+    Of a session that is much longer than `span` s, keyframes, bins and data are those of its busiest stretch as long.
+    pauses: where time was cut out of the session.
+    """
+    assert session.imu is not None
+    path = fit_path(session)
+    is_measured = most_say_velocity(session.gnss.velocity_n)
+    told = tell_motion(session, by_velocity=is_measured)
+    is_told = None if told.all() else near_told(session.gnss.t, told)
+    driven = PathMotion(session.gnss.t, path.at(session.gnss.t).velocity_n, is_measured, is_told)
+    alignment = align(session.imu, driven)
+    is_steered, by_size = _on_wheel_and_delay(session, driven, alignment)
+    if is_steered:
+        alignment = replace(alignment, problems=without_the_wheels(alignment.problems))
+    priors = _priors(session, alignment, path, options, by_size)
+    spans = sampled_spans(session.imu.t)
+    begin, end = busiest_span(driven, spans, span)
+    state = _first_guess(
+        session,
+        path,
+        driven,
+        alignment,
+        _keyframe_times(begin, end, options.keyframe_interval),
+        {name: mean for name, (mean, _) in priors.constants.items()},
+        (np.zeros(3), alignment.gyro_bias_s),
+        Geometry(alignment.R_bs, is_steered),
+    )
+    fine, binned = _bins(session, state, path, alignment, options)
+    noise = first_noise(session, path, alignment, binned, options)
+    return Start(
+        path,
+        driven,
+        alignment,
+        state,
+        fine,
+        binned,
+        noise,
+        _measurements(session, path, state, alignment.gyro_bias_s).of((driven.t >= begin) & (driven.t <= end)),
+        priors,
+        min(receiver_share(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
+        session.config.imu,
+        spans,
+        options.wheels and priors.drives,
+        pauses,
+    )
+
+
+def problem_of(start: Start) -> Problem:
+    """The graph's problem that a start is."""
+    stated = frozenset(name for name in DENSITIES if getattr(start.stated, name))
+    return Problem(start.binned, start.data, start.priors, start.state, start.noise, scatter_of(start.binned), stated)
+
+
+def _on_wheel_and_delay(session: Session, driven: PathMotion, alignment: Alignment) -> tuple[bool, SizeDelay]:
+    """Whether the box is on the steering wheel; the delay of `driven` by the size of the force where that matters."""
+    assert session.imu is not None
+    if alignment.is_misnamed:
+        return False, UNSEEN
+    is_steered = is_on_wheel(session.imu, session.gnss)
+    if alignment.is_level_only or not (is_steered or alignment.gyro_noise > DOUBTED_RATES):
+        return is_steered, UNSEEN
+    by_size = size_delay(session.imu, driven)
+    if not is_steered and by_size.is_seen:
+        is_steered = turns_with_bends(session.imu, driven, alignment.R_bs, by_size.delay)
+    return is_steered, by_size
+
+
+def informed(session: Session, start: Start, options: GraphOptions, found: State) -> Start:
+    """Return the start of the whole session with the constants and the mean biases that were found of a part."""
+    gnss = session.gnss
+    biases = found.accel_bias_s.mean(axis=0), found.gyro_bias_s.mean(axis=0)
+    t = _keyframe_times(gnss.t[0], gnss.t[-1], options.keyframe_interval)
+    known = start.path, start.driven, start.alignment
+    state = _first_guess(session, *known, t, found.constants, biases, found.geometry)
+    fine, binned = _bins(session, state, start.path, start.alignment, options)
+    return replace(
+        start, state=state, fine=fine, binned=binned, data=_measurements(session, start.path, state, biases[1])
+    )
+
+
+def on_the_wheel(start: Start) -> Start:
+    """Return `start` of a box that turns with the steering wheel."""
+    geometry = replace(start.state.geometry, is_steered=True)
+    alignment = replace(start.alignment, problems=without_the_wheels(start.alignment.problems))
+    return replace(start, state=replace(start.state, geometry=geometry), alignment=alignment)
+
+
+def _keyframe_times(begin: float, end: float, interval: float) -> Array:
+    """Times (K,) s, evenly spaced, of all that fixes stamped from begin to end may be read at."""
+    first, last = begin - MAX_LATENCY, end + interval
+    return np.asarray(first + interval * np.arange(max(1, math.ceil((last - first) / interval - 1e-9)) + 1))
+
+
+def _first_guess(
+    session: Session,
+    path: GnssPath,
+    driven: PathMotion,
+    alignment: Alignment,
+    t: Array,
+    constants: Mapping[str, Array],
+    biases: tuple[Array, Array],
+    geometry: Geometry,
+) -> State:
+    """Keyframes at t (K,) s: motion of the path, attitude of the alignment; biases (3,) of force and rate."""
+    assert session.imu is not None
+    R_ns = initial_attitude(t, session.imu, driven, alignment)
+    at = path.at(t + _late(path, constants))
+    accel_bias, gyro_bias = (np.tile(bias, (len(t), 1)) for bias in biases)
+    return State(t, R_ns, at.position_n, at.velocity_n, accel_bias, gyro_bias, at.offset_n, constants, geometry)
+
+
+def _late(path: GnssPath, constants: Mapping[str, Array]) -> float:
+    """How much later than the sensor, s, the path is where a place is the same: a stated latency is taken out of it."""
+    return float(constants["position_latency"][0]) - path.position_latency
+
+
+def _bins(
+    session: Session, state: State, path: GnssPath, alignment: Alignment, options: GraphOptions
+) -> tuple[BinnedImu, BinnedImu]:
+    """Inertial samples between the keyframes of `state`, in fine bins and in those to solve with."""
+    assert session.imu is not None
+    t, n_bins = state.t, max(1, round(options.keyframe_interval / options.bin_interval))
+    missing = MissingSamples(session.imu, path, alignment, _late(path, state.constants), session.gnss)
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s, missing.at)
+    if np.any(fine.missing):
+        fine = replace(fine, blind=missing.blind(t, hole_lengths(fine.missing, np.diff(t))))
+    return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
+
+
+def _measurements(session: Session, path: GnssPath, state: State, gyro_bias_s: Array) -> Measurements:
+    """Measurements for the keyframes of `state`; gyro_bias_s (3,) rad/s, to know rest by."""
+    gnss, t = session.gnss, state.t
+    assert session.imu is not None
+    assert gnss.sigma_velocity is not None
+    at_rest = session_standstill(session, gyro_bias=gyro_bias_s)
+    standing = _all_between(session.imu.t, at_rest, gnss.t - MAX_LATENCY, gnss.t)
+    believed = believed_at_rest(gnss, session.origin, standing)
+    scale = _relative(gnss.sigma_velocity)
+    scale = np.where(standing, scale * scale_at_rest(gnss.t, gnss.velocity_n, believed), scale)
+    ground, claims = far_from_heights(_heights(session), t), claims_of(gnss)
+    share, renewed = (None, None)
+    if len(claims.renewed):
+        share, renewed = claims.between(t, state.constant("position_latency"))
+    return Measurements(
+        gnss.t,
+        session.fix_position_n,
+        np.where((standing & ~believed)[:, None], np.nan, gnss.velocity_n),
+        path.position_scale,
+        scale,
+        np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
+        ground=ground if len(ground[0]) else None,
+        offset_share=share,
+        offset_renewed=renewed,
+    )
+
+
+def _all_between(t: Array, mask: BoolArray, begin: Array, end: Array) -> BoolArray:
+    """Whether there are samples, of t (S,) s, from begin to end (N,) s, and mask (S,) holds for all of them."""
+    first, last = np.searchsorted(t, [begin, end])
+    holding = np.concatenate([[0], np.cumsum(mask)])
+    return np.asarray((last > first) & (holding[last] - holding[first] == last - first))
+
+
+def _heights(session: Session) -> Array:
+    """Time s and up in n, m, (H, 2) of the fixes that have a height."""
+    up = session.fix_position_n[:, 2]
+    known = np.isfinite(up)
+    return np.column_stack([session.gnss.t[known], up[known]])
+
+
+def _relative(reported: Array) -> Array:
+    """Factor (N,) of a reported sigma over the session's usual one, never below 1; 1 where nothing is reported."""
+    if not np.any(np.isfinite(reported)):
+        return np.ones(len(reported))
+    return np.fmax(1.0, np.where(np.isfinite(reported), reported / np.nanmedian(reported), 1.0))
+
+
+def _priors(
+    session: Session, alignment: Alignment, path: GnssPath, options: GraphOptions, by_size: SizeDelay
+) -> Priors:
+    timing, mounting = session.config.gps, session.config.mounting
+    has_velocity = bool(np.any(np.isfinite(session.gnss.velocity_n[:, :2])))
+    between = path.velocity_lag.value if has_velocity else 0.0
+    lag = float(np.clip(alignment.lag + path.position_latency, 0.0, MAX_LATENCY))
+    late = max(lag - between, 0.0), lag
+    if by_size.is_seen:  # the wheel turns before the kart: the alignment's lag is late by as much
+        position = by_size.delay + path.position_latency
+        late = position, position + between
+    found = dict.fromkeys(SENSOR_SCALE, 1.0)  # with the noise
+    constants = {c.name: (np.zeros(c.size), np.full(c.size, (options.sigmas | found)[c.name])) for c in CONSTANTS}
+    for name, value, stated in zip(
+        ("position_latency", "velocity_latency"), late, (timing.position_latency, timing.velocity_latency), strict=True
+    ):
+        mean = np.array([np.clip(value, -MAX_LATENCY, MAX_LATENCY)])
+        constants[name] = (mean, constants[name][1]) if stated is None else (np.array([stated]), np.array([1e-6]))
+    if mounting.lever_arm_b is not None:
+        R_bs = alignment.R_bs if mounting.R_bs is None else mounting.R_bs
+        constants["lever_arm"] = R_bs.T @ mounting.lever_arm_b, np.full(3, 1e-4)
+    return Priors(
+        options.accel_bias_sigma,
+        options.gyro_bias_sigma,
+        alignment.gyro_bias_s,
+        constants,
+        # A kart leans by few degrees, and how far is hardly better known than that: a height of the antenna that is
+        # fitted to it is drawn to zero and seems to be known
+        held_s=alignment.R_bs[2] if mounting.lever_arm_b is None else None,
+        has_height=bool(np.any(np.isfinite(session.fix_position_n[:, 2]))),
+        drives=not alignment.is_level_only,
+    )
+
+
+def busiest_span(driven: PathMotion, spans: Array, span: float) -> tuple[float, float]:
+    """First and last time of the stretch of `span` seconds with most fixes at speed, or of all if not much longer.
+
+    Of those that there are samples for, by spans (S, 2) s.
+    """
+    t = driven.t
+    if t[-1] - t[0] < 1.5 * span:
+        return float(t[0]), float(t[-1])
+    counted = driven.speed > MIN_SPEED
+    if has_hole(spans, t[0], t[-1]):
+        sampled = have_samples(spans, t)
+        counted = counted & sampled if np.any(counted & sampled) else sampled
+    fast = np.concatenate([[0], np.cumsum(counted)])
+    whole = t <= t[-1] - span
+    first = int(np.argmax(fast[np.searchsorted(t, t[whole] + span)] - fast[:-1][whole]))
+    return float(t[first]), float(t[first] + span)
+
+
+def have_samples(spans: Array, t: Array) -> BoolArray:
+    """Mask (N,) of the fixes at t (N,) s that samples of the spans (S, 2) s go with, whatever their latency."""
+    return are_sampled(spans, t - MAX_LATENCY, t)

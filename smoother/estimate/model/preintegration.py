@@ -1,0 +1,48 @@
+"""GTSAM preintegration of the bins of each interval between keyframes, with the noise of that interval."""
+
+import gtsam
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.inertial_noise import InertialNoise, shared_densities
+from smoother.units import STANDARD_GRAVITY
+
+
+def preintegrate(
+    binned: BinnedImu, noise: InertialNoise, accel_bias: Array, gyro_bias: Array
+) -> list[gtsam.PreintegratedCombinedMeasurements]:
+    """Preintegrate each interval about its own bias, or all about one. Biases (K-1, 3) or (3,); returns K-1."""
+    n, n_bins, dt = len(binned.t) - 1, binned.n_bins, binned.dt
+    densities = zip(*(values.tolist() for values in shared_densities(binned, noise)), strict=True)
+    biases = _biases(accel_bias, gyro_bias, n)
+    forces, rates = list(binned.specific_force_s.reshape(-1, 3)), list(binned.angular_rate_s.reshape(-1, 3))
+    params: dict[tuple[float, float], gtsam.PreintegrationCombinedParams] = {}
+    out, first = [], 0
+    for density, bias in zip(densities, biases, strict=True):
+        if density not in params:
+            params[density] = _parameters(density[0], density[1], noise)
+        measured = gtsam.PreintegratedCombinedMeasurements(params[density], bias)
+        integrate = measured.integrateMeasurement
+        for i in range(first, first + n_bins):
+            integrate(forces[i], rates[i], dt)
+        first += n_bins
+        out.append(measured)
+    return out
+
+
+def _biases(accel_bias: Array, gyro_bias: Array, n: int) -> list[gtsam.imuBias.ConstantBias]:
+    if accel_bias.ndim == 1:
+        return [gtsam.imuBias.ConstantBias(accel_bias, gyro_bias)] * n
+    return [gtsam.imuBias.ConstantBias(a, g) for a, g in zip(accel_bias, gyro_bias, strict=True)]
+
+
+def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(STANDARD_GRAVITY)
+    eye = np.eye(3)
+    params.setAccelerometerCovariance(np.array(noise.accel_shape) * accel**2)
+    params.setGyroscopeCovariance(np.array(noise.gyro_shape) * gyro**2)
+    params.setIntegrationCovariance(eye * 1e-8)  # the bins integrate the samples to this, m^2/s
+    params.setBiasAccCovariance(eye * noise.accel_bias_walk**2)
+    params.setBiasOmegaCovariance(eye * noise.gyro_bias_walk**2)
+    return params
