@@ -31,7 +31,7 @@ from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_w
 from smoother.estimate.initial.compass import Compass
 from smoother.estimate.initial.guess import Start, informed, problem_of
 from smoother.estimate.initial.options import GraphOptions
-from smoother.estimate.initial.parts import is_partly_sampled
+from smoother.estimate.initial.parts import is_partly_sampled, longest_sampled
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
@@ -77,7 +77,7 @@ def solve_session(
     session: Session, start: Start, options: GraphOptions, say: Say
 ) -> tuple[Start, Estimated, OldSolution | WindowsSolution]:
     """Identify constants and noise on the busiest part, then solve all of the session."""
-    wheels, busiest = options.wheels and start.wheels, problem_of(start)
+    wheels, busiest = options.wheels and start.wheels, problem_of(longest_sampled(start))
     part = identify(busiest, busiest.usual, lambda share: say(0.5 * share), wheels=wheels)
     start = informed(session, start, options, part.state)
     if is_partly_sampled(start) or is_long(start):

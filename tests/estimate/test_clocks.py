@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.initial.align import align
 from smoother.estimate.clocks import (
     UNSEEN_DRIFT,
     ClockDrift,
@@ -17,8 +16,9 @@ from smoother.estimate.clocks import (
     on_clock_of_fixes,
 )
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.initial import begin as begin_module
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.initial import begin as begin_module
+from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.prepare import prepare

@@ -9,8 +9,8 @@ import pytest
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.evaluate import evaluate
-from smoother.estimate.initial.begin import begin
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.initial.begin import begin
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
 from smoother.prepare import prepare

@@ -5,14 +5,14 @@ sigma of the fixes' slow offset, of a minute each, differ by as much as the few 
 """
 
 import numpy as np
+from smoother.estimate.graph.coarse import near_solution
+from smoother.estimate.graph.relaxation import Relaxation
 
 from smoother.estimate.graph.batch import Batch, constants_moved, moved, variances
-from smoother.estimate.graph.coarse import near_solution
 from smoother.estimate.graph.estimated import are_made_up, estimated
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory
-from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.graph.smoother import GraphOptions
 from smoother.estimate.initial.guess import make_start
 from smoother.live.lag import LagOptions, LagStart

@@ -90,7 +90,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         path,
         driven,
         alignment,
-        _keyframe_times(begin, end, options.keyframe_interval),
+        keyframe_times(begin, end, options.keyframe_interval),
         {name: mean for name, (mean, _) in priors.constants.items()},
         (np.zeros(3), alignment.gyro_bias_s),
         Geometry(alignment.R_bs, is_steered),
@@ -139,7 +139,7 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
     """Return the start of the whole session with the constants and the mean biases that were found of a part."""
     gnss = session.gnss
     biases = found.accel_bias_s.mean(axis=0), found.gyro_bias_s.mean(axis=0)
-    t = _keyframe_times(gnss.t[0], gnss.t[-1], options.keyframe_interval)
+    t = keyframe_times(gnss.t[0], gnss.t[-1], options.keyframe_interval)
     known = start.path, start.driven, start.alignment
     state = _first_guess(session, *known, t, found.constants, biases, found.geometry)
     fine, binned = _bins(session, state, start.path, start.alignment, options)
@@ -155,7 +155,7 @@ def on_the_wheel(start: Start) -> Start:
     return replace(start, state=replace(start.state, geometry=geometry), alignment=alignment)
 
 
-def _keyframe_times(begin: float, end: float, interval: float) -> Array:
+def keyframe_times(begin: float, end: float, interval: float) -> Array:
     """Times (K,) s, evenly spaced, of all that fixes stamped from begin to end may be read at."""
     first, last = begin - MAX_LATENCY, end + interval
     return np.asarray(first + interval * np.arange(max(1, math.ceil((last - first) / interval - 1e-9)) + 1))

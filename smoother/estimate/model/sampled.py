@@ -24,9 +24,3 @@ def are_sampled(spans: Array, since: Array, until: Array) -> BoolArray:
     """Whether all of each time from since to until (N,) s, the two in order, is within one of the spans (S, 2) s."""
     latest = np.searchsorted(spans[:, 0], since, side="right") - 1
     return np.asarray((latest >= 0) & (until <= spans[np.maximum(latest, 0), 1]))
-
-
-def are_unsampled(spans: Array, since: Array, until: Array) -> BoolArray:
-    """Whether none of each time from since to until (N,) s, the two in order, is within any of the spans (S, 2) s."""
-    latest = np.searchsorted(spans[:, 0], until) - 1
-    return np.asarray((latest < 0) | (since >= spans[np.maximum(latest, 0), 1]))

@@ -5,8 +5,8 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.arm import arm_axes, arm_axes_along, arm_axes_at, course, turning_arm
-from smoother.estimate.model.imu import DensePath
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
+from smoother.estimate.model.imu import DensePath
 from smoother.frames import rotation_from_euler
 
 AXES = so3.exp(np.array([0.3, -0.4, 2.0]))  # forward, left and up in s, while the wheel is straight

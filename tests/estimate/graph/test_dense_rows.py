@@ -9,9 +9,7 @@ from smoother.arrays import Array
 from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.graph.dense_rows import DenseRows, _between_samples, _bridge
-from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.graph.inertial import LinearInertial
-from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.state import (
     CONSTANTS_SIZE,
@@ -23,6 +21,8 @@ from smoother.estimate.graph.state import (
     Constants,
 )
 from smoother.estimate.graph.uncertainty import bend_covariance, track_variance, uncertainty_of
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.inertial_noise import InertialNoise
 
 K, T = 4, 0.2
 TIMES = np.linspace(0.0, (K - 1) * T, K)

@@ -19,9 +19,9 @@ from smoother.estimate.graph.expected import (
     shown_below,
     turning_lead,
 )
+from smoother.estimate.graph.wiener import Transform, most_probable
 from smoother.estimate.model.imu import DensePath
 from smoother.estimate.model.inertial_noise import InertialNoise
-from smoother.estimate.graph.wiener import Transform, most_probable
 from smoother.fit.running import gaussian_mean
 from smoother.units import DEG
 

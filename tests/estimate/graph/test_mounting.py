@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.model.imu import are_told
 from smoother.estimate.graph.mounting import (
     CROSSFALL,
     FittedMounting,
@@ -17,6 +16,7 @@ from smoother.estimate.graph.mounting import (
     swing_on_the_wheel,
 )
 from smoother.estimate.graph.state import ChainState, Constants
+from smoother.estimate.model.imu import are_told
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
 from smoother.units import DEG, STANDARD_GRAVITY

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from smoother.estimate.graph.inertial import VarianceComponent
-from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.row_components import RowComponent
 from smoother.estimate.graph.state import KEYFRAME_SIZE, OFFSET
 from smoother.estimate.graph.told import told_by
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.noise_of_fixes import hidden_wander
 from smoother.fit.noise_spread import ANY_NOISE, Residuals, of_force, of_positions, of_rate, of_velocities
 

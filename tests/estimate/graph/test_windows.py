@@ -5,9 +5,9 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph import windows
-from smoother.estimate.initial.parts import busiest_part, stretch
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial.guess import busiest_span, make_start
+from smoother.estimate.initial.parts import busiest_part, stretch
 from smoother.prepare import prepare
 from smoother.sim.motion import Stop
 from smoother.sim.simulation import simulate_preset

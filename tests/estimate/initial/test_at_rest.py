@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph import start
+from smoother.estimate.initial import guess
 from smoother.estimate.initial.at_rest import LASTS, USUAL_SHARE, scale_at_rest
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 
-from .smoothed import horizontal_rms, smoothed
+from ..graph.smoothed import horizontal_rms, smoothed
 
 T = 0.1 * np.arange(6000)
 AT_REST = (T % 200.0) < 60.0
@@ -61,5 +61,5 @@ def test_an_error_of_the_velocities_at_rest_does_not_move_the_drive(monkeypatch:
         return horizontal_rms(s.velocity_error_n[s.trajectory.t > 45.0].mean(axis=0)[None])
 
     assert (held := sliding()) < 0.012
-    monkeypatch.setattr(start, "scale_at_rest", lambda *_: 1.0)
+    monkeypatch.setattr(guess, "scale_at_rest", lambda *_: 1.0)
     assert sliding() > 1.5 * held

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from smoother.estimate.initial.claims import ALIKE, claims_of
-from smoother.estimate.graph.rows import offset_rows
-from smoother.estimate.graph.state import OFFSET
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Session
 from smoother.sim.simulation import Simulation, simulate_preset
 
-from .smoothed import horizontal_rms, smoothed
-from .test_rows import random_state
+from ..graph.smoothed import horizontal_rms, smoothed
 
 CENTIMETRES, METRES = 0.02, 1.5
 LOST = 80.0  # s
@@ -63,21 +60,16 @@ def test_stretches_are_cut_where_corrections_come_and_go(simulation: Simulation)
 
 def test_the_wander_begins_anew_and_is_as_large_as_claimed(simulation: Simulation) -> None:
     fixes = prepare(simulation.raw).gnss
-    state, _ = random_state(1, 0.5)
-    middle = float(np.mean(state.t[[0, -1]]))
+    keyframes, middle = 0.2 * np.arange(31), 3.0
     t = np.array([middle - 2.0, middle - 1.0, middle - 0.6, middle - 0.4, middle - 0.2, middle - 0.1])
     t = np.concatenate([t, 2.0 * middle - t[::-1]]) + 0.3
     few = replace(fixes.select(np.arange(12)), t=t, sigma_horizontal=np.repeat([CENTIMETRES, METRES], 6))
-    sigma = np.array([2.0, 2.0, 3.4])
-    start, steps = offset_rows(state, sigma, 60.0, claims_of(few), 0.3)
-    _, usual = offset_rows(state, sigma, 60.0)
-    share = CENTIMETRES / METRES
-    np.testing.assert_allclose(start.sigma[0], share * sigma)
-    np.testing.assert_allclose(steps.sigma[0], share * usual.sigma[0])
-    np.testing.assert_allclose(steps.sigma[-1], usual.sigma[-1])
-    anew = np.flatnonzero(np.all(steps.left[:, 0, OFFSET] == 0.0, axis=1))
-    assert anew.size and np.all(np.abs(state.t[anew] - middle) < 2.0 * state.interval)
-    np.testing.assert_allclose(steps.sigma[anew], np.broadcast_to(sigma, (anew.size, 3)))
+    share, anew = claims_of(few).between(keyframes, 0.3)
+    assert share[0] == CENTIMETRES / METRES
+    assert share[-1] == 1.0
+    assert np.any(anew)
+    assert np.all(share[anew] == 1.0)
+    assert np.all(np.abs(keyframes[:-1][anew] - middle) < 0.4)
 
 
 def test_a_line_goes_on_where_corrections_are_lost(simulation: Simulation) -> None:

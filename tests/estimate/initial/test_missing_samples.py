@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.initial.align import Alignment
 from smoother.estimate.gnss_path import GnssMotion
-from smoother.estimate.model.imu import bin_imu
+from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.missing_samples import FORGOTTEN, SPACINGS, TOLD, MissingSamples
+from smoother.estimate.model.imu import bin_imu
 from smoother.frames import rotation_from_euler
 from smoother.samples import ImuSamples
 from smoother.units import DEG, STANDARD_GRAVITY

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from smoother import so3
+from smoother.estimate.factors.heading import heading_rows
 from smoother.estimate.model.heading import FLOOR, _memory, heading_from_field, repeating
-from smoother.estimate.graph.rows import heading_rows
-from smoother.estimate.graph.state import ChainState, Constants
+from smoother.estimate.model.state import CONSTANTS, Geometry, State
 from smoother.fit.magnetic_model import field_n
 from smoother.frames import rotation_from_euler, wrap_angle
 from smoother.samples import MagSamples
@@ -22,18 +22,19 @@ HARD_IRON = np.array([30.0, -22.0, 15.0])
 SOFT_IRON = np.eye(3) + np.array([[0.2, 0.1, -0.05], [0.1, -0.1, 0.08], [-0.05, 0.08, 0.1]])
 
 
-def laps(R_bs: np.ndarray = R_BS) -> ChainState:
+def laps(R_bs: np.ndarray = R_BS) -> State:
     """Laps on nearly level ground: all headings, a few degrees of roll and pitch."""
     t = INTERVAL * np.arange(K)
     R_nb = rotation_from_euler(
         2.0 * DEG * np.sin(0.9 * t), 1.5 * DEG * np.cos(1.3 * t), 0.2 * t + 0.5 * np.sin(0.3 * t)
     )
     zeros = np.zeros((K, 3))
-    return ChainState(t, R_nb @ R_bs, zeros, zeros, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+    constants = {c.name: np.zeros(c.size) for c in CONSTANTS}
+    return State(t, R_nb @ R_bs, zeros, zeros, zeros, zeros, zeros, constants, Geometry(np.eye(3)))
 
 
 def readings(
-    state: ChainState, hard: np.ndarray = HARD_IRON, soft: np.ndarray = SOFT_IRON, noise: float = 1.0, unit: float = 1.0
+    state: State, hard: np.ndarray = HARD_IRON, soft: np.ndarray = SOFT_IRON, noise: float = 1.0, unit: float = 1.0
 ) -> MagSamples:
     """What the sensor reads at 10 Hz on the way, uT times `unit`."""
     t = np.arange(state.t[0], state.t[-1], 0.1)
@@ -45,7 +46,7 @@ def readings(
     return MagSamples(t, unit * (field_s + noise * np.random.default_rng(0).normal(size=field_s.shape)))
 
 
-def heading_error(state: ChainState, heading) -> np.ndarray:
+def heading_error(state: State, heading) -> np.ndarray:
     """Yaw of the corrected field against the field's true one, rad, at the keyframes it was found for."""
     field = np.einsum("kij,kj->ki", state.R_ns[heading.interval], heading.field_s)
     return wrap_angle(np.arctan2(field[:, 1], field[:, 0]) - np.arctan2(EARTH_N[1], EARTH_N[0]))
@@ -118,7 +119,7 @@ def test_its_rows_read_zero_at_the_true_attitude() -> None:
     state = laps()
     heading = heading_from_field(readings(state, noise=0.0), state, DECLINATION, INCLINATION)
     assert heading is not None
-    rows = heading_rows(state, heading)
+    rows = heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma, heading.has_offset)
     assert np.max(np.abs(rows.residual)) < 2.0 * DEG
 
 
@@ -165,7 +166,7 @@ def test_headings_of_one_stand_together_tell_what_one_does() -> None:
     assert np.count_nonzero(rests) == 60
     assert np.ptp(sigma[rests]) == np.ptp(sigma[~rests]) == 0.0
     assert np.sum(sigma[rests] ** -2.0) == pytest.approx(sigma[~rests][0] ** -2.0)
-    rows = heading_rows(state, heading)
+    rows = heading_rows(state, heading.interval, heading.field_s, heading.field_yaw, heading.sigma, heading.has_offset)
     np.testing.assert_allclose(rows.sigma[:, 0], sigma)
 
 

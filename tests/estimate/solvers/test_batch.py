@@ -6,12 +6,11 @@ import gtsam
 import numpy as np
 import pytest
 
-from smoother.estimate.bridge import problem_of
 from smoother.estimate.factors.gaussian import custom_factors
 from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
-from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.initial.guess import make_start
+from smoother.estimate.initial.guess import make_start, problem_of
+from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
 from smoother.estimate.solvers.batch import step
@@ -20,8 +19,6 @@ from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import Trajectory
-
-ENGINE = GraphOptions(solver="gtsam")
 
 
 @pytest.fixture(name="session", scope="module")
@@ -32,7 +29,7 @@ def _session() -> Session:
 
 @pytest.fixture(name="problem", scope="module")
 def _problem(session: Session) -> Problem:
-    return problem_of(make_start(session, GraphOptions()))[0]
+    return problem_of(make_start(session, GraphOptions()))
 
 
 def no_progress(_: float) -> None:
@@ -40,7 +37,7 @@ def no_progress(_: float) -> None:
 
 
 def estimate(session: Session) -> Trajectory:
-    return GraphSmoother(ENGINE).estimate(session)
+    return GraphSmoother().estimate(session)
 
 
 def test_without_the_elimination_of_gtsam_there_is_no_full_solution(
