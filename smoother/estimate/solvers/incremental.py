@@ -2,11 +2,10 @@
 
 A chunk of keyframes is predicted from the samples; its IMU factors and its measurements join the tree. Measurements are
 the rows of the table, as linear factors: those of the last seconds are removed and linearised again with every chunk,
-older ones stay as they are. What a stream leaves, old measurements in the axes of poses that have turned since, one or
-two steps of the batch remove, which also give the covariances.
+older ones stay. What is left of old linearisations one or two steps of the batch remove, which give the covariances.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import gtsam
@@ -15,7 +14,6 @@ from gtsam.symbol_shorthand import B, O, V, X
 
 from smoother.arrays import Array
 from smoother.estimate.factors.graph import build_graph
-from smoother.estimate.factors.rows import Rows
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import corrected
 from smoother.estimate.model.noise import Noise
@@ -24,12 +22,10 @@ from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.solvers.identify import Problem, Solution, held_at, solve_held
 
 PRIORS_OF_FIRST = 3  # pose, velocity and biases, before those of the constants
-ENOUGH_FIXES = 3  # in the first chunk, to determine position and velocity
 CHUNK, WINDOW, CONTEXT = 5.0, 10.0, 20.0  # s: joins at once; is linearised again; is low-passed with it
 # rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again. A pose's chart couples turn and shift, and
 # absolute position wanders by metres: with coarser ones the IMU factors tear. The slow error is linear
 THRESHOLDS = {"x": [2e-3] * 3 + [0.1] * 3, "v": [0.1] * 3, "b": [0.1] * 3 + [0.01] * 3, "o": [1e6] * 3}
-CHANGE = 1e-5  # of a step, in the same units, that is passed on towards older keyframes
 
 
 def solve_as_stream(
@@ -56,19 +52,15 @@ class Stream:
         for symbol, limit in THRESHOLDS.items():
             thresholds.insert((symbol, np.array(limit)))
         parameters.setRelinearizeThreshold(thresholds)
-        parameters.setFactorization("QR")  # quick fixes without speeds say little at first: digits of Cholesky run out
-        parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(CHANGE))
         parameters.relinearizeSkip = 1
+        parameters.setFactorization("QR")  # quick fixes without speeds say little at first: digits of Cholesky run out
         self._tree = gtsam.ISAM2(parameters)
 
     def solve(self) -> State:
         """All keyframes, chunk by chunk. Raises IndeterminateError where an unknown is not determined."""
-        n, chunk = len(self._state.t), round(CHUNK / self._state.interval)
-        measured = self._graph.measured
-        known = measured.t[np.any(np.isfinite(measured.position_n), axis=1)][:ENOUGH_FIXES]
-        enough = int(np.searchsorted(self._state.t, known[-1])) + 1 if len(known) else n
+        n, first, chunk = (len(self._state.t), *(round(s / self._state.interval) for s in (WINDOW, CHUNK)))
         try:
-            for end in [*range(max(chunk, enough), n - chunk + 1, chunk), n]:
+            for end in [*range(first, n - chunk + 1, chunk), n]:
                 self.advance(end)
             self._values.update(self._tree.calculateBestEstimate())
         except RuntimeError as error:  # what GTSAM's exceptions are in Python
@@ -78,8 +70,7 @@ class Stream:
     def advance(self, end: int) -> None:
         """Take in the keyframes up to `end`, exclusive, the samples between them and what was measured there."""
         begin, self._end = self._end, end
-        graph, new = self._predicted(begin)
-        self._measure(begin, graph, new)
+        self._measure(begin, *self._predicted(begin))
         # a prediction after an outage is off by more than a robust weight forgives: only now are weights known
         self._measure(end, gtsam.NonlinearFactorGraph(), gtsam.Values())
 
@@ -88,19 +79,20 @@ class Stream:
         graph, new, x, of_all = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._values, self._graph.nonlinear
         phi, n = np.exp(-self._state.interval / self._graph.noise.offset_tau), len(self._state.t)
         for k in range(begin, self._end):
-            if k:
+            if k > 0:
                 bias, at = x.atConstantBias(B(k - 1)), gtsam.NavState(x.atPose3(X(k - 1)), x.atVector(V(k - 1)))
                 predicted = self._graph.preintegrated[k - 1].predict(at, bias)
                 x.insert(X(k), predicted.pose())
                 x.insert(V(k), predicted.velocity())
                 x.insert(B(k), bias)
                 x.insert(O(k), phi * x.atVector(O(k - 1)))
-            for factor in [of_all.at(k - 1)] if k else [of_all.at(n - 1 + i) for i in range(PRIORS_OF_FIRST)]:
-                graph.add(factor)
+                graph.add(of_all.at(k - 1))
             new.insert(X(k), x.atPose3(X(k)))
-            new.insert(V(k), x.atVector(V(k)))
             new.insert(B(k), x.atConstantBias(B(k)))
+            new.insert(V(k), x.atVector(V(k)))
             new.insert(O(k), x.atVector(O(k)))
+        for i in range(PRIORS_OF_FIRST if begin == 0 else 0):
+            graph.add(of_all.at(n - 1 + i))
         return graph, new
 
     def _measure(self, begin: int, graph: gtsam.NonlinearFactorGraph, new: gtsam.Values) -> None:
@@ -117,7 +109,12 @@ class Stream:
         for r in replace(self._graph, measured=measured).rows(state.between(first, end)):
             r = replace(r, interval=r.interval + first, constants={})
             r = replace(r, weight=np.where(r.interval >= begin - 1, 1.0, r.weight))
-            for k, factor in _linear_factors(r.take(np.flatnonzero(r.interval >= window))):
+            r = r.take(np.flatnonzero(r.interval >= window))
+            A = np.zeros((*r.residual.shape, 2 * KEYFRAME_SIZE + 1))
+            r.put_whitened(A.reshape(-1, A.shape[2]), np.arange(r.residual.size), {})
+            for k, of_one in zip(r.interval.tolist(), A, strict=True):
+                blocks = gtsam.VerticalBlockMatrix([*DIMENSIONS, *DIMENSIONS, 1], of_one)
+                factor = gtsam.GaussianConditional([*keyframe_keys(k), *keyframe_keys(k + 1)], 1, blocks)
                 graph.add(gtsam.LinearContainerFactor(factor, self._values))
                 of_intervals.append(k)
         old = [index for of_interval in self._in_tree[window:] for index in of_interval]
@@ -126,12 +123,3 @@ class Stream:
         for k, index in zip(of_intervals, indices[factors:], strict=True):
             self._in_tree[k].append(index)
         self._values.update(self._tree.calculateEstimate())
-
-
-def _linear_factors(rows: Rows) -> Iterator[tuple[int, gtsam.GaussianFactor]]:
-    """Interval and linear factor of each of the rows that was measured."""
-    A = np.zeros((rows.residual.size, 2 * KEYFRAME_SIZE + 1))
-    rows.put_whitened(A, np.arange(len(A)), {})
-    for k, of_row in zip(rows.interval.tolist(), A.reshape(-1, rows.residual.shape[1], A.shape[1]), strict=True):
-        keys = [*keyframe_keys(k), *keyframe_keys(k + 1)]
-        yield k, gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix([*DIMENSIONS, *DIMENSIONS, 1], of_row))
