@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph import solve
 from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.solvers import identify
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.clock import regularize, true_fix_times
@@ -29,19 +29,11 @@ def session() -> Session:
 
 @pytest.fixture(scope="module", params=[False, True])
 def solutions(request: pytest.FixtureRequest) -> Iterator[tuple[Trajectory, Trajectory]]:
-    """Of both solvers, without wheels and with them, where the batch takes the last steps of the stream too.
-
-    The batch goes on until it stays, where single moments would otherwise still move by a sigma."""
+    """Of both solvers, without wheels and with them; both go on until they stay where they are."""
     given = session()
     with pytest.MonkeyPatch.context() as patch:
-        for name, limit in (
-            ("WELL_KNOWN", 0.01),
-            ("CONSTANTS_WELL_KNOWN", 0.01),
-            ("STEADY", 1e-3),
-            ("SLIP_ROUNDS", 8),
-            ("ROLLED", 0.01),
-        ):
-            patch.setattr(solve, name, limit)
+        for name, limit in (("MOVED", 0.01), ("STILL_ANGLE", 1e-5)):
+            patch.setattr(identify, name, limit)
         yield tuple(
             GraphSmoother(GraphOptions(solver=solver, wheels=request.param)).estimate(given)
             for solver in ("batch", "isam2")
