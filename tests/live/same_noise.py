@@ -5,16 +5,18 @@ sigma of the fixes' slow offset, of a minute each, differ by as much as the few 
 """
 
 import numpy as np
-from smoother.estimate.graph.coarse import near_solution
-from smoother.estimate.graph.relaxation import Relaxation
 
-from smoother.estimate.graph.batch import Batch, constants_moved, moved, variances
+from smoother.estimate.bridge import noise_of, old_priors, solved_of
+from smoother.estimate.factors.graph import build_graph
 from smoother.estimate.graph.estimated import are_made_up, estimated
-from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.mounting import fit_mounting
 from smoother.estimate.graph.output import build_trajectory
-from smoother.estimate.graph.smoother import GraphOptions
-from smoother.estimate.initial.guess import make_start
+from smoother.estimate.initial.guess import make_start, problem_of
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.solvers.batch import step
+from smoother.estimate.solvers.identify import Sigmas, Solution, moved
+from smoother.estimate.solvers.variance_components import components_of
 from smoother.live.lag import LagOptions, LagStart
 from smoother.samples import Session
 from smoother.trajectory import Trajectory
@@ -26,20 +28,30 @@ NONE = 1e-6  # m/s^2, sigma of an effect that is left out
 
 def batch_with_noise_of(session: Session, start: LagStart) -> Trajectory:
     """Return the batch smoother's trajectory of a session with the noise that the live smoother uses."""
-    options = GraphOptions()
+    options, error = GraphOptions(), LagOptions().sensor_error
     begun = make_start(session, options)
-    error = LagOptions().sensor_error
-    spread = np.array([error, error, NONE])  # vibration that pushes is for those who have a whole session
+    # vibration that pushes is for those who have a whole session
+    spread = {"accel_scale": np.full(6, error), "gyro_scale": np.full(3, error), "rectification": np.full(6, NONE)}
     fixes = start.position_sigma, start.velocity_sigma, start.offset_sigma, start.offset_tau
-    noise = Noise(start.inertial, *fixes, spread)
-    batch, state = Batch(begun.data, begun.binned, begun.priors), near_solution(begun, noise, options.approaches)
-    relaxation = Relaxation()
-    for turn in range(STEPS):
-        solved = batch.step(batch.graph(state, noise), state, noise, relaxation)
-        state = solved.state
-        step = solved.solution
-        if turn > 0 and max(moved(step, variances(step)), constants_moved(step)) < SETTLED:
+    noise, problem = Noise(start.inertial, *fixes, constants=spread), problem_of(begun)
+    state = problem.state
+    for _ in range(STEPS):
+        graph = build_graph(problem.binned, problem.measured, noise, problem.priors, state)
+        taken = step(graph, state.values())
+        state, covariances = taken.after, taken.chain().covariances()
+        if moved(taken, Sigmas.of(covariances)) < SETTLED:
             break
-    mounting, population = fit_mounting(state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
-    found = estimated(solved, None, are_made_up(begun.fine))
-    return build_trajectory(session, found, noise, mounting, begun.fine, begun.priors, options.rate, population)
+    found = components_of(graph, taken, covariances, problem.binned)
+    solution = Solution(graph, taken, taken.chain(), covariances, found)
+    solved = solved_of(solution)
+    mounting, population = fit_mounting(solved.state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
+    return build_trajectory(
+        session,
+        estimated(solved, None, are_made_up(begun.fine)),
+        noise_of(solution, solved),
+        mounting,
+        begun.fine,
+        old_priors(begun.priors, None),
+        options.rate,
+        population,
+    )
