@@ -5,7 +5,6 @@ solved for are one more: GTSAM eliminates few large blocks in half the time of m
 """
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -48,8 +47,9 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
         begin += n
     bounds = np.searchsorted(interval[order], np.arange(intervals + 1)).tolist()
     graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, size, 1]
-    for k, (begin, end) in enumerate(pairwise(bounds)):
-        keys = [block(k), block(k + 1), CONSTANTS_BLOCK]
+    blocks = [block(k) for k in range(intervals + 1)]
+    for one, two, begin, end in zip(blocks[:-1], blocks[1:], bounds[:-1], bounds[1:], strict=True):
+        keys = [one, two, CONSTANTS_BLOCK]
         graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
 

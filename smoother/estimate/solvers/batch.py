@@ -45,12 +45,15 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
     state = graph.state.with_values(values)
     n = len(state.t)
     try:
-        linear = graph.nonlinear.linearize(values)
-        rows = [imu_rows(linear, state, graph.shaken, errors=graph.sensor_errors), *graph.rows(state)]
+        rows = [
+            imu_rows(graph.imu.linearize(values), state, graph.shaken, errors=graph.sensor_errors),
+            *graph.rows(state),
+        ]
         unknown = tuple(name for name in KEYS if any(name in r.constants for r in rows))
         system = linear_factors(rows, n - 1, unknown)
-        for i in range(n - 1, linear.size()):
-            put_in_blocks(linear.at(i), unknown, system)
+        prior = graph.prior.linearize(values)
+        for i in range(prior.size()):
+            put_in_blocks(prior.at(i), unknown, system)
         tree = system.eliminateMultifrontal(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
         solution = tree.optimize()
     except RuntimeError as error:  # what GTSAM's exceptions are in Python

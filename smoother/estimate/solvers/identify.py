@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.factors.graph import TABLE, WHEELS_BELOW, Factor, Graph, Measurements, Priors, build_graph
+from smoother.estimate.factors.graph import (
+    TABLE,
+    WHEELS_BELOW,
+    Factor,
+    Graph,
+    Measurements,
+    Priors,
+    build_graph,
+    with_same_samples,
+)
 from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, are_told
@@ -26,7 +35,9 @@ from smoother.estimate.solvers.variance_components import (
 
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
-MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
+# of a sigma (rms) that the last step moves the state by: the next one would move it by a fifth of that or less; and
+# relative change of the noise
+MOVED, CHANGED = 0.5, 0.1
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
@@ -132,7 +143,7 @@ def identify(
         is_settled = change < CHANGED
         if (move < MOVED and is_settled and not joined) or is_last:
             break
-        graph = _graph(problem, taken.after, better) if joined else _renewed(problem, graph, taken.after, better)
+        graph = _renewed(problem, graph, taken.after, better)
     return Solution(graph, taken, chain, covariances, found)
 
 
@@ -146,8 +157,7 @@ def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Grap
     one, two = graph.noise.inertial, noise.inertial
     if max(abs(math.log(one.accel / two.accel)), abs(math.log(one.gyro / two.gyro))) > ALIKE:
         return _graph(problem, state, noise)
-    same = replace(noise, inertial=one)
-    return replace(graph, measured=problem.measured, noise=same, priors=problem.priors)
+    return with_same_samples(graph, problem.measured, noise, problem.priors, state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +210,7 @@ def solve_held(
                 noise = replace(noise, slip=slip)
             slip = None
         if joins:
-            graph = replace(graph, measured=problem.measured, noise=noise)
+            graph = with_same_samples(graph, problem.measured, noise, problem.priors, taken.after)
     chain = taken.chain().with_constants(covariance)
     covariances = chain.covariances()
     found = components_of(graph, taken, covariances, problem.binned)
