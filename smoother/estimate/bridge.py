@@ -87,7 +87,7 @@ def solve_with_gtsam(
     """Identify constants and noise on the busiest part, then solve all of the session, with the graph of GTSAM."""
     wheels = options.wheels and start.wheels
     problem, noise = problem_of(start)
-    part = identify(problem, noise, lambda share: say(0.5 * share), wheels=wheels)
+    part = identify(problem, noise, lambda share: say(0.5 * share))
     state = part.state
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     first = start.noise

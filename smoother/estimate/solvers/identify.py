@@ -35,9 +35,7 @@ from smoother.estimate.solvers.variance_components import (
 
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
-# of a sigma (rms) that the last step moves the state by: the next one would move it by a fifth of that or less; and
-# relative change of the noise
-MOVED, CHANGED = 0.5, 0.1
+MOVED, CHANGED = 0.2, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
