@@ -25,7 +25,7 @@ class Step:
     rows: dict[str, Rows]
     keyframes: Array
     constants: Array
-    tree: gtsam.GaussianBayesTree
+    net: gtsam.GaussianBayesNet
     moved: gtsam.Values
     unknown: tuple[str, ...]
     priors: Array
@@ -37,7 +37,7 @@ class Step:
 
     def chain(self) -> Chain:
         """What the elimination left, for covariances."""
-        return Chain.of(self.tree, len(self.state.t), columns_of(self.unknown), self.priors)
+        return Chain.of(self.net, columns_of(self.unknown), self.priors)
 
 
 def step(graph: Graph, values: gtsam.Values) -> Step:
@@ -54,8 +54,8 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
         prior = graph.prior.linearize(values)
         for i in range(prior.size()):
             put_in_blocks(prior.at(i), unknown, system)
-        tree = system.eliminateMultifrontal(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
-        solution = tree.optimize()
+        net = system.eliminateSequential(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
+        solution = net.optimize()
     except RuntimeError as error:  # what GTSAM's exceptions are in Python
         reason = str(error).strip().partition("\n")[0] or "a number is not finite"
         raise IndeterminateError(reason) from error
@@ -65,4 +65,4 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
     if not (np.isfinite(np.sum(keyframes)) and np.isfinite(np.sum(constants))):
         raise IndeterminateError("the solution holds a number that is not finite")
     moved = values.retract(vector_values(keyframes, constants))
-    return Step(state, {r.name: r for r in rows}, keyframes, constants, tree, moved, unknown, graph.prior_variances())
+    return Step(state, {r.name: r for r in rows}, keyframes, constants, net, moved, unknown, graph.prior_variances())
