@@ -39,7 +39,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, Geometry, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held
+from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_sensor_errors
 from smoother.estimate.solvers.variance_components import Scatter
 from smoother.samples import Problem as SessionProblem
 from smoother.samples import Session
@@ -96,7 +96,7 @@ def solve_with_gtsam(
         in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
         return start, in_windows.found, in_windows
     whole, _ = problem_of(start)
-    whole = replace(whole, state=replace(whole.state, constants=state.constants), sensor_errors=False)
+    whole = with_sensor_errors(replace(whole, state=replace(whole.state, constants=state.constants)), part)
     field = _Field(session, start)
     noise = replace(part.noise, slip=None)
     solved = identify(
