@@ -37,7 +37,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held
+from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_sensor_errors
 from smoother.estimate.solvers.incremental import solve_as_stream
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.samples import Session
@@ -78,12 +78,12 @@ def solve_session(
 ) -> tuple[Start, Estimated, OldSolution | WindowsSolution]:
     """Identify constants and noise on the busiest part, then solve all of the session."""
     wheels, busiest = options.wheels and start.wheels, problem_of(longest_sampled(start))
-    part = identify(busiest, busiest.usual, lambda share: say(0.5 * share), wheels=wheels)
+    part = identify(busiest, busiest.usual, lambda share: say(0.5 * share))
     start = informed(session, start, options, part.state)
     if is_partly_sampled(start) or is_long(start):
         in_windows = solve_in_windows(session, start, part.noise, options, say)
         return start, in_windows.found, in_windows
-    whole, compass = replace(problem_of(start), sensor_errors=False), Compass(session, start)
+    whole, compass = with_sensor_errors(problem_of(start), part), Compass(session, start)
     solved = identify(
         whole,
         replace(part.noise, slip=None),

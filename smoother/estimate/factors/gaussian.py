@@ -5,7 +5,6 @@ solved for are one more: GTSAM eliminates few large blocks in half the time of m
 """
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -41,15 +40,16 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     starts, size = places(unknown)
-    A, begin = np.zeros((len(order), 2 * KEYFRAME_SIZE + size + 1)), 0
+    starts = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}
+    A, begin = np.empty((len(order), 2 * KEYFRAME_SIZE + size + 1)), 0
     for r in rows:
-        n = r.residual.size
-        r.put_whitened(A, place[begin : begin + n], {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()})
-        begin += n
+        A[place[begin : begin + r.residual.size]] = r.whitened(starts, A.shape[1])
+        begin += r.residual.size
     bounds = np.searchsorted(interval[order], np.arange(intervals + 1)).tolist()
     graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, size, 1]
-    for k, (begin, end) in enumerate(pairwise(bounds)):
-        keys = [block(k), block(k + 1), CONSTANTS_BLOCK]
+    blocks = [block(k) for k in range(intervals + 1)]
+    for one, two, begin, end in zip(blocks[:-1], blocks[1:], bounds[:-1], bounds[1:], strict=True):
+        keys = [one, two, CONSTANTS_BLOCK]
         graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
 

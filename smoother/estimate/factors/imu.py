@@ -50,14 +50,18 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, 
     )
     by_bias = left[:, :, 9:15] + right[:, :, 9:15]  # of both biases alike: their walk has no part in it
     force, rate = _force_and_rate(state)
-    constants = {
-        "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
-        "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
-        "rectification": (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6),
-    }
-    residual = sum(slope @ state.constants[name] for name, slope in constants.items()) - b
+    scale, bent = (state.constants[name].reshape(3, 2) for name in ("accel_scale", "rectification"))
+    error = np.hstack([force @ scale.T + shaken @ bent.T, rate[:, None] * state.constants["gyro_scale"]])
+    residual = (by_bias @ error[:, :, None])[:, :, 0] - b
+    constants = {}
+    if errors:
+        constants = {
+            "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
+            "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
+            "rectification": (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6),
+        }
     full = np.ones((n, SIZE))
-    return Rows("imu", np.arange(n), residual, full, left, right, constants if errors else {}, full[:, 0])
+    return Rows("imu", np.arange(n), residual, full, left, right, constants, full[:, 0])
 
 
 def _force_and_rate(state: State) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ class Step:
     rows: dict[str, Rows]
     keyframes: Array
     constants: Array
-    tree: gtsam.GaussianBayesTree
+    net: gtsam.GaussianBayesNet
     moved: gtsam.Values
     unknown: tuple[str, ...]
     priors: Array
@@ -37,7 +37,7 @@ class Step:
 
     def chain(self) -> Chain:
         """What the elimination left, for covariances."""
-        return Chain.of(self.tree, len(self.state.t), columns_of(self.unknown), self.priors)
+        return Chain.of(self.net, columns_of(self.unknown), self.priors)
 
 
 def step(graph: Graph, values: gtsam.Values) -> Step:
@@ -45,14 +45,17 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
     state = graph.state.with_values(values)
     n = len(state.t)
     try:
-        linear = graph.nonlinear.linearize(values)
-        rows = [imu_rows(linear, state, graph.shaken, errors=graph.sensor_errors), *graph.rows(state)]
+        rows = [
+            imu_rows(graph.imu.linearize(values), state, graph.shaken, errors=graph.sensor_errors),
+            *graph.rows(state),
+        ]
         unknown = tuple(name for name in KEYS if any(name in r.constants for r in rows))
         system = linear_factors(rows, n - 1, unknown)
-        for i in range(n - 1, linear.size()):
-            put_in_blocks(linear.at(i), unknown, system)
-        tree = system.eliminateMultifrontal(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
-        solution = tree.optimize()
+        prior = graph.prior.linearize(values)
+        for i in range(prior.size()):
+            put_in_blocks(prior.at(i), unknown, system)
+        net = system.eliminateSequential(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
+        solution = net.optimize()
     except RuntimeError as error:  # what GTSAM's exceptions are in Python
         reason = str(error).strip().partition("\n")[0] or "a number is not finite"
         raise IndeterminateError(reason) from error
@@ -62,4 +65,4 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
     if not (np.isfinite(np.sum(keyframes)) and np.isfinite(np.sum(constants))):
         raise IndeterminateError("the solution holds a number that is not finite")
     moved = values.retract(vector_values(keyframes, constants))
-    return Step(state, {r.name: r for r in rows}, keyframes, constants, tree, moved, unknown, graph.prior_variances())
+    return Step(state, {r.name: r for r in rows}, keyframes, constants, net, moved, unknown, graph.prior_variances())

@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.factors.graph import TABLE, WHEELS_BELOW, Factor, Graph, Measurements, Priors, build_graph
+from smoother.estimate.factors.graph import (
+    TABLE,
+    WHEELS_BELOW,
+    Factor,
+    Graph,
+    Measurements,
+    Priors,
+    build_graph,
+    with_same_samples,
+)
 from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu, are_told
@@ -21,13 +30,15 @@ from smoother.estimate.solvers.variance_components import (
     Components,
     Scatter,
     components_of,
+    slip_sigma,
     update_noise,
 )
 
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
-MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
+MOVED, CHANGED = 0.2, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
+SENSOR_ERRORS = ("accel_scale", "gyro_scale", "rectification")
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
 ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
@@ -107,13 +118,14 @@ def identify(
             continue  # covariances cost as much as a step, and say little of a state that is on its way
         chain = taken.chain() if held is None else taken.chain().with_constants(held, COLUMNS["slip"])
         covariances = chain.covariances()
-        better, found = update_noise(
-            graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
-        )
-        better = damping.damped(graph.noise, better)
-        if graph.noise.slip is not None:
-            better = replace(graph.noise, slip=better.slip)
         sigmas = Sigmas.of(covariances)
+        if graph.noise.slip is None:
+            better, found = update_noise(
+                graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
+            )
+            better = damping.damped(graph.noise, better)
+        else:
+            better = replace(graph.noise, slip=slip_sigma(taken, covariances, graph.noise))
         change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
@@ -129,11 +141,19 @@ def identify(
                 better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
                 held, problem = covariances.constants, held_at(problem, taken.after, "slip")
                 joined = True
-        is_settled = change < CHANGED
-        if (move < MOVED and is_settled and not joined) or is_last:
+        is_settled = change < CHANGED and not joined
+        if (move < MOVED and is_settled) or is_last:
             break
-        graph = _graph(problem, taken.after, better) if joined else _renewed(problem, graph, taken.after, better)
+        graph = _renewed(problem, graph, taken.after, better)
     return Solution(graph, taken, chain, covariances, found)
+
+
+def with_sensor_errors(problem: Problem, part: Solution) -> Problem:
+    """The problem of all of a session with errors of scale and rectification as a part of it found them."""
+    sigma = np.sqrt(np.diag(part.covariances.constants))
+    known = {name: (part.state.constants[name], sigma[COLUMNS[name]]) for name in SENSOR_ERRORS}
+    priors = replace(problem.priors, constants=problem.priors.constants | known)
+    return replace(problem, priors=priors, sensor_errors=False)
 
 
 def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
@@ -146,8 +166,7 @@ def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Grap
     one, two = graph.noise.inertial, noise.inertial
     if max(abs(math.log(one.accel / two.accel)), abs(math.log(one.gyro / two.gyro))) > ALIKE:
         return _graph(problem, state, noise)
-    same = replace(noise, inertial=one)
-    return replace(graph, measured=problem.measured, noise=same, priors=problem.priors)
+    return with_same_samples(graph, problem.measured, noise, problem.priors, state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +219,7 @@ def solve_held(
                 noise = replace(noise, slip=slip)
             slip = None
         if joins:
-            graph = replace(graph, measured=problem.measured, noise=noise)
+            graph = with_same_samples(graph, problem.measured, noise, problem.priors, taken.after)
     chain = taken.chain().with_constants(covariance)
     covariances = chain.covariances()
     found = components_of(graph, taken, covariances, problem.binned)

@@ -21,6 +21,7 @@ from smoother.estimate.model.state import DIMENSIONS, KEYFRAME_SIZE, State, keyf
 from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.solvers.identify import Problem, Solution, held_at, solve_held
 
+WIDTH = 2 * KEYFRAME_SIZE + 1  # two keyframes and the residual
 PRIORS_OF_FIRST = 3  # pose, velocity and biases, before those of the constants
 CHUNK, WINDOW, CONTEXT = 5.0, 10.0, 20.0  # s: joins at once; is linearised again; is low-passed with it
 # rad, m, m/s, m/s^2, rad/s, beyond which GTSAM linearises a variable again. A pose's chart couples turn and shift, and
@@ -76,8 +77,8 @@ class Stream:
 
     def _predicted(self, begin: int) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """Predict the keyframes from `begin` on. Returns what GTSAM's own factors say of them, and their values."""
-        graph, new, x, of_all = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._values, self._graph.nonlinear
-        phi, n = np.exp(-self._state.interval / self._graph.noise.offset_tau), len(self._state.t)
+        graph, new, x, imu = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._values, self._graph.imu
+        phi = np.exp(-self._state.interval / self._graph.noise.offset_tau)
         for k in range(begin, self._end):
             if k > 0:
                 bias, at = x.atConstantBias(B(k - 1)), gtsam.NavState(x.atPose3(X(k - 1)), x.atVector(V(k - 1)))
@@ -86,13 +87,13 @@ class Stream:
                 x.insert(V(k), predicted.velocity())
                 x.insert(B(k), bias)
                 x.insert(O(k), phi * x.atVector(O(k - 1)))
-                graph.add(of_all.at(k - 1))
+                graph.add(imu.at(k - 1))
             new.insert(X(k), x.atPose3(X(k)))
             new.insert(B(k), x.atConstantBias(B(k)))
             new.insert(V(k), x.atVector(V(k)))
             new.insert(O(k), x.atVector(O(k)))
         for i in range(PRIORS_OF_FIRST if begin == 0 else 0):
-            graph.add(of_all.at(n - 1 + i))
+            graph.add(self._graph.prior.at(i))
         return graph, new
 
     def _measure(self, begin: int, graph: gtsam.NonlinearFactorGraph, new: gtsam.Values) -> None:
@@ -110,8 +111,7 @@ class Stream:
             r = replace(r, interval=r.interval + first, constants={})
             r = replace(r, weight=np.where(r.interval >= begin - 1, 1.0, r.weight))
             r = r.take(np.flatnonzero(r.interval >= window))
-            A = np.zeros((*r.residual.shape, 2 * KEYFRAME_SIZE + 1))
-            r.put_whitened(A.reshape(-1, A.shape[2]), np.arange(r.residual.size), {})
+            A = r.whitened({}, WIDTH).reshape(*r.residual.shape, WIDTH)
             for k, of_one in zip(r.interval.tolist(), A, strict=True):
                 blocks = gtsam.VerticalBlockMatrix([*DIMENSIONS, *DIMENSIONS, 1], of_one)
                 factor = gtsam.GaussianConditional([*keyframe_keys(k), *keyframe_keys(k + 1)], 1, blocks)

@@ -204,7 +204,6 @@ def update_noise(
             name: _scale_sigma(name, sigma, step, covariances) if name in step.unknown else sigma
             for name, sigma in noise.constants.items()
         },
-        slip=None if noise.slip is None else max(_slip_sigma(step, covariances, noise.slip), noise.least_slip),
     )
     return better, found
 
@@ -355,9 +354,10 @@ def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: Inertia
     return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
-def _slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
+def slip_sigma(step: Step, covariances: Covariances, noise: Noise) -> float:
     """Sigma of the slip's process, by its start and its steps, whose variance it shares with bumps."""
-    squares, expected = 0.0, 0.0
+    assert noise.slip is not None
+    sigma, squares, expected = noise.slip, 0.0, 0.0
     of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
         rows = step.rows.get(name)
@@ -365,7 +365,8 @@ def _slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
             component, share = RowComponent.of(rows, step, covariances), own / rows.sigma**2
             squares += float(np.sum(share * component.squares))
             expected += float(np.sum(share * component.expected))
-    return sigma * float(_ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE)
+    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE
+    return float(max(sigma * ratio, noise.least_slip))
 
 
 def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) -> Array:
