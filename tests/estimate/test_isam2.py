@@ -60,7 +60,7 @@ def test_the_stream_says_how_sure_it_is_as_the_batch_does(solutions: tuple[Traje
     assert batch.sigmas is not None
     assert stream.sigmas is not None
     for name in ("position_n", "velocity_n", "attitude", "track"):
-        np.testing.assert_allclose(getattr(stream.sigmas, name), getattr(batch.sigmas, name), rtol=0.05, err_msg=name)
+        np.testing.assert_allclose(getattr(stream.sigmas, name), getattr(batch.sigmas, name), rtol=0.08, err_msg=name)
 
 
 def test_the_constants_of_the_stream_are_those_identified(solutions: tuple[Trajectory, Trajectory]) -> None:

@@ -1,11 +1,10 @@
 """The arm to the antenna turns with the box on a frame, and with the course where the box is on the steering wheel."""
 
 import numpy as np
-import pytest
 
 from smoother import so3
 from smoother.estimate.graph.arm import arm_axes, arm_axes_along, arm_axes_at, course, turning_arm
-from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
+from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.model.imu import DensePath
 from smoother.frames import rotation_from_euler
 
@@ -55,11 +54,3 @@ def test_the_course_of_a_kart_that_stands_is_between_those_before_and_after() ->
     velocity_n[0, 1], velocity_n[4, 0] = 9.0, -9.0
     np.testing.assert_allclose(course(velocity_n), np.radians([90.0, 112.5, 135.0, 157.5, 180.0]))
     np.testing.assert_array_equal(course(np.zeros((3, 3))), np.zeros(3))
-
-
-@pytest.mark.parametrize("is_steered", [True, False])
-def test_constants_stay_on_the_wheel_when_they_move(is_steered: bool) -> None:
-    state = steered(is_steered=is_steered)
-    moved = state.retract(np.zeros((len(T), 18)), np.full(CONSTANTS_SIZE, 0.1))
-    assert moved.constants.is_steered is is_steered
-    np.testing.assert_allclose(moved.constants.lever_arm_s, state.constants.lever_arm_s + 0.1)
