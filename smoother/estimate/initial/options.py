@@ -15,7 +15,7 @@ SIGMAS: dict[str, float | tuple[float, ...]] = {
     "velocity_latency": 0.25,
     "lever_arm": 0.5,
     "doppler_bias": 0.03,
-    "velocity_response": 5e-3,
+    "velocity_response": 0.1,
     "heading_offset": math.pi / 4.0,
     "slip": (0.5, 0.01, 2e-3, 1.0),
     "accel_scale": 0.01,
@@ -37,9 +37,10 @@ class GraphOptions:
         leaves of the gyroscope's bias.
     accel_bias_walk, gyro_bias_walk: temperature drift of the same part while it warms up.
     sigmas: of the priors of the constants, by name. latencies s: what receivers do; lever_arm m: what fits on a kart;
-        doppler_bias: 0.01-0.05 m/s on real kart logs; slip: cars had -0.004 to -0.007 rad per m/s^2, -0.001 to -0.003
-        rad per m/s^3, and the rear axle 1.2 m behind the box; velocity_response s^2: a low-pass of 0.1 s has 5e-3,
-        recordings -6e-3 to 13e-3; scales: the data sheet's 3 % is the limit, not the spread; rectification m/s^2.
+        doppler_bias: 0.01-0.05 m/s on real kart logs; velocity_response s^2: a low-pass of 0.1 s has 5e-3, recordings
+        -6e-3 to 13e-3, loggers that smooth their speed up to 0.2; slip: cars had -0.004 to -0.007 rad per m/s^2, -0.001
+        to -0.003 rad per m/s^3, and the rear axle 1.2 m behind the box; scales: the data sheet's 3 % is the limit, not
+        the spread; rectification m/s^2.
     offset_sigma (3,) m, offset_tau s: slow offset of the fixes of receivers in general.
     identification_span s: the busiest stretch as long as this shows constants and noise before the whole is solved.
     """
