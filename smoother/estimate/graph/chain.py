@@ -10,7 +10,7 @@ inverse from the factors). Owns no model: it sees matrices only.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -112,12 +112,9 @@ class ChainFactor:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # numbers that are not finite are reported in the end
-def solve_chain(
-    system: ChainSystem, *, with_covariance: bool = True, held: Array | None = None, free: slice | None = None
-) -> ChainSolution:
-    """Solve `system`, and unless told otherwise invert it at and beside the diagonal.
+def solve_chain(system: ChainSystem) -> ChainSolution:
+    """Solve `system`, and invert it at and beside the diagonal.
 
-    held (m, m): covariance of constants that are known from elsewhere; they do not move, but for those that are free.
     Raises NotPositiveDefiniteError when a pivot block is not positive definite or a number not finite.
     """
     _check(system)
@@ -128,61 +125,20 @@ def solve_chain(
     m = system.border.shape[2]
     constants_covariance, constants = np.zeros((m, m)), np.zeros(m)
     own, pull = system.corner - inner[:m, :m], system.rhs_constants - inner[:m, m]
-    if held is not None:
-        constants_covariance = held
-        if free is not None:
-            constants[free], constants_covariance = _but_for(free, held, own, pull)
-    elif m:
+    if m:
         constants_covariance = _inverse_from_cholesky(_cholesky(own[None]))[0]
         constants = constants_covariance @ pull
-    if with_covariance:
-        x = _substitute(levels, offsets, last)
-    else:
-        x = _substitute(levels, [_beside(offset, constants) for offset in offsets], _beside(last, constants))
+    x = _substitute(levels, offsets, last)
     del offsets, last  # a long session needs the room for its covariance
-    solution = x[:, :, -1] - x[:, :, :-1] @ constants if with_covariance else x[:, :, 0]
+    solution = x[:, :, -1] - x[:, :, :-1] @ constants
     if not np.isfinite(np.sum(solution)):
         raise NotPositiveDefiniteError("the system holds a number that is not finite")
 
     influence = x[:, :, :m]
-    if with_covariance:
-        covariance, cross = _selected_inverse(levels, root)
-        constants_cross = _add_constants(covariance, cross, influence, constants_covariance)
-    else:
-        covariance, cross, constants_cross = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0, 0))
-    return ChainSolution(
-        solution,
-        constants,
-        covariance,
-        cross,
-        constants_covariance,
-        constants_cross,
-        ChainFactor(levels, root[0], influence, constants_covariance) if with_covariance else None,
-    )
-
-
-def moved_on(system: ChainSystem, step: Array) -> ChainSystem:
-    """Return the system about constants that have gone on by step (m,)."""
-    return replace(
-        system,
-        rhs=system.rhs - system.border @ step,
-        rhs_constants=system.rhs_constants - system.corner @ step,
-    )
-
-
-def _but_for(free: slice, held: Array, own: Array, pull: Array) -> tuple[Array, Array]:
-    """Return the step of the constants `free`, and the covariance (m, m) of all: of the others it is that of `held`.
-
-    own (m, m) x = pull (m,) is what the keyframes leave of the system for the constants.
-    """
-    known = _inverse_from_cholesky(_cholesky(own[None, free, free]))[0]
-    follow = -known @ own[free]
-    follow[:, free] = 0.0
-    covariance = held.copy()
-    covariance[free, :] = follow @ held
-    covariance[:, free] = covariance[free, :].T
-    covariance[free, free] = known + follow @ held @ follow.T
-    return known @ pull[free], covariance
+    covariance, cross = _selected_inverse(levels, root)
+    constants_cross = _add_constants(covariance, cross, influence, constants_covariance)
+    factor = ChainFactor(levels, root[0], influence, constants_covariance)
+    return ChainSolution(solution, constants, covariance, cross, constants_covariance, constants_cross, factor)
 
 
 def _check(system: ChainSystem) -> None:
@@ -210,11 +166,6 @@ def _reduce(diagonal: Array, upper: Array, rhs: Array) -> tuple[list[_Level], li
     inverse = _inverse_from_cholesky(_cholesky(diagonal))
     last = inverse @ rhs
     return levels, offsets, (inverse, last), inner + rhs[0].T @ last[0]
-
-
-def _beside(solved: Array, constants: Array) -> Array:
-    """D^-1 of the right hand side (M, n, 1) that is left beside known constants (m,); solved (M, n, m + 1)."""
-    return np.asarray(solved @ np.append(-constants, 1.0)[:, None])
 
 
 def _eliminate_odd(

@@ -1,12 +1,10 @@
 """The noise of the inertial samples: that of the session, and what an interval between keyframes has of it.
 
-An interval has more where the kart shakes, where residuals were larger, and where samples are missing: those that stand
-in for them are off by what a kart may do unseen. What stands in, made_up.py says; the noise of a session, components.py
-finds.
+An interval has more where the kart shakes, and where samples are missing: substitutes (initial/missing_samples.py)
+are off by what a kart may do unseen. The noise of a session is found by solvers/variance_components.py.
 """
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,25 +19,12 @@ Shape = tuple[tuple[float, float, float], tuple[float, float, float], tuple[floa
 ROUND: Shape = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@dataclass(frozen=True, eq=False)
-class LocalLevel:
-    """Variance of force around times of the session, over that of all of it: ratio (M,) at t (M,) s; one beyond."""
-
-    t: Array
-    ratio: Array
-
-    def at(self, t: Array) -> Array:
-        """Return the ratio (N,) at t (N,) s."""
-        return np.interp(t, self.t, self.ratio, left=1.0, right=1.0)
-
-
 @dataclass(frozen=True)
 class InertialNoise:
     """Densities of the graph's inertial factors: m/s^2/sqrt(Hz), rad/s/sqrt(Hz), and of the walks of the biases.
 
     accel and gyro are means over directions; accel_shape, gyro_shape are covariances (3, 3) in s over their squares, of
-    trace 3: a kart shakes more upwards than it does sideways. local is None until residuals have told where force is
-    noisier than elsewhere.
+    trace 3: a kart shakes more upwards than it does sideways.
     """
 
     accel: float
@@ -50,29 +35,17 @@ class InertialNoise:
     gyro_share: float = 0.0
     accel_shape: Shape = ROUND
     gyro_shape: Shape = ROUND
-    local: LocalLevel | None = None
-
-    def everywhere(self) -> "InertialNoise":
-        """The noise of other times than those that it is told at: as much everywhere, in the mean."""
-        if self.local is None:
-            return self
-        return replace(self, accel=self.accel * math.sqrt(float(np.mean(self.local.ratio))), local=None)
 
     @property
     def walks(self) -> tuple[float, float]:
         """Densities of the walks of the biases of force and rate."""
         return self.accel_bias_walk, self.gyro_bias_walk
 
-    @property
-    def calm(self) -> tuple[float, float]:
-        """Densities without vibration."""
-        return self.accel * math.sqrt(1.0 - self.accel_share), self.gyro * math.sqrt(1.0 - self.gyro_share)
-
 
 def interval_noise(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
     """Densities (K-1,) of force and rate in each interval: the session's, and more where samples are lost.
 
-    It grows with vibration as the shares say, and that of force is greater where residuals were.
+    It grows with vibration as the shares say.
     """
     accel, gyro = (
         density * np.sqrt(level)
@@ -115,15 +88,11 @@ def hole_lengths(missing: Array, duration: Array) -> Array:
 
 
 def levels(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:
-    """Variances (K-1,) of force, by vibration and by place, and of rate, by vibration, over those of the session."""
+    """Variances (K-1,) of force and of rate, by vibration, over those of the session."""
     if binned.rough is None:
-        accel, gyro = np.ones(len(binned.missing)), np.ones(len(binned.missing))
-    else:
-        by_accel, by_gyro = binned.rough.T
-        accel, gyro = 1.0 + noise.accel_share * (by_accel - 1.0), 1.0 + noise.gyro_share * (by_gyro - 1.0)
-    if noise.local is not None:
-        accel = accel * noise.local.at(0.5 * (binned.t[1:] + binned.t[:-1]))
-    return accel, gyro
+        return np.ones(len(binned.missing)), np.ones(len(binned.missing))
+    by_accel, by_gyro = binned.rough.T
+    return 1.0 + noise.accel_share * (by_accel - 1.0), 1.0 + noise.gyro_share * (by_gyro - 1.0)
 
 
 def shared_densities(binned: BinnedImu, noise: InertialNoise) -> tuple[Array, Array]:

@@ -12,14 +12,14 @@ from smoother.units import STANDARD_GRAVITY
 def preintegrate(
     binned: BinnedImu, noise: InertialNoise, accel_bias: Array, gyro_bias: Array
 ) -> list[gtsam.PreintegratedCombinedMeasurements]:
-    """Preintegrate each interval about its own bias, or all about one. Biases (K-1, 3) or (3,); returns K-1."""
-    n, n_bins, dt = len(binned.t) - 1, binned.n_bins, binned.dt
+    """Preintegrate the K-1 intervals about biases (3,), m/s^2 and rad/s."""
+    n_bins, dt = binned.n_bins, binned.dt
     densities = zip(*(values.tolist() for values in shared_densities(binned, noise)), strict=True)
-    biases = _biases(accel_bias, gyro_bias, n)
+    bias = gtsam.imuBias.ConstantBias(accel_bias, gyro_bias)
     forces, rates = list(binned.specific_force_s.reshape(-1, 3)), list(binned.angular_rate_s.reshape(-1, 3))
     params: dict[tuple[float, float], gtsam.PreintegrationCombinedParams] = {}
     out, first = [], 0
-    for density, bias in zip(densities, biases, strict=True):
+    for density in densities:
         if density not in params:
             params[density] = _parameters(density[0], density[1], noise)
         measured = gtsam.PreintegratedCombinedMeasurements(params[density], bias)
@@ -29,12 +29,6 @@ def preintegrate(
         first += n_bins
         out.append(measured)
     return out
-
-
-def _biases(accel_bias: Array, gyro_bias: Array, n: int) -> list[gtsam.imuBias.ConstantBias]:
-    if accel_bias.ndim == 1:
-        return [gtsam.imuBias.ConstantBias(accel_bias, gyro_bias)] * n
-    return [gtsam.imuBias.ConstantBias(a, g) for a, g in zip(accel_bias, gyro_bias, strict=True)]
 
 
 def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.chain import ChainSystem, NotPositiveDefiniteError, moved_on, solve_chain
+from smoother.estimate.graph.chain import ChainSystem, NotPositiveDefiniteError, solve_chain
 
 SIZES = [(1, 1, 0), (1, 3, 2), (2, 2, 0), (2, 3, 1), (3, 1, 1), (3, 4, 2), (4, 2, 3), (5, 3, 0), (7, 2, 2), (8, 3, 6)]
 SIZES += [(K, 4, 3) for K in (9, 15, 16, 17, 31, 33)] + [(40, 18, 24)]
@@ -91,14 +91,6 @@ def test_covariance_is_symmetric_and_positive() -> None:
     found = solve_chain(random_system(33, 6, 4, seed=2))
     np.testing.assert_allclose(found.covariance, found.covariance.transpose(0, 2, 1), rtol=1e-9, atol=1e-14)
     assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
-
-
-def test_without_covariance_the_solution_is_the_same() -> None:
-    system = random_system(17, 4, 3, seed=3)
-    full, bare = solve_chain(system), solve_chain(system, with_covariance=False)
-    np.testing.assert_allclose(bare.x, full.x, rtol=1e-10, atol=1e-13)
-    np.testing.assert_array_equal(bare.constants, full.constants)
-    assert bare.covariance.size == bare.cross.size == bare.constants_cross.size == 0
 
 
 def test_solving_leaves_the_system_as_it_was() -> None:
@@ -187,41 +179,3 @@ def test_functions_of_any_two_neighbours_covary_as_in_the_dense_inverse(K: int, 
     assert factor is not None
     want = J @ np.linalg.inv(dense(system)[0]) @ J.T
     assert_close(factor.covariance(first, left, right, constants), want, 1e-8)
-
-
-@pytest.mark.parametrize(("K", "n", "m"), [(5, 3, 4), (9, 4, 6)])
-def test_some_constants_may_stay_free_where_others_are_held(K: int, n: int, m: int) -> None:
-    """As if the held ones were known with their covariance, and did not learn from this system."""
-    system, free = random_system(K, n, m, seed=5), slice(1, 3)
-    rng = np.random.default_rng(6)
-    root = rng.normal(size=(m, m))
-    held = root @ root.T
-    H, g = dense(system)
-    at = np.arange(K * n, K * n + m)
-    stays = np.delete(at, free)
-    moves = np.setdiff1d(np.arange(len(H)), stays)
-    inverse = np.linalg.inv(H[np.ix_(moves, moves)])
-    follow = -inverse @ H[np.ix_(moves, stays)]
-    expected = np.zeros_like(H)
-    known = held[np.ix_(stays - K * n, stays - K * n)]
-    expected[np.ix_(moves, moves)] = inverse + follow @ known @ follow.T
-    expected[np.ix_(moves, stays)] = follow @ known
-    expected[np.ix_(stays, moves)] = expected[np.ix_(moves, stays)].T
-    expected[np.ix_(stays, stays)] = known
-    x = np.zeros(len(H))
-    x[moves] = inverse @ g[moves]
-    found = solve_chain(system, held=held, free=free)
-    assert_close(found.x.ravel(), x[: K * n], 1e-9)
-    assert_close(found.constants, x[K * n :], 1e-9)
-    assert_close(found.constants_covariance, expected[K * n :, K * n :], 1e-9)
-    for k in range(K):
-        own = slice(k * n, (k + 1) * n)
-        assert_close(found.covariance[k], expected[own, own], 1e-9)
-        assert_close(found.constants_cross[k], expected[own, K * n :], 1e-9)
-
-
-def test_a_system_about_constants_that_went_on_has_the_rest_of_the_solution() -> None:
-    system, gone = random_system(9, 4, 3), np.array([0.3, -2.0, 1.1])
-    whole, rest = solve_chain(system), solve_chain(moved_on(system, gone))
-    assert_close(rest.constants + gone, whole.constants, 1e-9)
-    assert_close(rest.x, whole.x, 1e-9)

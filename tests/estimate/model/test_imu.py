@@ -215,7 +215,8 @@ class TestDensePath:
     def test_gtsam_predicts_the_keyframes_that_leave_the_samples_alone(self) -> None:
         binned, _, (R, p, v, accel_bias, gyro_bias) = shaken_path(crooked=0.0)
         bias = gtsam.imuBias.ConstantBias(accel_bias[0], gyro_bias[0])
-        for k, measured in enumerate(preintegrate(binned, NOISE, accel_bias[:-1], gyro_bias[:-1])):
+        for k in range(len(binned.t) - 1):
+            (measured,) = preintegrate(binned.between(k, k + 2), NOISE, accel_bias[k], gyro_bias[k])
             end = measured.predict(gtsam.NavState(gtsam.Rot3(R[k]), p[k], v[k]), bias)
             # GTSAM adds turns in the tangent space of the interval's start, to first order in a bin
             np.testing.assert_allclose(end.attitude().matrix(), R[k + 1], atol=1e-4)

@@ -10,7 +10,6 @@ from smoother.estimate.model.inertial_noise import (
     MISSING_ACCEL,
     MISSING_GYRO,
     InertialNoise,
-    LocalLevel,
     hole_lengths,
     interval_noise,
     shared_densities,
@@ -58,20 +57,6 @@ def test_holes_are_as_long_as_the_intervals_in_a_row_that_miss_samples() -> None
     np.testing.assert_allclose(hole_lengths(np.zeros(3), np.full(3, 0.2)), 0.0)
 
 
-def test_force_is_noisier_where_it_was_found_to_be() -> None:
-    no = np.zeros((10, 4, 3))
-    binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.zeros(10), np.ones((10, 2)))
-    ratio = np.linspace(0.5, 4.0, 6)
-    local = replace(NOISE, local=LocalLevel(0.1 + 0.2 * np.arange(2, 8), ratio))
-    accel, gyro = interval_noise(binned, local)
-    expected = np.concatenate([[1.0, 1.0], ratio, [1.0, 1.0]])  # and as everywhere where nothing is known
-    np.testing.assert_allclose(accel, NOISE.accel * np.sqrt(expected))
-    np.testing.assert_allclose(gyro, NOISE.gyro)
-    # in windows elsewhere: as much in the mean
-    np.testing.assert_allclose(interval_noise(binned, local.everywhere())[0], NOISE.accel * np.sqrt(ratio.mean()))
-    assert NOISE.everywhere() == NOISE
-
-
 def test_noise_follows_the_vibration_by_its_share() -> None:
     t, rng = np.arange(1, 4001) / 100.0, np.random.default_rng(0)
     shaking = (t > 10.0) & (t < 20.0)
@@ -90,10 +75,6 @@ def test_noise_follows_the_vibration_by_its_share() -> None:
     accel, gyro = interval_noise(binned, replace(NOISE, gyro_share=0.5))
     np.testing.assert_allclose(gyro, NOISE.gyro * np.sqrt(0.5 + 0.5 * binned.rough[:, 1]))
     np.testing.assert_allclose(accel, NOISE.accel)
-
-
-def test_calm_is_what_is_left_without_vibration() -> None:
-    assert replace(NOISE, accel_share=0.75, gyro_share=0.36).calm == pytest.approx((0.5 * 0.1, 0.8 * 0.01))
 
 
 def test_intervals_share_a_handful_of_densities_each_within_a_hundredth() -> None:
