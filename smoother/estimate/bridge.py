@@ -301,4 +301,4 @@ def _slip_noise(s: Solution, sigma: float) -> SlipNoise:
     fit = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / PRIOR) ** 2), by.T @ slip.value[k])
     different = min(DIFFERENT, len(k) * s.state.interval / (2.0 * MEMORY), corners(by[:, 1] / by[:, 0]))
     moments = by.T @ by / len(k)
-    return SlipNoise(sigma, s.noise.least_slip, 0.0, moments, different, apart=float(fit[0]), shown=float(len(k)))
+    return SlipNoise(sigma, 0.0, 0.0, moments, different, apart=float(fit[0]), shown=float(len(k)))

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
+from smoother.estimate.factors.gaussian import columns_of
 from smoother.estimate.factors.graph import (
     TABLE,
     WHEELS_BELOW,
@@ -17,7 +18,7 @@ from smoother.estimate.factors.graph import (
     build_graph,
     with_same_samples,
 )
-from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
+from smoother.estimate.factors.wheels import MOVING, rolling, slip_of
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, are_told
 from smoother.estimate.model.motion import LowPassedMotion
@@ -37,8 +38,10 @@ from smoother.estimate.solvers.variance_components import (
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
 MOVED, CHANGED = 0.2, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
+SLIP_CHANGED = 0.3  # likewise of the slip, which moves the yaw alone, and that by less
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
 SENSOR_ERRORS = ("accel_scale", "gyro_scale", "rectification")
+FREE = ("slip", "heading_offset")  # constants that what joins may still move
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
 ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
@@ -116,7 +119,7 @@ def identify(
         progress((turn + 1) / MOST_TURNS)
         if sigmas is not None and moved(taken, sigmas) > (MOVED if is_settled else NEAR) and not is_last:
             continue  # covariances cost as much as a step, and say little of a state that is on its way
-        chain = taken.chain() if held is None else taken.chain().with_constants(held, COLUMNS["slip"])
+        chain = taken.chain() if held is None else taken.chain().with_constants(held, columns_of(FREE))
         covariances = chain.covariances()
         sigmas = Sigmas.of(covariances)
         if graph.noise.slip is None:
@@ -125,7 +128,7 @@ def identify(
             )
             better = damping.damped(graph.noise, better)
         else:
-            better = replace(graph.noise, slip=slip_sigma(taken, covariances, graph.noise))
+            better = replace(graph.noise, slip=slip_sigma(taken, covariances, graph.noise.slip))
         change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
@@ -134,15 +137,16 @@ def identify(
                 prior = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
                 problem = replace(problem, priors=replace(problem.priors, constants=prior))
                 joined = True
-        if wheels and better.slip is None and move < NEAR and change < CHANGED:
-            wheels, found_rolling = False, _rolling(taken, covariances, problem)
-            if found_rolling is not None:
-                problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
-                better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
-                held, problem = covariances.constants, _held(problem, taken.after, "slip")
+        if wheels and move < NEAR and change < CHANGED:
+            wheels, rolls = False, _rolling(taken, covariances, problem)
+            if rolls is not None:
+                problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
+                better = replace(better, slip=USUAL_SLIP)
+                held, problem = covariances.constants, _held(problem, taken.after, FREE)
                 joined = True
-        is_settled = change < CHANGED and not joined
-        if (move < MOVED and is_settled) or is_last:
+        is_settled = change < CHANGED
+        is_done = move < MOVED and is_settled and _slip_change(graph.noise, better) < SLIP_CHANGED and not joined
+        if is_done or is_last:
             break
         graph = _renewed(problem, graph, taken.after, better)
     return Solution(graph, taken, chain, covariances, found)
@@ -215,7 +219,7 @@ def solve_held(
         if joins and slip is not None:
             rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), problem)
             if rolls is not None:
-                problem = replace(problem, measured=replace(problem.measured, rolls=rolls.at))
+                problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
             slip = None
         if joins:
@@ -226,16 +230,16 @@ def solve_held(
     return Solution(graph, taken, chain, covariances, found)
 
 
-def _held(problem: Problem, state: State, free: str = "") -> Problem:
-    """The problem with constants that stay where they are in `state`, all but the one that is free."""
+def _held(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Problem:
+    """The problem with constants that stay where they are in `state`, all but those that are free."""
     priors = {
-        name: problem.priors.constants[name] if name == free else (value, np.full(len(value), FIXED))
+        name: problem.priors.constants[name] if name in free else (value, np.full(len(value), FIXED))
         for name, value in state.constants.items()
     }
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Covariances, problem: Problem) -> Rolling | None:
+def _rolling(step: Step, covariances: Covariances, problem: Problem) -> BoolArray | None:
     """Whether and where wheels roll, by a step without them."""
     state = step.after
     slip = slip_of(state, LowPassedMotion(state, WHEELS_BELOW))
@@ -271,6 +275,10 @@ def _levels(noise: Noise) -> Array:
 def attitude_moved(step: Step) -> float:
     """Root mean square turn of all keyframes in a step, rad."""
     return math.sqrt(float(np.mean(np.sum(step.keyframes[:, ROTATION] ** 2, axis=1))))
+
+
+def _slip_change(one: Noise, two: Noise) -> float:
+    return 0.0 if one.slip is None or two.slip is None else abs(math.log(two.slip / one.slip))
 
 
 def relative_change(one: Noise, two: Noise) -> float:

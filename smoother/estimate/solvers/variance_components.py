@@ -354,10 +354,9 @@ def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: Inertia
     return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
-def slip_sigma(step: Step, covariances: Covariances, noise: Noise) -> float:
-    """Sigma of the slip's process, by its start and its steps, whose variance it shares with bumps."""
-    assert noise.slip is not None
-    sigma, squares, expected = noise.slip, 0.0, 0.0
+def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
+    """Sigma of the slip's process one step on, by its start and its steps, whose variance it shares with bumps."""
+    squares, expected = 0.0, 0.0
     of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
         rows = step.rows.get(name)
@@ -366,7 +365,7 @@ def slip_sigma(step: Step, covariances: Covariances, noise: Noise) -> float:
             squares += float(np.sum(share * component.squares))
             expected += float(np.sum(share * component.expected))
     ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE
-    return max(sigma * ratio, noise.least_slip)
+    return float(sigma * ratio)
 
 
 def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) -> Array:
