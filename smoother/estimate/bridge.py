@@ -39,7 +39,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, Geometry, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_sensor_errors
+from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_rectification
 from smoother.estimate.solvers.variance_components import Scatter
 from smoother.samples import Problem as SessionProblem
 from smoother.samples import Session
@@ -96,7 +96,7 @@ def solve_with_gtsam(
         in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
         return start, in_windows.found, in_windows
     whole, _ = problem_of(start)
-    whole = with_sensor_errors(replace(whole, state=replace(whole.state, constants=state.constants)), part)
+    whole = with_rectification(replace(whole, state=replace(whole.state, constants=state.constants)), part)
     field = _Field(session, start)
     noise = replace(part.noise, slip=None)
     solved = identify(
@@ -262,8 +262,8 @@ def solved_of(s: Solution) -> old_batch.Solved:
     whitened = np.zeros((keyframes - 1, 15, 46))
     imu = step.rows["imu"]
     whitened[:, :, :15], whitened[:, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
-    if imu.constants:
-        whitened[:, :, 30:45] = np.concatenate(list(imu.constants.values()), axis=2)
+    by_constants = np.concatenate(list(imu.constants.values()), axis=2)
+    whitened[:, :, 30 : 30 + by_constants.shape[2]] = by_constants
     whitened[:, :, 45] = imu.residual
     rows = {
         name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items() if name != "imu"

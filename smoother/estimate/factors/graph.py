@@ -156,7 +156,7 @@ TABLE = (
 class Graph:
     """The graph of a session for one noise: GTSAM's own factors, of the samples of all intervals in `imu` and of what
     is known beforehand in `prior`, and all others by :meth:`rows`. state: times and geometry.
-    sensor_errors: whether errors of scale and rectification are unknowns.
+    rectified: whether the rectification is unknown.
     """
 
     imu: gtsam.NonlinearFactorGraph
@@ -167,7 +167,7 @@ class Graph:
     priors: Priors
     state: State
     shaken: Array
-    sensor_errors: bool = True
+    rectified: bool = True
     table: tuple[Factor, ...] = TABLE
 
     def prior_variances(self) -> Array:
@@ -189,16 +189,16 @@ def build_graph(
     state: State,
     table: tuple[Factor, ...] = TABLE,
     *,
-    sensor_errors: bool = True,
+    rectified: bool = True,
 ) -> Graph:
     """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`.
 
-    sensor_errors: whether errors of scale and rectification are unknowns.
+    rectified: whether the rectification is unknown.
     """
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     preintegrated = preintegrate(binned, noise.inertial, *biases)
     imu, prior = imu_factors(preintegrated), _prior_factors(priors, noise, state)
-    return Graph(imu, prior, preintegrated, measured, noise, priors, state, shaken(binned), sensor_errors, table)
+    return Graph(imu, prior, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
 
 
 def with_same_samples(graph: Graph, measured: Measurements, noise: Noise, priors: Priors, state: State) -> Graph:

@@ -35,12 +35,12 @@ def imu_factors(
     return graph
 
 
-def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, errors: bool) -> Rows:
+def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, rectified: bool) -> Rows:
     """The IMU factors of all intervals as rows of 15, whitened: rotation, position, velocity, biases.
 
     linear: factors as GTSAM linearised them at `state`, those of the intervals first. shaken (K-1, 2): power of the
     vibration of force and of rate beyond the session's mean, over it; it pushes an accelerometer (rectification).
-    errors: whether errors of scale and rectification are unknowns; they are taken off in either case.
+    rectified: whether the rectification is unknown; it is subtracted in either case.
     """
     n = len(state.t) - 1
     read = [linear.at(k).jacobian() for k in range(n)]
@@ -53,13 +53,12 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, 
     scale, bent = (state.constants[name].reshape(3, 2) for name in ("accel_scale", "rectification"))
     error = np.hstack([force @ scale.T + shaken @ bent.T, rate[:, None] * state.constants["gyro_scale"]])
     residual = (by_bias @ error[:, :, None])[:, :, 0] - b
-    constants = {}
-    if errors:
-        constants = {
-            "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
-            "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
-            "rectification": (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6),
-        }
+    constants = {
+        "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
+        "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
+    }
+    if rectified:
+        constants["rectification"] = (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6)
     full = np.ones((n, SIZE))
     return Rows("imu", np.arange(n), residual, full, left, right, constants, full[:, 0])
 

@@ -40,7 +40,6 @@ MOST_TURNS = 12
 MOVED, CHANGED = 0.2, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 SLIP_CHANGED = 0.3  # likewise of the slip, which moves the yaw alone, and that by less
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
-SENSOR_ERRORS = ("accel_scale", "gyro_scale", "rectification")
 FREE = ("slip", "heading_offset")  # constants that what joins may still move
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
@@ -54,7 +53,7 @@ class Problem:
     """A session or a part of it, ready to be solved: samples, measurements, priors, and where to begin.
 
     usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
-    sensor_errors: whether errors of scale and rectification are unknowns, as in the part that identifies them.
+    rectified: whether the rectification is unknown, as in the part that identifies it.
     """
 
     binned: BinnedImu
@@ -65,7 +64,7 @@ class Problem:
     scatter: Scatter
     stated: frozenset[str] = frozenset()
     table: tuple[Factor, ...] = TABLE
-    sensor_errors: bool = True
+    rectified: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,17 +151,17 @@ def identify(
     return Solution(graph, taken, chain, covariances, found)
 
 
-def with_sensor_errors(problem: Problem, part: Solution) -> Problem:
-    """The problem of all of a session with errors of scale and rectification as a part of it found them."""
-    sigma = np.sqrt(np.diag(part.covariances.constants))
-    known = {name: (part.state.constants[name], sigma[COLUMNS[name]]) for name in SENSOR_ERRORS}
-    priors = replace(problem.priors, constants=problem.priors.constants | known)
-    return replace(problem, priors=priors, sensor_errors=False)
+def with_rectification(problem: Problem, part: Solution) -> Problem:
+    """The problem of all of a session with the rectification that a part of it has found."""
+    name = "rectification"
+    sigma = np.sqrt(np.diag(part.covariances.constants))[COLUMNS[name]]
+    priors = replace(problem.priors, constants=problem.priors.constants | {name: (part.state.constants[name], sigma)})
+    return replace(problem, priors=priors, rectified=False)
 
 
 def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
     p = problem
-    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table, sensor_errors=p.sensor_errors)
+    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table, rectified=p.rectified)
 
 
 def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Graph:
@@ -203,7 +202,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    problem = replace(_held(problem, problem.state), sensor_errors=False)
+    problem = replace(_held(problem, problem.state), rectified=False)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
