@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
@@ -37,8 +38,7 @@ from smoother.estimate.solvers.variance_components import (
 
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
-MOVED, CHANGED = 0.2, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
-SLIP_CHANGED = 0.3  # likewise of the slip, which moves the yaw alone, and that by less
+MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
 FREE = ("slip", "heading_offset")  # constants that what joins may still move
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
@@ -107,47 +107,68 @@ def identify(
     the headings that can be used.
     """
     values, state = problem.state.values(), problem.state
+    wheels = wheels and not state.geometry.is_steered
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
         values = step(graph, values).moved
-    damping, held, is_settled = Damping(), None, False
-    wheels = wheels and not state.geometry.is_steered
+    damping, is_settled = Damping(), False
     for turn in range(MOST_TURNS):
         taken = step(graph, values)
         values, is_last = taken.moved, turn + 1 == MOST_TURNS
         progress((turn + 1) / MOST_TURNS)
         if sigmas is not None and moved(taken, sigmas) > (MOVED if is_settled else NEAR) and not is_last:
             continue  # covariances cost as much as a step, and say little of a state that is on its way
-        chain = taken.chain() if held is None else taken.chain().with_constants(held, columns_of(FREE))
+        chain = taken.chain()
         covariances = chain.covariances()
         sigmas = Sigmas.of(covariances)
-        if graph.noise.slip is None:
-            better, found = update_noise(
-                graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
-            )
-            better = damping.damped(graph.noise, better)
-        else:
-            better = replace(graph.noise, slip=slip_sigma(taken, covariances, graph.noise.slip))
+        better, found = update_noise(
+            graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
+        )
+        better = damping.damped(graph.noise, better)
         change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
+        is_settled = change < CHANGED
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
-            if field is not None:
-                problem = replace(problem, measured=replace(problem.measured, heading=field))
-                prior = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
-                problem = replace(problem, priors=replace(problem.priors, constants=prior))
-                joined = True
-        if wheels and move < NEAR and change < CHANGED:
+            problem, joined = _with_heading(problem, field), field is not None
+        if wheels and move < NEAR and is_settled:
             wheels, rolls = False, _rolling(taken, covariances, problem)
             if rolls is not None:
-                problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
-                better = replace(better, slip=USUAL_SLIP)
-                held, problem = covariances.constants, _held(problem, taken.after, FREE)
-                joined = True
-        is_settled = change < CHANGED
-        is_done = move < MOVED and is_settled and _slip_change(graph.noise, better) < SLIP_CHANGED and not joined
-        if is_done or is_last:
+                graph = _renewed(problem, graph, taken.after, better)
+                return _with_wheels(problem, rolls, graph, values, covariances, found)
+        if (move < MOVED and is_settled and not joined) or is_last:
             break
         graph = _renewed(problem, graph, taken.after, better)
+    return Solution(graph, taken, chain, covariances, found)
+
+
+def _with_heading(problem: Problem, field: Heading | None) -> Problem:
+    if field is None:
+        return problem
+    known = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
+    measured, priors = replace(problem.measured, heading=field), replace(problem.priors, constants=known)
+    return replace(problem, measured=measured, priors=priors)
+
+
+def _with_wheels(
+    problem: Problem, rolls: BoolArray, graph: Graph, values: gtsam.Values, before: Covariances, found: Components
+) -> Solution:
+    """Solve with wheels that roll at the keyframes `rolls` (K,), after a solution without them: once to find how much
+    they slip, then until the state is at rest. Constants stay, but those that the wheels and the heading decide.
+    """
+    state = graph.state
+    held = _held(replace(problem, measured=replace(problem.measured, rolls=rolls)), state, FREE)
+    noise, sigmas = replace(graph.noise, slip=USUAL_SLIP), None
+    for _ in range(MOST_TURNS):
+        graph = with_same_samples(graph, held.measured, noise, held.priors, state)
+        taken = step(graph, values)
+        values = taken.moved
+        if sigmas is not None and moved(taken, sigmas) > MOVED:
+            continue
+        chain = taken.chain().with_constants(before.constants, columns_of(FREE))
+        covariances = chain.covariances()
+        if sigmas is not None:
+            break
+        sigmas, noise = Sigmas.of(covariances), replace(noise, slip=slip_sigma(taken, covariances, USUAL_SLIP))
     return Solution(graph, taken, chain, covariances, found)
 
 
@@ -274,10 +295,6 @@ def _levels(noise: Noise) -> Array:
 def attitude_moved(step: Step) -> float:
     """Root mean square turn of all keyframes in a step, rad."""
     return math.sqrt(float(np.mean(np.sum(step.keyframes[:, ROTATION] ** 2, axis=1))))
-
-
-def _slip_change(one: Noise, two: Noise) -> float:
-    return 0.0 if one.slip is None or two.slip is None else abs(math.log(two.slip / one.slip))
 
 
 def relative_change(one: Noise, two: Noise) -> float:

@@ -355,7 +355,10 @@ def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: Inertia
 
 
 def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
-    """Sigma of the slip's process one step on, by its start and its steps, whose variance it shares with bumps."""
+    """Sigma of the slip's process, halfway from what it was to what residuals say: the first step says it roughly.
+
+    Its start and its steps share their variance with bumps.
+    """
     squares, expected = 0.0, 0.0
     of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
@@ -364,8 +367,8 @@ def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
             component, share = RowComponent.of(rows, step, covariances), own / rows.sigma**2
             squares += float(np.sum(share * component.squares))
             expected += float(np.sum(share * component.expected))
-    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE
-    return float(sigma * ratio)
+    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5)
+    return float(sigma * math.sqrt(ratio))
 
 
 def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) -> Array:
