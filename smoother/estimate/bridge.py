@@ -14,6 +14,7 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.factors.graph import WHEELS_BELOW, Measurements, Priors
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.heading import heading_rows
+from smoother.estimate.factors.motion_prior import unsampled
 from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.factors.wheels import slip_of
 from smoother.estimate.graph import batch as old_batch
@@ -161,6 +162,7 @@ def problem_of(start: Start) -> tuple[Problem, Noise]:
         d.still,
         d.doubted,
         ground=ground if ground is not None and len(ground[0]) else None,
+        unsampled=unsampled(start.binned.missing),
         offset_share=share,
         offset_renewed=renewed,
     )
@@ -261,10 +263,10 @@ def solved_of(s: Solution) -> old_batch.Solved:
     )
     whitened = np.zeros((keyframes - 1, 15, 46))
     imu = step.rows["imu"]
-    whitened[:, :, :15], whitened[:, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
+    whitened[imu.interval, :, :15], whitened[imu.interval, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
     by_constants = np.concatenate(list(imu.constants.values()), axis=2)
-    whitened[:, :, 30 : 30 + by_constants.shape[2]] = by_constants
-    whitened[:, :, 45] = imu.residual
+    whitened[imu.interval, :, 30 : 30 + by_constants.shape[2]] = by_constants
+    whitened[imu.interval, :, 45] = imu.residual
     rows = {
         name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items() if name != "imu"
     }
