@@ -37,7 +37,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, State
 from smoother.estimate.solvers.covariance import Chain
-from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_sensor_errors
+from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_rectification
 from smoother.estimate.solvers.incremental import solve_as_stream
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.samples import Session
@@ -83,7 +83,7 @@ def solve_session(
     if is_partly_sampled(start) or is_long(start):
         in_windows = solve_in_windows(session, start, part.noise, options, say)
         return start, in_windows.found, in_windows
-    whole, compass = with_sensor_errors(problem_of(start), part), Compass(session, start)
+    whole, compass = with_rectification(problem_of(start), part), Compass(session, start)
     solved = identify(
         whole,
         replace(part.noise, slip=None),
@@ -170,10 +170,10 @@ def solved_of(s: Solution) -> old_batch.Solved:
     )
     whitened = np.zeros((keyframes - 1, 15, 46))
     imu = step.rows["imu"]
-    whitened[:, :, :15], whitened[:, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
-    if imu.constants:
-        whitened[:, :, 30:45] = np.concatenate(list(imu.constants.values()), axis=2)
-    whitened[:, :, 45] = imu.residual
+    whitened[imu.interval, :, :15], whitened[imu.interval, :, 15:30] = imu.left[:, :, :15], imu.right[:, :, :15]
+    by_constants = np.concatenate(list(imu.constants.values()), axis=2)
+    whitened[imu.interval, :, 30 : 30 + by_constants.shape[2]] = by_constants
+    whitened[imu.interval, :, 45] = imu.residual
     rows = {
         name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items() if name != "imu"
     }
@@ -204,4 +204,4 @@ def _slip_noise(s: Solution, sigma: float) -> SlipNoise:
     fit = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / PRIOR) ** 2), by.T @ slip.value[k])
     different = min(DIFFERENT, len(k) * s.state.interval / (2.0 * MEMORY), corners(by[:, 1] / by[:, 0]))
     moments = by.T @ by / len(k)
-    return SlipNoise(sigma, s.noise.least_slip, 0.0, moments, different, apart=float(fit[0]), shown=float(len(k)))
+    return SlipNoise(sigma, 0.0, 0.0, moments, different, apart=float(fit[0]), shown=float(len(k)))

@@ -16,6 +16,7 @@ from smoother.estimate.model.state import KEYFRAME_SIZE, ROTATION, VELOCITY, Sta
 from smoother.frames import UP_N, wrap_angle
 
 SLIDING, AROUND = np.radians(20.0), 1.0  # rad beside the usual slip, of a slide or a spin, and s around it
+SURE = 3.0  # sigmas
 MOST_SLIDING = 0.2  # of the time at speed; a box that points elsewhere more often is not fixed to a chassis
 MOST = np.radians(4.0)  # scatter of the slip of anything that is fixed to a chassis on wheels
 UNSURE = np.radians(1.0)  # error of a slip that leaves it a quarter of its weight
@@ -64,25 +65,18 @@ def slip_of(state: State, motion: LowPassedMotion) -> Slip:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Rolling:
-    """Keyframes (K,) at which the wheels roll, and sigma rad of the process by how far their slip scatters."""
+def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> BoolArray | None:
+    """Keyframes (K,) at which wheels roll, by the slip of a solution without wheels; None where they say nothing.
 
-    at: BoolArray
-    sigma: float
+    That is where the IMU turns against the path, as on a steering wheel, or slips more than a chassis does.
 
-
-def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> Rolling | None:
-    """By the slip of a solution without wheels; None where the box does not follow the path.
-
-    moves (K,): keyframes at speed whose attitude the samples tell; variance (K,): of slip.value, by the errors of that
-    solution. interval s.
+    moves (K,): keyframes at speed; variance (K,): of slip.value, by the errors of that solution. interval s.
     """
     if np.count_nonzero(moves) < ENOUGH:
         return None
     angle = slip.value * slip.level
     angle = wrap_angle(angle - np.median(angle[moves]))
-    sliding = moves & (np.abs(angle) > SLIDING)
+    sliding = moves & (np.abs(angle) > SLIDING + SURE * slip.level * np.sqrt(variance))
     around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
     rolls = moves & ~around
     if np.count_nonzero(rolls) < (1.0 - MOST_SLIDING) * np.count_nonzero(moves):
@@ -93,7 +87,7 @@ def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> R
     fit = np.linalg.lstsq(design, value * np.sqrt(weight), rcond=None)[0]
     beyond = np.minimum((value - slip.by_constants[rolls] @ fit) ** 2, SLIDING**2) - variance[rolls]
     sigma = np.sqrt(max(float(np.average(beyond, weights=weight**2)), 0.0))
-    return None if sigma > MOST else Rolling(rolls, float(sigma))
+    return None if sigma > MOST else rolls
 
 
 def slip_rows(slip: Slip, rolls: BoolArray, sigma: float, interval: float) -> tuple[Rows, Rows]:

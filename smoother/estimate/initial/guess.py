@@ -10,6 +10,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.factors.graph import MAX_LATENCY, Measurements, Priors
 from smoother.estimate.factors.ground import far_from_heights
+from smoother.estimate.factors.motion_prior import unsampled
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
@@ -105,7 +106,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         fine,
         binned,
         noise,
-        _measurements(session, path, state, alignment.gyro_bias_s).of((driven.t >= begin) & (driven.t <= end)),
+        _measurements(session, path, state, binned, alignment.gyro_bias_s).of((driven.t >= begin) & (driven.t <= end)),
         priors,
         min(receiver_share(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
         session.config.imu,
@@ -144,7 +145,7 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
     state = _first_guess(session, *known, t, found.constants, biases, found.geometry)
     fine, binned = _bins(session, state, start.path, start.alignment, options)
     return replace(
-        start, state=state, fine=fine, binned=binned, data=_measurements(session, start.path, state, biases[1])
+        start, state=state, fine=fine, binned=binned, data=_measurements(session, start.path, state, binned, biases[1])
     )
 
 
@@ -197,7 +198,9 @@ def _bins(
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
-def _measurements(session: Session, path: GnssPath, state: State, gyro_bias_s: Array) -> Measurements:
+def _measurements(
+    session: Session, path: GnssPath, state: State, binned: BinnedImu, gyro_bias_s: Array
+) -> Measurements:
     """Measurements for the keyframes of `state`; gyro_bias_s (3,) rad/s, to know rest by."""
     gnss, t = session.gnss, state.t
     assert session.imu is not None
@@ -219,6 +222,7 @@ def _measurements(session: Session, path: GnssPath, state: State, gyro_bias_s: A
         scale,
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
         ground=ground if len(ground[0]) else None,
+        unsampled=unsampled(binned.missing),
         offset_share=share,
         offset_renewed=renewed,
     )

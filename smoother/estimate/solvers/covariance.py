@@ -16,7 +16,7 @@ from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block
 from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE
 
-NONE = slice(0, 0)  # of the constants
+NONE = np.empty(0, np.int64)
 
 
 class IndeterminateError(ArithmeticError):
@@ -140,19 +140,19 @@ class Chain:
         root = np.linalg.cholesky(np.concatenate([noise, last[None]]))
         return Chain(gain, self.influence[at], root, self.constants)
 
-    def with_constants(self, covariance: Array, free: slice = NONE) -> "Chain":
-        """The chain beside constants of another covariance (C, C); those that are free follow the others as in its own.
+    def with_constants(self, covariance: Array, free: IntArray = NONE) -> "Chain":
+        """The chain beside constants of another covariance (C, C); `free` (f,) follow the others as in its own.
 
         The others were held when it was solved: x_free = A x_others + what its own covariance leaves of them.
         """
-        others = np.delete(np.arange(CONSTANTS_SIZE), np.arange(CONSTANTS_SIZE)[free])
+        others = np.delete(np.arange(CONSTANTS_SIZE), free)
         own, out = self.constants, covariance.copy()
-        follow = np.linalg.solve(own[np.ix_(others, others)], own[others, free]).T
-        known = own[free, free] - follow @ own[others, free]
+        follow = np.linalg.solve(own[np.ix_(others, others)], own[np.ix_(others, free)]).T
         out[free, :] = 0.0
-        out[free, others] = follow @ covariance[np.ix_(others, others)]
+        out[np.ix_(free, others)] = follow @ covariance[np.ix_(others, others)]
         out[:, free] = out[free, :].T
-        out[free, free] = known + follow @ covariance[np.ix_(others, others)] @ follow.T
+        left = own[np.ix_(free, free)] - follow @ own[np.ix_(others, free)]
+        out[np.ix_(free, free)] = left + follow @ covariance[np.ix_(others, others)] @ follow.T
         return replace(self, constants=out)
 
 

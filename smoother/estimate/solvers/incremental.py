@@ -14,6 +14,7 @@ from gtsam.symbol_shorthand import B, O, V, X
 
 from smoother.arrays import Array
 from smoother.estimate.factors.graph import build_graph
+from smoother.estimate.factors.imu import imu_factors
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import corrected
 from smoother.estimate.model.noise import Noise
@@ -77,7 +78,7 @@ class Stream:
 
     def _predicted(self, begin: int) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """Predict the keyframes from `begin` on. Returns what GTSAM's own factors say of them, and their values."""
-        graph, new, x, imu = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._values, self._graph.imu
+        new, x, sampled = gtsam.Values(), self._values, self._graph.sampled
         phi = np.exp(-self._state.interval / self._graph.noise.offset_tau)
         for k in range(begin, self._end):
             if k > 0:
@@ -87,11 +88,11 @@ class Stream:
                 x.insert(V(k), predicted.velocity())
                 x.insert(B(k), bias)
                 x.insert(O(k), phi * x.atVector(O(k - 1)))
-                graph.add(imu.at(k - 1))
             new.insert(X(k), x.atPose3(X(k)))
             new.insert(B(k), x.atConstantBias(B(k)))
             new.insert(V(k), x.atVector(V(k)))
             new.insert(O(k), x.atVector(O(k)))
+        graph = imu_factors(self._graph.preintegrated, sampled[(sampled >= begin - 1) & (sampled < self._end - 1)])
         for i in range(PRIORS_OF_FIRST if begin == 0 else 0):
             graph.add(self._graph.prior.at(i))
         return graph, new

@@ -127,7 +127,7 @@ def sample_components(
     by_motion = force.T @ root[:, :, 3:9].reshape(-1, 15, 2, 3).transpose(0, 2, 3, 1)
     turn = np.linalg.solve(root.transpose(0, 2, 1), np.linalg.solve(rate, np.eye(15)[ROTATION]).T)
     of = np.concatenate([by_motion.reshape(-1, 6, 15), turn.transpose(0, 2, 1)], axis=1)
-    rows = after_step(step.rows["imu"].take(at), step.keyframes, step.constants)
+    rows = after_step(step.rows["imu"].take(np.searchsorted(graph.sampled, at)), step.keyframes, step.constants)
     left, residual = posterior_covariance(of @ rows.jacobian(), at, covariances), rows.residual
     weighed = np.einsum("nri,ni->nr", of, residual)
     moved, turned = weighed[:, :6].reshape(-1, 2, 3), weighed[:, 6:] / (density[1] * math.sqrt(T))[:, None]
@@ -354,10 +354,12 @@ def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: Inertia
     return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
-def slip_sigma(step: Step, covariances: Covariances, noise: Noise) -> float:
-    """Sigma of the slip's process, by its start and its steps, whose variance it shares with bumps."""
-    assert noise.slip is not None
-    sigma, squares, expected = noise.slip, 0.0, 0.0
+def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
+    """Sigma of the slip's process, halfway from what it was to what residuals say: the first step says it roughly.
+
+    Its start and its steps share their variance with bumps.
+    """
+    squares, expected = 0.0, 0.0
     of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
         rows = step.rows.get(name)
@@ -365,8 +367,8 @@ def slip_sigma(step: Step, covariances: Covariances, noise: Noise) -> float:
             component, share = RowComponent.of(rows, step, covariances), own / rows.sigma**2
             squares += float(np.sum(share * component.squares))
             expected += float(np.sum(share * component.expected))
-    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE
-    return float(max(sigma * ratio, noise.least_slip))
+    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5)
+    return float(sigma * math.sqrt(ratio))
 
 
 def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) -> Array:
