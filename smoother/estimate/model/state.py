@@ -95,6 +95,11 @@ class State:
         """A constant that is one number."""
         return float(self.constants[name][0])
 
+    def part(self, keys: slice) -> "State":
+        """A copy of some of the keyframes."""
+        names = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
+        return replace(self, **{name: getattr(self, name)[keys].copy() for name in names})
+
     def values(self) -> gtsam.Values:
         """The same as GTSAM's values."""
         values = gtsam.Values()
