@@ -58,9 +58,9 @@ recording_option = click.option(
 )
 solver_option = click.option(
     "--solver",
-    type=click.Choice(["batch", "isam2", "gtsam"]),
+    type=click.Choice(["batch", "isam2"]),
     default="batch",
-    help="Whole session at once, or as a stream; gtsam is to become the batch.",
+    help="Whole session at once, or as a stream.",
 )
 rate_option = click.option("--rate", metavar="HZ", type=Number(1.0, 1000.0), default=50.0, help="Rows a second [50].")
 no_baseline_option = click.option("--no-baseline", is_flag=True, help="Leave out the comparison with the older method.")

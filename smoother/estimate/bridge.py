@@ -1,44 +1,27 @@
-"""Between the first edition's preparation and output and the graph of GTSAM; it goes with what it bridges.
+"""Between the first edition's preparation and the graph of GTSAM: a Start becomes a Problem."""
 
-In: a Start becomes a Problem. Out: a Solution becomes the Solved that the output reads. Constants that the graph of
-GTSAM does not have (evenness, delay of the course) stay zero, with no covariance.
-"""
-
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.factors.graph import WHEELS_BELOW, Measurements, Priors
+from smoother.arrays import Array, BoolArray
+from smoother.estimate.factors.graph import Measurements, Priors
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.heading import heading_rows
-from smoother.estimate.factors.rows import Rows, after_step
-from smoother.estimate.factors.wheels import slip_of
-from smoother.estimate.graph import batch as old_batch
-from smoother.estimate.graph import inertial as old_inertial
 from smoother.estimate.graph import inputs
-from smoother.estimate.graph import rows as old_rows
 from smoother.estimate.graph import state as old
-from smoother.estimate.graph.chain import ChainFactor, ChainSolution
-from smoother.estimate.graph.estimated import Estimated, are_made_up, estimated
 from smoother.estimate.graph.first_noise import scatter_of
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.parts import is_partly_sampled
-from smoother.estimate.graph.row_components import RowComponent
-from smoother.estimate.graph.slip import DIFFERENT, FIT_SIGMA, MEMORY, PRIOR, SlipNoise, corners
+from smoother.estimate.graph.parts import busiest_part, is_partly_sampled, longest_sampled
+from smoother.estimate.graph.sampled import HOLE
 from smoother.estimate.graph.solve import Say, with_heading
-from smoother.estimate.graph.solve import Solution as OldSolution
 from smoother.estimate.graph.start import Start, informed
-from smoother.estimate.graph.told import told_by
-from smoother.estimate.graph.uncertainty import nose_variance
-from smoother.estimate.graph.windows import WindowsSolution, is_long, solve_in_windows
-from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, Geometry, State
-from smoother.estimate.solvers.covariance import Chain
+from smoother.estimate.model.state import Geometry, State
+from smoother.estimate.output.estimated import Estimated, estimated, known_from
+from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
 from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held
 from smoother.estimate.solvers.variance_components import Scatter
 from smoother.samples import Problem as SessionProblem
@@ -56,62 +39,70 @@ PARTS = {
     "gyro_scale": old.GYRO_ERROR,
     "rectification": old.RECTIFICATION,
 }
-OURS = np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in PARTS])
-THEIRS = np.concatenate([np.arange(part.start, part.stop) for part in PARTS.values()])
 DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
 
 
-def solve_part(session: Session, part: Start, noise: inputs.Noise, options: GraphOptions, say: Say) -> OldSolution:
-    """Identify constants and noise of a part of a session that has samples throughout, from `noise`."""
-    problem, _ = problem_of(part)
-    field = _Field(session, part)
-    wheels = options.wheels and part.wheels
-    solved = identify(problem, noise_before(noise), say, 1, wheels=wheels, heading=field.heading)
-    theirs = solved_of(solved)
-    return OldSolution(theirs, noise_of(solved, theirs, part.noise), field.priors, field.problems, field.data.heading)
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved session: the start it was solved from, what was found, and the headings that were used."""
+
+    start: Start
+    found: Estimated
+    heading: Heading | None
+    problems: tuple[SessionProblem, ...]
 
 
-def solve_window(session: Session, part: Start, noise: inputs.Noise, held: Array) -> old_batch.Solved:
-    """Solve a window with constants and noise that are known; held (31, 31): covariance of the constants."""
-    problem, _ = problem_of(part)
-    covariance = np.zeros((CONSTANTS_SIZE, CONSTANTS_SIZE))
-    covariance[np.ix_(OURS, OURS)] = held[np.ix_(THEIRS, THEIRS)]
-    slip = None if noise.slip is None else noise.slip.sigma
-    known = replace(noise_before(noise), slip=slip)
-    return solved_of(solve_held(problem, known, covariance, _LevelField(session, part).heading))
-
-
-def solve_with_gtsam(
-    session: Session, start: Start, options: GraphOptions, say: Say, doubted: BoolArray
-) -> tuple[Start, Estimated, OldSolution | WindowsSolution]:
-    """Identify constants and noise on the busiest part, then solve all of the session, with the graph of GTSAM."""
-    wheels = options.wheels and start.wheels
+def solve(session: Session, start: Start, options: GraphOptions, say: Say, doubted: BoolArray) -> Solved:
+    """Identify constants and noise on the busiest part, then solve all of the session."""
     problem, noise = problem_of(start)
-    part = identify(problem, noise, lambda share: say(0.5 * share), wheels=wheels)
-    state = part.state
+    first = identify(problem, noise, lambda share: say(0.5 * share), wheels=options.wheels and start.wheels)
+    state = first.state
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
-    first = start.noise
     start = informed(session, start, options, chain_state(state).constants, biases, doubted)
     if is_partly_sampled(start) or is_long(start):
-        in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
-        return start, in_windows.found, in_windows
+        return _solve_in_windows(session, start, first.noise, options, say)
     whole, _ = problem_of(start)
     whole = replace(whole, state=replace(whole.state, constants=state.constants))
-    field = _Field(session, start)
-    noise = replace(part.noise, slip=None)
-    solved = identify(
-        whole,
-        noise,
-        lambda share: say(0.5 + 0.5 * share),
-        1,
-        wheels=wheels,
-        sigmas=Sigmas.of(part.covariances),
-        heading=field.heading,
-    )
-    theirs = solved_of(solved)
-    found = noise_of(solved, theirs, start.noise)
-    solution = OldSolution(theirs, found, field.priors, field.problems, field.data.heading)
-    return start, estimated(theirs, nose_variance(session, found), are_made_up(start.binned)), solution
+    field, noise = _Field(session, start), replace(first.noise, slip=None)
+    sigmas = Sigmas.of(first.covariances)
+    solution = _identified(whole, noise, field, options, lambda share: say(0.5 + 0.5 * share), sigmas)
+    known = known_from(solution, whole.priors, start, session.config)
+    return Solved(start, estimated(solution, known), field.data.heading, field.problems)
+
+
+def _identified(
+    problem: Problem, noise: Noise, field: "_Field", options: GraphOptions, say: Say, sigmas: Sigmas | None = None
+) -> Solution:
+    wheels = options.wheels and field.start.wheels
+    return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=field.heading)
+
+
+def _solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solved:
+    """Solve all of a session with the constants and the noise of its busiest part that has samples throughout."""
+    busiest = longest_sampled(busiest_part(start, WINDOW))
+    problem, _ = problem_of(busiest)
+    field = _Field(session, busiest)
+    main = _identified(problem, replace(noise, slip=None, least_slip=0.0), field, options, lambda s: say(0.3 * s))
+    known = known_from(main, problem.priors, busiest, session.config)
+    if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
+        known = replace(known, common_attitude=np.zeros((3, 3)))
+    constants, heading, problems = main.state.constants, field.data.heading, field.problems
+    del main, problem, field, busiest  # the windows need the room
+    start = replace(start, state=replace(start.state, constants=_old_constants(constants, start.state.constants)))
+
+    def solve_window(part: Start) -> Solution:
+        problem, _ = problem_of(part)
+        return solve_held(problem, known.noise, known.constants_covariance, _LevelField(session, part).heading)
+
+    found = solve_in_windows(start, solve_window, known, lambda share: say(0.3 + 0.7 * share))
+    return Solved(start, found, heading, problems)
+
+
+def _is_whole(part: Start, start: Start) -> bool:
+    """Whether a part of a start is all of it that has samples."""
+    t, whole = part.state.t, start.state.t
+    first, last = max(start.spans[0, 0], whole[0]), min(start.spans[-1, 1], whole[-1])
+    return bool(t[0] - first <= HOLE and last - t[-1] <= HOLE)
 
 
 @dataclass
@@ -191,11 +182,18 @@ def state_of(s: old.ChainState) -> State:
 
 def chain_state(s: State) -> old.ChainState:
     """Inverse of :func:`state_of`."""
-    vector = np.zeros(old.CONSTANTS_SIZE)
-    for name, part in PARTS.items():
-        vector[part] = s.constants[name]
-    constants = old.Constants.from_vector(vector, s.geometry.level_axes_s, is_steered=s.geometry.is_steered)
+    before = old.Constants(
+        0.0, 0.0, np.zeros(3), level_axes_s=s.geometry.level_axes_s, is_steered=s.geometry.is_steered
+    )
+    constants = _old_constants(s.constants, before)
     return old.ChainState(s.t, s.R_ns, s.position_n, s.velocity_n, s.accel_bias_s, s.gyro_bias_s, s.offset_n, constants)
+
+
+def _old_constants(constants: Mapping[str, Array], before: old.Constants) -> old.Constants:
+    vector = before.as_vector()
+    for name, part in PARTS.items():
+        vector[part] = constants[name]
+    return old.Constants.from_vector(vector, before.level_axes_s, is_steered=before.is_steered)
 
 
 def noise_before(n: inputs.Noise) -> Noise:
@@ -216,86 +214,3 @@ def noise_before(n: inputs.Noise) -> Noise:
         constants=spread,
         offset_most=n.offset_most,
     )
-
-
-class ChainOfGtsam:
-    """A ChainFactor: joint covariances of a chain of GTSAM, by the first edition's columns."""
-
-    def __init__(self, chain: Chain) -> None:
-        self._chain = chain
-
-    def covariance(self, first: IntArray, left: Array, right: Array, constants: Array) -> Array:
-        """Covariance (q, q) of q functions, as Chain.joint."""
-        ours = np.zeros((len(first), CONSTANTS_SIZE))
-        ours[:, OURS] = constants[:, THEIRS]
-        return self._chain.joint(first, left, right, ours)
-
-    def thinnable(self, times: int) -> int:
-        """As often as is asked for."""
-        return times
-
-    def thinned(self, times: int, keep: Callable[[Array], Array]) -> ChainFactor:
-        """Return the factor of the first, third .. keyframes alone, `times` over; `keep` copies its arrays."""
-        chain = self._chain.thinned(2**times)
-        gain, influence, root = (keep(values) for values in (chain.gain, chain.influence, chain.root))
-        return cast(ChainFactor, ChainOfGtsam(Chain(gain, influence, root, chain.constants)))
-
-
-def rows_of(r: Rows) -> old_rows.Rows:
-    """Return rows in the first edition's type."""
-    constants = np.zeros((*r.residual.shape, old.ROW_CONSTANTS_SIZE))
-    for name, block in r.constants.items():
-        constants[:, :, PARTS[name]] = block
-    return old_rows.Rows(r.name, r.interval, r.residual, r.sigma, r.left, r.right, constants, r.weight)
-
-
-def solved_of(s: Solution) -> old_batch.Solved:
-    """Return a solution in the first edition's type."""
-    step, c, n = s.step, s.covariances, old.CONSTANTS_SIZE
-    keyframes = len(step.state.t)
-    constants, own, cross = np.zeros(n), np.zeros((n, n)), np.zeros((keyframes, KEYFRAME_SIZE, n))
-    constants[THEIRS], own[np.ix_(THEIRS, THEIRS)] = step.constants[OURS], c.constants[np.ix_(OURS, OURS)]
-    cross[:, :, THEIRS] = c.with_constants[:, :, OURS]
-    solution = ChainSolution(
-        step.keyframes, constants, c.keyframes, c.neighbours, own, cross, cast(ChainFactor, ChainOfGtsam(s.chain))
-    )
-    whitened = np.zeros((keyframes - 1, 15, 46))
-    whitened[:, :, :15], whitened[:, :, 15:30] = step.imu[:, :, :15], step.imu[:, :, 18:33]
-    by_constants = step.imu[:, :, 2 * KEYFRAME_SIZE : -1]
-    whitened[:, :, 30:45] = by_constants[:, :, COLUMNS["accel_scale"].start : COLUMNS["rectification"].stop]
-    whitened[:, :, 45] = -step.imu[:, :, -1]
-    rows = {name: rows_of(after_step(r, step.keyframes, step.constants)) for name, r in step.rows.items()}
-    inertial = old_inertial.LinearInertial(whitened)
-    return old_batch.Solved(chain_state(s.state), chain_state(step.state), solution, inertial, rows, None)
-
-
-def noise_of(s: Solution, solved: old_batch.Solved, before: inputs.Noise) -> inputs.Noise:
-    """Return the noise that was found, in the first edition's type."""
-    n, found = s.noise, s.components
-    force, rate = (
-        old_inertial.VarianceComponent(c.squares_of, c.redundancy_of, c.squares_in, c.redundancy_in)
-        for c in (found.force, found.rate)
-    )
-    position, velocity = (RowComponent(c.squares, c.expected) for c in (found.position, found.velocity))
-    spread = np.array([float(n.constants[name][0]) for name in ("accel_scale", "gyro_scale", "rectification")])
-    noise = replace(
-        before,
-        inertial=n.inertial,
-        position=n.position,
-        velocity=n.velocity,
-        offset_sigma=n.offset_sigma,
-        sensor_error=spread,
-    )
-    noise = replace(noise, told=told_by(solved, noise, (force, rate), (position, velocity)))
-    return noise if n.slip is None else replace(noise, slip=_slip_noise(s, n.slip))
-
-
-def _slip_noise(s: Solution, sigma: float) -> SlipNoise:
-    slip, rolls = slip_of(s.state, LowPassedMotion(s.state, WHEELS_BELOW)), s.graph.measured.rolls
-    assert rolls is not None
-    k = np.flatnonzero(rolls)
-    by = slip.by_constants[k]
-    fit = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / PRIOR) ** 2), by.T @ slip.value[k])
-    different = min(DIFFERENT, len(k) * s.state.interval / (2.0 * MEMORY), corners(by[:, 1] / by[:, 0]))
-    moments = by.T @ by / len(k)
-    return SlipNoise(sigma, s.noise.least_slip, 0.0, moments, different, apart=float(fit[0]), shown=float(len(k)))

@@ -1,13 +1,11 @@
 """GraphSmoother: session in, trajectory out. The stages, in order; each is a function of what came before.
 
     velocities along positions -> one clock, force in step with rate, without pauses -> fixes alone -> align
-    -> first guess -> jumps beside outages -> identify noise and constants, on a part
-    -> keyframes where velocities were felt -> jumps beside outages -> magnetometer
-    -> solve and identify, in turns -> wheels -> mounting -> output
+    -> first guess -> jumps beside outages -> identify noise and constants, on a part -> solve and identify, in turns,
+    with magnetometer and wheels -> mounting -> output
 
-Where samples cover a part of the fixes only, constants and noise are found from that part (windows.py), and the path of
-the fixes stands in for the samples of the rest (made_up.py). When the inertial sensor cannot be used, or its solution
-fails, the result is the smoothing of the fixes alone.
+Where samples cover a part of the fixes only, constants and noise are found from that part (output/windows.py). When the
+inertial sensor cannot be used, or its solution fails, the result is the smoothing of the fixes alone.
 """
 
 import time
@@ -18,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.estimate.align import Alignment
+from smoother.estimate.bridge import Solved, solve
 from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
@@ -25,29 +24,26 @@ from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.graph.begin import Begun, begin
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
-from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
-from smoother.estimate.graph.identified import field_values
-from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.looks import LONGEST_ARM, Looked, level_arm, look
-from smoother.estimate.graph.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
+from smoother.estimate.graph.edges import jumped_beside_outages
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.output import build_trajectory, row_times
 from smoother.estimate.graph.sampled import sampled_spans
-from smoother.estimate.graph.slip import tells_nose
-from smoother.estimate.graph.start import Start, have_samples, on_the_wheel
-from smoother.estimate.graph.state import SLIP
-from smoother.estimate.graph.stated import (
+from smoother.estimate.graph.start import Start, have_samples, make_start, on_the_wheel
+from smoother.estimate.in_step import identified as identified_delay
+from smoother.estimate.leaning import leaning_problems
+from smoother.estimate.mirrored import explained
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import COLUMNS
+from smoother.estimate.noise_of_fixes import unseen_wander
+from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
+from smoother.estimate.output.identified import field_values
+from smoother.estimate.output.mounting import FittedMounting, along_wheels, fit_mounting, on_its_ground, without_heading
+from smoother.estimate.output.stated import (
     contradicted_constants,
     contradicted_filter,
     contradicted_mounting,
     contradicted_noise,
 )
-from smoother.estimate.graph.uncertainty import nose_variance
-from smoother.estimate.graph.upright import unsteadiness
-from smoother.estimate.in_step import identified as identified_delay
-from smoother.estimate.leaning import leaning_problems
-from smoother.estimate.mirrored import explained
-from smoother.estimate.noise_of_fixes import unseen_wander
+from smoother.estimate.output.trajectory import build_trajectory, row_times
 from smoother.estimate.pauses import NO_PAUSES, Pauses, opened_up, pauses_of
 from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.true_time import clock_problems, clock_scale, in_session_time, in_true_time
@@ -101,6 +97,11 @@ FAR_AS_STATED = (
 )
 
 
+LONGEST_ARM = 2.5  # m from box to antenna, more than any kart is long
+# rad/s/sqrt(Hz), from which on rates do not show attitudes, nor whether a box turns with the wheel
+MOST_UNSTEADY = 8.0 * DEG
+
+
 @dataclass
 class GraphSmoother:
     """The factor-graph smoother: an Estimator."""
@@ -152,7 +153,7 @@ class GraphSmoother:
     ) -> Trajectory | Exception:
         try:
             return self._from_graph(session, watch, cut_out)
-        except (_FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError) as error:
+        except FAILURES as error:
             return error.with_traceback(None)  # else all that was being solved stays in memory
 
     def _from_fixes(self, session: Session, problems: tuple[Problem, ...]) -> Trajectory:
@@ -170,15 +171,13 @@ class GraphSmoother:
         if _is_strange(start.alignment):
             raise _FixesAlone(unlike)
         with watch("solve"):
-            solved = look(session, start, options, watch.say)
+            solved = _identified(session, start, options, watch.say)
         with watch("output"):
             trajectory = _output(session, solved, options)
         if _turns_with_a_wheel(trajectory, solved):
-            with suppress(
-                _FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError
-            ):  # then the first one counts
+            with suppress(*FAILURES):  # then the first one counts
                 with watch("solve"):
-                    steered = look(session, start, options, watch.say, on_the_wheel)
+                    steered = _identified(session, on_the_wheel(start), options, watch.say)
                 with watch("output"):
                     trajectory, solved = _output(session, steered, options), steered
         report = _completed_report(given, begun, solved, trajectory)
@@ -215,18 +214,6 @@ def _early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
         "that against theirs. Place and time are the samples'; with columns of your own, bring them onto one clock"
     )
     return (Problem("gps_early", text),)
-
-
-def _course_late(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
-    """Say so where course and speed of the fixes are of different moments."""
-    delay = identified["gps_course_delay"]
-    if not delay.observable or not isinstance(delay.value, float):
-        return ()
-    text = (
-        f"the course of the fixes is {abs(delay.value):.2f} s {'later' if delay.value > 0.0 else 'earlier'} than their "
-        "speed, as where a logger smooths one of both; taken out, and `gps_velocity_latency` is that of the speed"
-    )
-    return (Problem("gps_course_delay", text),)
 
 
 def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ...]:
@@ -316,6 +303,9 @@ def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
     return float(np.max(last - first))
 
 
+FAILURES = (_FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError)
+
+
 class Stopwatch:
     """Time of each stage, and progress to whoever wants to see it."""
 
@@ -343,48 +333,56 @@ class Stopwatch:
             self._progress(self._stage, fraction)
 
 
-def _output(session: Session, solved: Looked, options: GraphOptions) -> Trajectory:
+def _identified(session: Session, start: Start, options: GraphOptions, say: Callable[[float], None]) -> Solved:
+    """Identify constants and noise and solve, without the fixes that jumped beside an outage."""
+    found = jumped_beside_outages(start, start.noise, options.approaches, with_doppler=False)
+    doubted = np.isin(session.gnss.t, found)
+    if doubted.any():
+        steered = start.state.constants.is_steered
+        start = make_start(session, options, options.identification_span, doubted, start.pauses)
+        start = on_the_wheel(start) if steered else start
+    return solve(session, start, options, say, doubted)
+
+
+def _output(session: Session, solved: Solved, options: GraphOptions) -> Trajectory:
     """Trajectory of what was solved. Raises _FixesAlone where the antenna is too far from the box."""
-    start, found, solution = solved.start, solved.found, solved.solution
-    if session.config.mounting.lever_arm_b is None and (arm := level_arm(found)) > LONGEST_ARM:
-        wrong = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
-        text = (FAR_AS_STATED if wrong else FAR_APART).format(arm)
+    start, found = solved.start, solved.found
+    level_arm = float(np.linalg.norm(found.state.geometry.level_axes_s[:2] @ found.state.constants["lever_arm"]))
+    if session.config.mounting.lever_arm_b is None and level_arm > LONGEST_ARM:
+        wrong = contradicted_constants(session, found)
+        text = (FAR_AS_STATED if wrong else FAR_APART).format(level_arm)
         raise _FixesAlone((*start.alignment.problems, *wrong, Problem("arm_too_long", text)))
     return build_trajectory(
         session,
         found,
-        solution.noise,
-        _mounting(session, found, solution.noise, start),
+        _mounting(session, found, start),
         start.fine,
-        solution.priors,
         options.rate,
         np.array(options.offset_sigma) * start.receiver,
         start.pauses,
-        solved.doubt,
-        unseen_wander(session.gnss.t, start.path, solution.noise.offset_tau),
+        unseen_wander(session.gnss.t, start.path, found.known.noise.offset_tau),
     )
 
 
-def _turns_with_a_wheel(trajectory: Trajectory, solved: Looked) -> bool:
+def _turns_with_a_wheel(trajectory: Trajectory, solved: Solved) -> bool:
     """Whether a box that was taken for one on the frame turns as a steering wheel does, by rates that tell it.
 
     Vibration that the sampling folds hides a wheel in the samples as they came; attitudes are made of fixes too.
     """
     on_wheel = any(problem.code == BOX_ON_WHEEL for problem in trajectory.report.problems)
-    gyro = solved.solution.noise.inertial.gyro
-    if solved.start.alignment.is_misnamed:
+    if solved.start.alignment.is_misnamed or solved.found.state.geometry.is_steered:
         return False
-    return on_wheel and not solved.found.state.constants.is_steered and unsteadiness(gyro) < 1.0
+    return on_wheel and solved.found.known.noise.inertial.gyro < MOST_UNSTEADY
 
 
-def _completed_report(given: Session, begun: Begun, solved: Looked, trajectory: Trajectory) -> EstimateReport:
+def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: Trajectory) -> EstimateReport:
     """Report of the trajectory, with what was found out before there was one, and what speaks against it."""
-    told, start, found, solution = trajectory.report, solved.start, solved.found, solved.solution
+    told, start, found = trajectory.report, solved.start, solved.found
     return replace(
         told,
         identified={
             **of_both_sides(told.identified, begun.steps),
-            **field_values(solution.heading, found.state.constants, found.constants_covariance),
+            **field_values(solved.heading, found),
             "accel_delay": identified_delay(begun.delay),
             "imu_clock_drift": identified_drift(begun.drift),
         },
@@ -393,11 +391,10 @@ def _completed_report(given: Session, begun: Begun, solved: Looked, trajectory: 
         problems=(
             *start.alignment.problems,
             *told.problems,
-            *solution.problems,
-            *_blamed(begun, solution.noise),
+            *solved.problems,
+            *_blamed(begun, found.known.noise),
             *_early(told.identified),
             *_velocities_early(told.identified),
-            *_course_late(told.identified),
             *leaning_problems(trajectory),
             *offset_problems(begun.offset),
             *begun.problems,
@@ -407,36 +404,36 @@ def _completed_report(given: Session, begun: Begun, solved: Looked, trajectory: 
     )
 
 
-def _contradicted(session: Session, solved: Looked) -> tuple[Problem, ...]:
-    """Say what was stated of the session that it contradicts; of axes that are wrong nothing else is told."""
-    start, found, solution = solved.start, solved.found, solved.solution
+def _contradicted(session: Session, solved: Solved) -> tuple[Problem, ...]:
+    """Report what was stated of the session that it contradicts, unless axes are wrong."""
+    start, found = solved.start, solved.found
     if any(problem.code in (MIRRORED_AXES, UNLIKE_AXES) for problem in start.alignment.problems):
         return ()
-    stated, constants = session.config.mounting.R_bs, found.state.constants
-    out = contradicted_constants(session, found, solution.priors, solution.noise, solved.doubt)
-    if stated is not None and not constants.is_steered and not start.alignment.is_level_only:
-        out += contradicted_mounting(stated, _fitted_mounting(session, found, solution.noise, start))
+    stated, out = session.config.mounting.R_bs, contradicted_constants(session, found)
+    if stated is not None and not found.state.geometry.is_steered and not start.alignment.is_level_only:
+        out += contradicted_mounting(stated, _fitted_mounting(found, start))
     return (*out, *contradicted_filter(session), *contradicted_noise(start))
 
 
-def _mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
+def _mounting(session: Session, found: Estimated, start: Start) -> FittedMounting:
     stated = session.config.mounting.R_bs
     if stated is not None:
         mounting = FittedMounting(stated, np.zeros(3), True)
     else:
-        mounting = _fitted_mounting(session, found, noise, start)
+        mounting = _fitted_mounting(found, start)
     return without_heading(mounting) if start.alignment.is_level_only else mounting
 
 
-def _fitted_mounting(session: Session, found: Estimated, noise: Noise, start: Start) -> FittedMounting:
-    state = found.state
-    height_sigma = float(np.sqrt(2.0) * noise.offset_sigma[2]) if start.priors.has_height else None
+def _fitted_mounting(found: Estimated, start: Start) -> FittedMounting:
+    state, known = found.state, found.known
+    height_sigma = float(np.sqrt(2.0) * known.noise.offset_sigma[2]) if known.has_height else None
     mounting = fit_mounting(state, start.alignment.R_bs, start.fine.missing, height_sigma)
-    if mounting.is_fitted:
-        mean, common = attitude_variance(found, mounting.R_bs, are_made_up(start.fine))
-        own = float(max(mean[0] - common[0], 0.0))
-        mounting = on_its_ground(mounting, state, own, start.fine.missing, start.data.still)
-    of_slip, beyond = float(found.constants_covariance[SLIP.start, SLIP.start]), nose_variance(session, noise)
-    if mounting.is_fitted and tells_nose(of_slip) and beyond is not None:
-        mounting = along_wheels(mounting, state.constants, of_slip + beyond)
-    return mounting
+    if not mounting.is_fitted:
+        return mounting
+    mean, common = attitude_variance(found, mounting.R_bs, without_samples(start.fine))
+    own = float(max(mean[0] - common[0], 0.0))
+    mounting = on_its_ground(mounting, state, own, start.fine.missing, start.data.still)
+    if known.wheels_heading is None:
+        return mounting
+    slip = COLUMNS["slip"].start
+    return along_wheels(mounting, state, float(known.constants_covariance[slip, slip]) + known.wheels_heading)

@@ -12,7 +12,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import SmootherError
 from smoother.estimate.graph.inertial_noise import InertialNoise
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
 from smoother.laps.path import PlanPath

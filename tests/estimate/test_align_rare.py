@@ -8,7 +8,7 @@ import pytest
 from smoother import so3
 from smoother.estimate.align import align
 from smoother.estimate.align_rare import RareAlignment, align_rare
-from smoother.estimate.graph.smoother import STRANGE_OF_CHANGES
+from smoother.estimate.smoother import STRANGE_OF_CHANGES
 from smoother.estimate.path_motion import PathMotion
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive

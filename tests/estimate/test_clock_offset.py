@@ -11,7 +11,7 @@ from smoother.estimate.clock_offset import DELAY, NO_OFFSET, ClockOffset, clock_
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import with_samples_at

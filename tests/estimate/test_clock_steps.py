@@ -11,7 +11,7 @@ from smoother.estimate.align import align
 from smoother.estimate.clock_steps import ClockStep, moves_of, of_both_sides, session_steps, step_problems
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.begin import begin
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import moved

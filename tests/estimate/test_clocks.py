@@ -18,7 +18,7 @@ from smoother.estimate.clocks import (
 )
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph import begin as begin_module
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.prepare import prepare

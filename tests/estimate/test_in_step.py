@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.graph import begin as begin_module
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.in_step import advanced, identified, in_step
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.prepare import prepare

@@ -10,7 +10,7 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import Alignment, align
 from smoother.estimate.check import check
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.lean_rates import NAMINGS, lean_rates
 from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.path_motion import PathMotion

@@ -10,7 +10,7 @@ import pytest
 from smoother.arrays import Array, IntArray
 from smoother.estimate.evaluate import evaluate
 from smoother.estimate.graph.begin import begin
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
 from smoother.prepare import prepare

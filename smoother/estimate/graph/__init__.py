@@ -57,21 +57,6 @@ From a session to its solution
     solve           noise and constants from a part, then the whole, in turns
 
 What a solution says
-    ground          what of an angle is the ground's
-    mounting        how the box lies in the kart
-    uncertainty     covariances of antenna and biases
-    wander          what fixes do slowly, and Doppler's part of it
-    joint           how errors of places at several times hang together
-    leftovers       statistics of residuals
-    estimated       all of this, of one piece or of windows
-    identified      constants and noise with their sigmas
-    windows         sessions of hours, solved in pieces
-    looks           solving, and once more where what comes out can not be right
-    stated          what the settings state and the session contradicts
     felt            what box and antenna felt between keyframes
-    dense_rows      rows of the trajectory between keyframes
-    kart_keyframes  keyframes of the kart, with covariance
-    output          the trajectory
 
-    smoother        GraphSmoother: session in, trajectory out
 """

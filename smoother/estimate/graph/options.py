@@ -16,8 +16,7 @@ LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
 class GraphOptions:
     """Options of the graph, in SI; where each figure comes from.
 
-    rate Hz: rows of the trajectory a second. solver: "batch", "isam2", or "gtsam",
-    which is to become the batch.
+    rate Hz: rows of the trajectory a second. solver: "batch" or "isam2", which ends in the batch's step.
     in_step: a force that is late behind the rate is taken to its time.
     wheels: the kart is asked to point nearly along its path.
     keyframe_interval s: 0.2 is one keyframe to a fix of a 5 Hz receiver; less beyond 10 Hz (:meth:`for_fixes`).

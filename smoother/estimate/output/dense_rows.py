@@ -1,25 +1,22 @@
 """Rows of the trajectory between keyframes: motion, accelerations and sigmas at any times, a part at a time."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import even_pieces, roomy
-from smoother.estimate.graph.arm import arm_axes_at
-from smoother.estimate.graph.estimated import Estimated
+from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.rows import Between
 from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.felt import Felt, felt_on
-from smoother.estimate.graph.imu import BinnedImu, DensePath, corrected, dense_path, motion_at
+from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path, motion_at, shaken
 from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
-from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.mounting import (
-    FittedMounting,
-)
-from smoother.estimate.graph.state import (
-    ChainState,
-)
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import State
+from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.output.mounting import FittedMounting
 from smoother.estimate.pauses import Pauses
 from smoother.frames import euler_jacobian
 from smoother.trajectory import (
@@ -44,7 +41,7 @@ class DenseSource:
     pauses: where time is cut out of the session; no path goes through them.
     """
 
-    state: ChainState
+    state: State
     binned: BinnedImu
     noise: InertialNoise
     doppler: DopplerNoise | None
@@ -61,10 +58,14 @@ class DenseSource:
         return found
 
     def _stretch(self, keys: slice) -> "_Stretch":
-        state, bins = self.state.between(keys.start, keys.stop), self.binned.between(keys.start, keys.stop)
-        c = state.constants
+        state, bins = self.state.part(keys), self.binned.between(keys.start, keys.stop)
         path = dense_path(
-            corrected(bins, c), state.R_ns, state.position_n, state.velocity_n, state.accel_bias_s, state.gyro_bias_s
+            corrected(bins, state),
+            state.R_ns,
+            state.position_n,
+            state.velocity_n,
+            state.accel_bias_s,
+            state.gyro_bias_s,
         )
         return _Stretch(
             keys,
@@ -73,12 +74,12 @@ class DenseSource:
             path,
             felt_on(
                 path,
-                c.level_axes_s,
+                state.geometry.level_axes_s,
                 self.noise,
                 self.doppler,
                 state.interval,
                 self.upwards,
-                is_steered=c.is_steered,
+                is_steered=state.geometry.is_steered,
             ),
         )
 
@@ -88,7 +89,7 @@ class _Stretch:
     """A part of a :class:`DenseSource`: keyframes `keys`, their state and bins, the path through them, what is felt."""
 
     keys: slice
-    state: ChainState
+    state: State
     binned: BinnedImu
     path: DensePath
     felt: Felt
@@ -121,21 +122,22 @@ class DenseRows:
         part: slice,
         t: Array,
         found: Estimated,
-        noise: Noise,
         mounting: FittedMounting,
         source: DenseSource,
         keyframes: Keyframes,
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
-        c, near = found.state.constants, source.around(t)
+        near, noise = source.around(t), found.known.noise
         motion, rate_n = motion_at(near.path, t), near.felt.rate_at(t)
-        arm_n, R_nb = arm_axes_at(near.path, c, t, motion.R_ns) @ c.lever_arm_s, motion.R_ns @ mounting.R_bs.T
+        state = near.state
+        R_arm = arm_axes(Between.at(state, t)) if state.geometry.is_steered else motion.R_ns
+        arm_n, R_nb = R_arm @ state.constants["lever_arm"], motion.R_ns @ mounting.R_bs.T
         self.position_n[part] = motion.position_n + arm_n
         self.velocity_n[part] = motion.velocity_n + np.cross(near.felt.swing_at(t), arm_n)
         self.R_nb[part] = R_nb
         self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, near.felt.acceleration_at(t))
         self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
-        known, keys, state = found.uncertainty, near.keys, near.state
+        known, keys = found.uncertainty, near.keys
         bend = known.bend[keys] + _between_samples(near.binned, noise.inertial, state.R_ns)
         covariance, track = keyframes.covariance[keys], known.track[keys]
         track = np.column_stack([track, _bridge(track[:, 0], noise, state.interval)])
@@ -167,7 +169,19 @@ class DenseRows:
         return Trajectory(t=t, **columns, sigmas=Sigmas(**self.sigmas), report=report, joint=joint)
 
 
-def _around(state: ChainState, t: Array, pauses: Pauses) -> slice:
+def corrected(binned: BinnedImu, state: State) -> BinnedImu:
+    """Return the bins with scale, misalignment and rectified vibration of `state` removed, to first order."""
+    of, axes = state.constants, state.geometry.level_axes_s
+    by_force, by_rate = of["accel_scale"].reshape(3, 2) @ axes[:2], np.outer(of["gyro_scale"], axes[2])
+    rectified = shaken(binned) @ of["rectification"].reshape(3, 2).T
+    return replace(
+        binned,
+        specific_force_s=binned.specific_force_s - binned.specific_force_s @ by_force.T - rectified[:, None, :],
+        angular_rate_s=binned.angular_rate_s - binned.angular_rate_s @ by_rate.T,
+    )
+
+
+def _around(state: State, t: Array, pauses: Pauses) -> slice:
     """Keyframes around times t (n,) s that the path there needs, from pause to pause."""
     stretch = pauses.stretches(state.t)[int(np.searchsorted(pauses.cuts, t[0], side="right"))]
     first = max(int(np.searchsorted(state.t, t[0] - MARGIN)) - 1, stretch.start)

@@ -1,122 +1,152 @@
-"""What a solved graph says, of one piece or of windows, and how errors of attitude hang together over a session."""
+"""All that the output is made of, of a session that was solved in one piece or in windows."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.graph.batch import Solved
+from smoother.config import SessionConfig
+from smoother.estimate.factors.graph import Priors
+from smoother.estimate.factors.rows import Rows, after_step
 from smoother.estimate.graph.imu import BinnedImu, are_told
-from smoother.estimate.graph.joint import ChainJoint
-from smoother.estimate.graph.leftovers import left_of_inertial
-from smoother.estimate.graph.mounting import (
-    MIN_KEYFRAMES,
-    are_driven,
-)
-from smoother.estimate.graph.rows import Rows
-from smoother.estimate.graph.state import (
-    CONSTANTS_SIZE,
-    KEYFRAME_SIZE,
-    ROTATION,
-    ChainState,
-)
-from smoother.estimate.graph.uncertainty import Uncertainty, uncertainty_of
-from smoother.trajectory import (
-    JointPosition,
-    ResidualStatistics,
-)
+from smoother.estimate.graph.start import Start
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, ROTATION, State
+from smoother.estimate.output.joint import ChainPositions
+from smoother.estimate.output.mounting import MIN_KEYFRAMES, are_driven
+from smoother.estimate.output.noise_uncertainty import NoiseUncertainty, noise_uncertainty
+from smoother.estimate.output.residual_statistics import inertial_statistics
+from smoother.estimate.output.uncertainty import Uncertainty, uncertainty_of
+from smoother.estimate.solvers.identify import Solution
+from smoother.trajectory import JointPosition, ResidualStatistics
 
 SAMPLES = 100  # keyframes whose errors are averaged; they last for seconds or for the session, so that these will do
 UNUSUAL = 4.0  # times the usual variance of an attitude; standing and driving differ by less
 
 
 @dataclass(frozen=True, eq=False)
-class Estimated:
-    """What a solved graph says, of one piece or of windows: all that the output is made of.
+class Known:
+    """What holds for all of a session, also where it is solved in windows.
 
-    joint: how errors hang together, given the variance (3,) m^2 that the session cannot show; None where unknown.
-    common_attitude (3, 3) rad^2: covariance in s of the mean error of all attitudes; zero where unknown.
-    inertial: what is left of the inertial factors, by name.
+    priors: before anything is held. constants_covariance (C, C). common_attitude (3, 3) rad^2: covariance in s of the
+    mean error of all attitudes; zero where unknown. wheels_heading: variance, rad^2, of the heading of the kart by its
+    sideslip, beyond that in the solution; None where the heading is not known from sideslip. offset_tau_spread: sigma
+    of the logarithm of offset_tau, infinite where it is the population's. has_height: some fix has a height. drives:
+    the kart went at a speed that shows the constants.
     """
 
-    state: ChainState
+    noise: Noise
+    noise_uncertainty: NoiseUncertainty
+    priors: Priors
     constants_covariance: Array
+    common_attitude: Array
+    wheels_heading: float | None
+    offset_tau_spread: float
+    has_height: bool
+    drives: bool
+
+    def prior_sigma(self, name: str) -> Array:
+        """Sigma (size,) of a constant beforehand."""
+        return np.asarray(np.minimum(self.priors.constants[name][1], self.noise.constants.get(name, np.inf)))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """state; rows by name, after the last step; joint: of positions, but for what no session can show; inertial: of the
+    residuals of the IMU factors, by name.
+    """
+
+    state: State
+    known: Known
     uncertainty: Uncertainty
-    rows: dict[str, Rows]
-    joint: Callable[[Array], JointPosition] | None
-    common_attitude: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    rows: Mapping[str, Rows]
+    joint: JointPosition
     inertial: Mapping[str, ResidualStatistics] = field(default_factory=dict)
 
 
-def estimated(solved: Solved, nose: float | None, made_up: BoolArray | None) -> Estimated:
-    """Return what a graph that was solved in one piece says; nose, rad^2, as for :func:`uncertainty_of`.
-
-    made_up (K,): as for :func:`common_attitude`.
-    """
-    at, factor = solved.linearised_at, solved.solution.factor
-    return Estimated(
-        solved.state,
-        solved.solution.constants_covariance,
-        uncertainty_of(solved, nose),
-        solved.rows,
-        None if factor is None else lambda unseen: ChainJoint(at, factor, unseen),
-        common_attitude(solved, made_up),
-        left_of_inertial(solved, slice(None)),
+def known_from(solution: Solution, priors: Priors, start: Start, config: SessionConfig) -> Known:
+    """Return what the solution of a start says of all of its session; priors: before anything was held."""
+    covariance, slip, first = solution.covariances.constants, priors.constants["slip"][1], COLUMNS["slip"].start
+    uncertainty = noise_uncertainty(solution, slip)
+    is_known = config.mounting.R_bs is None and covariance[first, first] < (0.5 * slip[0]) ** 2
+    return Known(
+        solution.noise,
+        uncertainty,
+        priors,
+        covariance,
+        common_attitude(solution, without_samples(start.binned)),
+        uncertainty.wheels_heading if is_known else None,
+        start.noise.offset_tau_spread,
+        start.priors.has_height,
+        start.priors.drives,
     )
 
 
-def _told(state: ChainState, made_up: BoolArray | None) -> IntArray:
-    """Keyframes that the mounting is fitted to, all where they are few: what it takes out of others' errors is less.
+def estimated(solution: Solution, known: Known) -> Estimated:
+    """Return what a graph that was solved in one piece says."""
+    return Estimated(
+        solution.state,
+        known,
+        uncertainty_of(solution, known.wheels_heading),
+        rows_after(solution),
+        ChainPositions(solution.step.state, solution.chain),
+        inertial_statistics(solution, slice(None)),
+    )
 
-    made_up (K,): keyframes without samples, which tell nothing.
-    """
-    sampled = np.ones(len(state.t), dtype=np.bool_) if made_up is None else ~made_up
+
+def rows_after(solution: Solution) -> dict[str, Rows]:
+    """Return the rows of all factors with the residuals after the last step."""
+    step = solution.step
+    return {name: after_step(rows, step.keyframes, step.constants) for name, rows in step.rows.items()}
+
+
+def _fitted(state: State, unsampled: BoolArray | None) -> IntArray:
+    """Keyframes that the mounting is fitted to, all where they are few."""
+    sampled = np.ones(len(state.t), dtype=np.bool_) if unsampled is None else ~unsampled
     driven = are_driven(state) & sampled
     return np.flatnonzero(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else sampled)
 
 
-def common_attitude(solved: Solved, made_up: BoolArray | None) -> Array:
-    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes; zero where it is not known.
+def common_attitude(solution: Solution, unsampled: BoolArray | None) -> Array:
+    """Covariance (3, 3) rad^2 in s of the mean error of attitude, from SAMPLES keyframes.
 
-    made_up (K,): keyframes without samples, whose errors have nothing in common with those of others.
+    unsampled (K,): keyframes without samples, whose errors have nothing in common with those of others.
     """
-    factor, attitude = solved.solution.factor, solved.solution.covariance[:, ROTATION, ROTATION]
-    if factor is None:
-        return np.zeros((3, 3))
-    told = _told(solved.state, made_up)
-    told = told[told < len(attitude) - 1]
-    known = told[_usually_known(attitude[told])]
-    at = np.repeat(known[np.linspace(0, len(known) - 1, SAMPLES).astype(np.int64)], 3)
+    attitude = solution.covariances.keyframes[:, ROTATION, ROTATION]
+    fitted = _fitted(solution.state, unsampled)
+    fitted = fitted[fitted < len(attitude) - 1]
+    usual = fitted[_usually_known(attitude[fitted])]
+    at = np.repeat(usual[np.linspace(0, len(usual) - 1, SAMPLES).astype(np.int64)], 3)
     left = np.zeros((len(at), KEYFRAME_SIZE))
     left[:, ROTATION] = np.tile(np.eye(3), (SAMPLES, 1))
-    joint = factor.covariance(at, left, np.zeros_like(left), np.zeros((len(at), CONSTANTS_SIZE)))
+    joint = solution.chain.joint(at, left, np.zeros_like(left), np.zeros((len(at), CONSTANTS_SIZE)))
     return np.asarray(joint.reshape(SAMPLES, 3, SAMPLES, 3).mean(axis=(0, 2)))
 
 
 def _usually_known(attitude: Array) -> IntArray:
     """Keyframes whose attitude, of covariance (K, 3, 3), is known about as well as most are.
 
-    Before the first sample or in a gap nothing tells it: one such keyframe would outweigh all others in a mean.
+    Before the first sample or in a gap nothing measures it: one such keyframe would outweigh all others in a mean.
     """
     variance = np.einsum("kii->k", attitude)
     return np.flatnonzero(variance <= UNUSUAL * np.median(variance))
 
 
-def attitude_variance(found: Estimated, R_bs: Array, made_up: BoolArray | None) -> tuple[Array, Array]:
+def attitude_variance(found: Estimated, R_bs: Array, unsampled: BoolArray | None) -> tuple[Array, Array]:
     """Mean variance (3,) rad^2, about the axes of b, of attitudes, and the part (3,) of it that all have in common.
 
-    Of those that the mounting is fitted to. made_up (K,): keyframes without samples.
+    Of those that the mounting is fitted to. unsampled (K,): keyframes without samples.
     """
-    told = _told(found.state, made_up)
-    some = told[:: max(1, len(told) // (10 * SAMPLES))]
+    fitted = _fitted(found.state, unsampled)
+    some = fitted[:: max(1, len(fitted) // (10 * SAMPLES))]
     R_nb = found.state.R_ns[some] @ R_bs.T
     attitude = R_nb.transpose(0, 2, 1) @ found.uncertainty.antenna[some, 0:3, 0:3] @ R_nb
     attitude = attitude[_usually_known(attitude)]
-    return np.einsum("kii->i", attitude) / len(attitude), np.diag(R_bs @ found.common_attitude @ R_bs.T)
+    return np.einsum("kii->i", attitude) / len(attitude), np.diag(R_bs @ found.known.common_attitude @ R_bs.T)
 
 
-def are_made_up(binned: BinnedImu) -> BoolArray | None:
-    """Mask (K,) of the keyframes that the mounting is not fitted to since no samples tell them, None without any."""
+def without_samples(binned: BinnedImu) -> BoolArray | None:
+    """Mask (K,) of the keyframes whose attitude no samples measure, None without any."""
     sampled = are_told(binned.missing)
     return None if np.all(sampled) else ~sampled

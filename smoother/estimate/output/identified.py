@@ -1,30 +1,19 @@
-"""What a session told of its constants and its noise: each value with its sigma, its source, and whether it shows."""
+"""The constants and the noise of a session that were identified: value, sigma, source, and whether it is observable."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.gnss_offset import OffsetModel
-from smoother.estimate.graph.components import SMALLEST_POSITION
 from smoother.estimate.graph.heading import ANY_HARD_IRON, ANY_IRON, Heading
-from smoother.estimate.graph.inputs import SENSOR_ERRORS, Noise, Priors, constants_sigma
-from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.slip import ANY_SLIP
-from smoother.estimate.graph.slip import PRIOR as SLIP_PRIOR
-from smoother.estimate.graph.state import (
-    ACCEL_ERROR,
-    COURSE_DELAY,
-    HEADING_OFFSET,
-    LEVER_ARM,
-    RECTIFICATION,
-    VELOCITY_RESPONSE,
-    Constants,
-)
+from smoother.estimate.model.state import COLUMNS
 from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
+from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.output.noise_uncertainty import ANY_SLIP
+from smoother.estimate.solvers.variance_components import SMALLEST_POSITION
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
@@ -45,13 +34,6 @@ UNSTEADY_DELAY, UNSTEADY_ARM = 0.02, 0.2
 DOUBTED, UNTOLD = 3.5 * DEG, 5.0 * DEG
 
 
-@dataclass(frozen=True)
-class _Latency:
-    key: str
-    index: int
-    configured: float | None
-
-
 def doubt_by_rates(gyro: float) -> float:
     """Share, 0 to 1, of UNSTEADY_DELAY and UNSTEADY_ARM that delays and arm miss beside rates of density `gyro`."""
     return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
@@ -69,47 +51,54 @@ def unsure_moment(sampling: Sampling, stated: float | None, unsteady: float = 0.
 
 
 def identified_values(
-    constants: Constants,
-    covariance: Array,
-    common_attitude: Array,
-    noise: Noise,
-    priors: Priors,
-    mounting: FittedMounting,
-    config: SessionConfig,
-    unseen: Array,
-    sampling: Sampling,
-    doubt: float = 0.0,
+    found: Estimated, mounting: FittedMounting, config: SessionConfig, unseen: Array, sampling: Sampling
 ) -> dict[str, Identified]:
     """Return each value by its name in `identified` of summary.json.
 
-    covariance (31, 31) of `constants`, their priors' where the kart did not drive; common_attitude (3, 3) rad^2 in s:
-    of the mean error of all attitudes; unseen (3,) m^2: variance of the GPS offset beyond what the session shows.
-    sampling: see :func:`unsure_moment`. doubt: what delays and arm miss beyond their sigmas, at least, in parts
-    of UNSTEADY_DELAY and UNSTEADY_ARM.
+    Sigmas are those of the priors where the kart did not drive. unseen (3,) m^2: variance of the GPS offset beyond what
+    the session shows. sampling: see :func:`unsure_moment`.
     """
-    S = covariance if priors.drives else np.diag(constants_sigma(priors, noise) ** 2)
-    sigma, unsteady = np.sqrt(np.diag(S)), max(doubt_by_rates(noise.inertial.gyro), doubt)
+    known = found.known
+    unsteady = doubt_by_rates(known.noise.inertial.gyro)
     return {
-        **_of_the_receiver(constants, sigma, priors, config, unsure_moment(sampling, config.imu_delay, unsteady)),
-        "lever_arm_b": _lever_arm(constants, S, priors, mounting, config, unsteady),
-        "R_bs": _mounting(noise, mounting, config, common_attitude),
-        **_rectification(constants, sigma, noise),
-        **_noise(noise, config),
-        **_offset(noise, unseen),
+        **_of_the_receiver(found, config, unsure_moment(sampling, config.imu_delay, unsteady)),
+        "lever_arm_b": _lever_arm(found, mounting, config, unsteady),
+        "R_bs": _mounting(found, mounting, config),
+        **_rectification(found),
+        **_noise(found, config),
+        **wander_of_fixes(
+            OffsetModel(np.sqrt(known.noise.offset_sigma**2 + unseen), known.noise.offset_tau, known.offset_tau_spread),
+            known.noise_uncertainty.hidden,
+        ),
     }
 
 
-def field_values(heading: Heading | None, constants: Constants, covariance: Array) -> dict[str, Identified]:
-    """Return what was found of the magnetometer; nothing where it is not used. covariance (31, 31) of `constants`.
+def _covariance(found: Estimated, name: str) -> Array:
+    """Covariance (size, size) of a constant, its prior's where the kart did not drive."""
+    if not found.known.drives:
+        return np.diag(found.known.prior_sigma(name) ** 2)
+    return found.known.constants_covariance[COLUMNS[name], COLUMNS[name]]
 
-    Hard and soft iron only where the graph had to find them, and the kart turned about: those of a calibration are not
-    asked for, and at a place nothing tells them.
+
+def _sigma(found: Estimated, name: str) -> Array:
+    return np.sqrt(np.diag(_covariance(found, name)))
+
+
+def _is_observable(found: Estimated, name: str) -> bool:
+    return bool(_sigma(found, name)[0] < OBSERVABLE * found.known.priors.constants[name][1][0])
+
+
+def field_values(heading: Heading | None, found: Estimated) -> dict[str, Identified]:
+    """Return what was found of the magnetometer; nothing where it is not used.
+
+    Hard and soft iron only where the graph had to find them, and the kart turned about.
     """
     if heading is None:
         return {}
-    sigma, out = float(np.sqrt(covariance[HEADING_OFFSET, HEADING_OFFSET][0, 0])), {}
-    observable = sigma < OBSERVABLE * heading.offset_sigma
-    out["mag_heading_offset"] = _value(constants.heading_offset, sigma, "rad", observable, False)
+    column = COLUMNS["heading_offset"].start
+    sigma = float(np.sqrt(found.known.constants_covariance[column, column]))
+    value = found.state.constant("heading_offset")
+    out = {"mag_heading_offset": _value(value, sigma, "rad", sigma < OBSERVABLE * heading.offset_sigma, False)}
     fit = heading.fit
     if fit is None or not fit.is_told:
         return out
@@ -121,118 +110,87 @@ def field_values(heading: Heading | None, constants: Constants, covariance: Arra
     return {**out, "mag_soft_iron": Identified(soft.tolist(), of_soft.tolist(), "1", seen, source)}
 
 
-def _of_the_receiver(
-    constants: Constants, sigma: Array, priors: Priors, config: SessionConfig, moment: float
-) -> dict[str, Identified]:
-    """Its delays, and what it answers to a change of acceleration; sigma (31,) of all constants.
-
-    moment: see :func:`unsure_moment`.
-    """
-    values = constants.as_vector()
+def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> dict[str, Identified]:
+    """Its latencies, and its response to a change of acceleration; moment: see :func:`unsure_moment`."""
+    state, known = found.state, found.known
     out: dict[str, Identified] = {}
-    for latency in (
-        _Latency("gps_position_latency", 0, config.gps.position_latency),
-        _Latency("gps_velocity_latency", 1, config.gps.velocity_latency),
+    for name, configured in (
+        ("position_latency", config.gps.position_latency),
+        ("velocity_latency", config.gps.velocity_latency),
     ):
-        i = latency.index
-        observable = bool(sigma[i] < OBSERVABLE * priors.constants_sigma[i])
-        own = math.hypot(sigma[i], moment) if priors.drives else sigma[i]
-        out[latency.key] = _value(values[i], own, "s", observable, latency.configured is not None)
-    response = VELOCITY_RESPONSE.start
-    observable = bool(sigma[response] < OBSERVABLE * priors.constants_sigma[response])
-    own = math.hypot(sigma[response], ANTENNA_LEANS) if priors.holds_height else sigma[response]
-    if constants.is_steered:
-        # the arm keeps to the course, the antenna to the nose: beside it by the slip, which goes with the acceleration
-        own = math.hypot(own, SLIP_PRIOR[1] * float(np.linalg.norm(constants.lever_arm_s)))
-    out["gps_velocity_response"] = _value(values[response], own, "s^2", observable, False)
-    course, beforehand = COURSE_DELAY.start, priors.constants_sigma[COURSE_DELAY.start]
-    sought = bool(beforehand > GraphOptions.course_delay_sigma)  # else it stands for nothing
-    out["gps_course_delay"] = _value(
-        values[course], sigma[course], "s", sought and bool(sigma[course] < OBSERVABLE * beforehand), False
-    )
+        own = math.hypot(_sigma(found, name)[0], moment if known.drives else 0.0)
+        out[f"gps_{name}"] = _value(state.constant(name), own, "s", _is_observable(found, name), configured is not None)
+    own = float(_sigma(found, "velocity_response")[0])
+    if known.priors.held_s is not None:
+        own = math.hypot(own, ANTENNA_LEANS)
+    if state.geometry.is_steered:
+        # the arm keeps to the course, the antenna to the heading: between them is the sideslip, by the acceleration
+        slip = float(known.priors.constants["slip"][1][1])
+        own = math.hypot(own, slip * float(np.linalg.norm(state.constants["lever_arm"])))
+    observable = _is_observable(found, "velocity_response")
+    out["gps_velocity_response"] = _value(state.constant("velocity_response"), own, "s^2", observable, False)
     return out
 
 
-def _lever_arm(
-    constants: Constants,
-    covariance: Array,
-    priors: Priors,
-    mounting: FittedMounting,
-    config: SessionConfig,
-    unsteady: float,
-) -> Identified:
-    """The arm from the box to the antenna, in b; covariance (31, 31) of all constants.
-
-    unsteady: see :func:`unsure_moment`.
-    """
-    arm_covariance_s, up_s = covariance[LEVER_ARM, LEVER_ARM], constants.level_axes_s[2]
-    if priors.holds_height and priors.drives:
-        arm_covariance_s = arm_covariance_s + priors.constants_sigma[2] ** 2 * np.outer(up_s, up_s)
+def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig, unsteady: float) -> Identified:
+    """The arm from the IMU to the antenna, in b; unsteady: see :func:`unsure_moment`."""
+    state, known = found.state, found.known
+    geometry, prior = state.geometry, known.priors.constants["lever_arm"][1][0]
+    covariance_s = _covariance(found, "lever_arm")
+    if known.priors.held_s is not None and known.drives:
+        covariance_s = covariance_s + prior**2 * np.outer(known.priors.held_s, known.priors.held_s)
     # an arm that keeps to the course is not in the axes of a box that turns beside it
-    R_bs = constants.level_axes_s if constants.is_steered else mounting.R_bs
-    arm_b, arm_covariance = R_bs @ constants.lever_arm_s, R_bs @ arm_covariance_s @ R_bs.T
-    beside = math.hypot(ROUND_THE_COLUMN if constants.is_steered else 0.0, UNSTEADY_ARM * unsteady)
-    sigma_b = np.hypot(np.sqrt(np.diag(arm_covariance)), beside * np.array([1.0, 1.0, 0.0]))
-    # The value stays where nothing shows it: it is the one that leads from the box to the antenna in the trajectory.
-    observable = bool(np.all(sigma_b[:2] < OBSERVABLE * priors.constants_sigma[2]))
-    stated = config.mounting.lever_arm_b is not None
-    return _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, stated)
+    R_bs = geometry.level_axes_s if geometry.is_steered else mounting.R_bs
+    arm_b, covariance = R_bs @ state.constants["lever_arm"], R_bs @ covariance_s @ R_bs.T
+    beside = math.hypot(ROUND_THE_COLUMN if geometry.is_steered else 0.0, UNSTEADY_ARM * unsteady)
+    sigma_b = np.hypot(np.sqrt(np.diag(covariance)), beside * np.array([1.0, 1.0, 0.0]))
+    # The value stays where it is not observable: it is the one between IMU and antenna in the trajectory.
+    observable = bool(np.all(sigma_b[:2] < OBSERVABLE * prior))
+    return _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, config.mounting.lever_arm_b is not None)
 
 
-def _mounting(noise: Noise, mounting: FittedMounting, config: SessionConfig, common_attitude: Array) -> Identified:
-    """How the box stands in the kart."""
-    stated = config.mounting.R_bs is not None
-    common = np.diag(mounting.R_bs @ common_attitude @ mounting.R_bs.T) * [1.0, 1.0, 0.0 if mounting.by_wheels else 1.0]
+def _mounting(found: Estimated, mounting: FittedMounting, config: SessionConfig) -> Identified:
+    """How the IMU is mounted in the kart."""
+    stated, by_wheels = config.mounting.R_bs is not None, mounting.by_wheels
+    common = np.diag(mounting.R_bs @ found.known.common_attitude @ mounting.R_bs.T)
     # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
-    askew = noise.sensor_error[SENSOR_ERRORS.index(ACCEL_ERROR)]
-    source = "configured" if stated else "identified" if mounting.is_observable else "default"
+    askew = found.known.prior_sigma("accel_scale")[0]
+    variance = mounting.sigma**2 + askew**2 + common * [1.0, 1.0, 0.0 if by_wheels else 1.0]
     return Identified(
         mounting.R_bs.tolist(),
-        None if stated else np.sqrt(mounting.sigma**2 + askew**2 + common).tolist(),
+        None if stated else np.sqrt(variance).tolist(),
         "1 (sigma: rad)",
         mounting.is_observable,
-        source,
+        "configured" if stated else "identified" if mounting.is_observable else "default",
     )
 
 
-def _rectification(constants: Constants, sigma: Array, noise: Noise) -> dict[str, Identified]:
-    """What vibration pushes; sigma (31,) of all constants."""
+def _rectification(found: Estimated) -> dict[str, Identified]:
+    """Force by vibration of force, and by that of rate."""
+    values, sigmas = (
+        x.reshape(3, 2).T for x in (found.state.constants["rectification"], _sigma(found, "rectification"))
+    )
     out: dict[str, Identified] = {}
-    pushed, sigmas = constants.rectification.T, sigma[RECTIFICATION].reshape(3, 2).T
-    beforehand = noise.sensor_error[SENSOR_ERRORS.index(RECTIFICATION)]
-    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), pushed, sigmas, strict=True):
-        seen = bool(np.min(own) < OBSERVABLE * beforehand)
+    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), values, sigmas, strict=True):
+        seen = bool(np.min(own) < OBSERVABLE * found.known.prior_sigma("rectification")[0])
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
     return out
 
 
-def _noise(noise: Noise, config: SessionConfig) -> dict[str, Identified]:
+def _noise(found: Estimated, config: SessionConfig) -> dict[str, Identified]:
     """How noisy wheels, samples and fixes are."""
+    noise, known, stated = found.known.noise, found.known.noise_uncertainty, config.imu
     out: dict[str, Identified] = {}
-    if noise.slip is not None:
-        # not what slip has in common: its process takes a part of that over, and yaw is the same
-        sigma = noise.slip.unsure_sigma
-        out["slip_sigma"] = _value(noise.slip.sigma, sigma, "rad", sigma < OBSERVABLE * ANY_SLIP, False)
-    inertial, told, stated = noise.inertial, noise.told, config.imu
+    if noise.slip is not None and known.slip is not None:
+        out["slip_sigma"] = _value(noise.slip, known.slip, "rad", known.slip < OBSERVABLE * ANY_SLIP, False)
     for name, value, spread, unit, given in (
-        ("accel_noise", inertial.accel, told.accel, "m/s^2/sqrt(Hz)", stated.accel_noise),
-        ("gyro_noise", inertial.gyro, told.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),
+        ("accel_noise", noise.inertial.accel, known.accel, "m/s^2/sqrt(Hz)", stated.accel_noise),
+        ("gyro_noise", noise.inertial.gyro, known.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),
     ):
         out[name] = _value(value, value * spread, unit, spread < OBSERVABLE * ANY_NOISE, given is not None)
-    out["gps_position_noise"] = scatter_of_fixes(noise.position, told.position, told.wandered, SMALLEST_POSITION)
-    # with what lasts of them: laps add it up, and a stream has it beside the noise of force that was found with it.
-    # That it lasts on the drive as it does at rest, no drive shows
-    with_lasting = noise.of_velocities
-    velocity = noise_of_fixes(with_lasting, told.velocity, "m/s", with_lasting - noise.velocity)
-    return {**out, "gps_velocity_noise": velocity}
-
-
-def _offset(noise: Noise, unseen: Array) -> dict[str, Identified]:
-    """How far fixes wander, and how long that lasts."""
-    sigma = np.sqrt(noise.offset_sigma**2 + unseen)
-    offset = OffsetModel(sigma, noise.offset_tau, noise.offset_tau_spread)
-    return wander_of_fixes(offset, noise.told.hidden)
+    out["gps_position_noise"] = scatter_of_fixes(noise.position, known.position, known.wandered, SMALLEST_POSITION)
+    return {**out, "gps_velocity_noise": noise_of_fixes(noise.velocity, known.velocity, "m/s")}
 
 
 def _value(

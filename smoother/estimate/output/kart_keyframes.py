@@ -7,17 +7,12 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.graph.arm import arm_axes
-from smoother.estimate.graph.dense_rows import TOGETHER, DenseSource, parts_of
-from smoother.estimate.graph.estimated import Estimated, are_made_up, attitude_variance
+from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.rows import Between
 from smoother.estimate.graph.felt import swing_covariance
-from smoother.estimate.graph.inputs import Priors
-from smoother.estimate.graph.mounting import (
-    FittedMounting,
-)
-from smoother.estimate.graph.state import (
-    LEVER_ARM,
-)
+from smoother.estimate.output.dense_rows import TOGETHER, DenseSource, parts_of
+from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
+from smoother.estimate.output.mounting import FittedMounting
 from smoother.frames import UP_N
 from smoother.samples import Session
 from smoother.trajectory import (
@@ -31,28 +26,31 @@ SLOW_UPWARDS = 0.02
 
 
 def keyframes_of_kart(
-    session: Session, found: Estimated, source: "DenseSource", mounting: FittedMounting, priors: Priors, unsure: Array
+    session: Session, found: Estimated, source: "DenseSource", mounting: FittedMounting, unsure: Array
 ) -> Keyframes:
     """Keyframes of antenna and kart, as unsure of climbing as the fixes leave it; unsure (3,) m^2 of the offset."""
-    height_sigma = float(priors.constants_sigma[LEVER_ARM][2]) if priors.holds_height and priors.drives else 0.0
+    known = found.known
+    height_sigma = (
+        float(known.priors.constants["lever_arm"][1][2]) if known.priors.held_s is not None and known.drives else 0.0
+    )
     keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
-    if not (priors.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
+    if not (known.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
         _may_climb(keyframes)
     elif source.upwards is not None:
         _drift_upwards(keyframes)
     return keyframes
 
 
-def _left_of_attitude(found: Estimated, mounting: FittedMounting, made_up: BoolArray | None) -> Array:
+def _left_of_attitude(found: Estimated, mounting: FittedMounting, unsampled: BoolArray | None) -> Array:
     """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
 
     An error that all keyframes have in common, by the bias of an axis that nothing shows, is taken for a part of the
     mounting: the box seems askew by so much more, and the kart is none the worse for it.
-    made_up (K,): keyframes without samples.
+    unsampled (K,): keyframes without samples.
     """
     if not mounting.is_fitted:
         return np.ones(3)
-    mean, common = attitude_variance(found, mounting.R_bs, made_up)
+    mean, common = attitude_variance(found, mounting.R_bs, unsampled)
     left = np.sqrt(np.clip(1.0 - common / mean, 0.0, 1.0))
     return np.array([*left[:2], 1.0]) if mounting.by_wheels else np.asarray(left)
 
@@ -65,9 +63,9 @@ def _keyframes(
     height_sigma, m: of the antenna above the box where the graph held it, which tilting swings it by.
     """
     state, known = found.state, found.uncertainty
-    R, arms_n = state.R_ns, arm_axes(state) @ state.constants.lever_arm_s
+    R, arms_n = state.R_ns, arm_axes(Between.at(state, state.t)) @ state.constants["lever_arm"]
     R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
-    left = _left_of_attitude(found, mounting, are_made_up(source.binned))
+    left = _left_of_attitude(found, mounting, without_samples(source.binned))
     of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
     for part in parts_of(state.t, source.pauses):
         covariance[part] = known.antenna[part]

@@ -14,10 +14,10 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray
-from smoother.estimate.graph.ground import CELL, Visits
 from smoother.estimate.graph.imu import are_told
-from smoother.estimate.graph.state import ChainState, Constants
 from smoother.estimate.leaning import LEAST_LEAN
+from smoother.estimate.model.state import State
+from smoother.estimate.output.ground import CELL, Visits
 from smoother.estimate.path_motion import MIN_SPEED
 from smoother.fit.running import gaussian_mean
 from smoother.frames import to_left, wrap_angle
@@ -70,7 +70,7 @@ class FittedMounting:
     by_wheels: bool = False
 
 
-def are_driven(state: ChainState) -> BoolArray:
+def are_driven(state: State) -> BoolArray:
     """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
     level = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
     driven = level > 1.5 * MIN_SPEED
@@ -78,7 +78,7 @@ def are_driven(state: ChainState) -> BoolArray:
 
 
 def fit_mounting(
-    state: ChainState, rough_R_bs: Array, missing: Array | None = None, height_sigma: float | None = 0.0
+    state: State, rough_R_bs: Array, missing: Array | None = None, height_sigma: float | None = 0.0
 ) -> FittedMounting:
     """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
 
@@ -114,7 +114,7 @@ def fit_mounting(
 
 def on_its_ground(
     mounting: FittedMounting,
-    state: ChainState,
+    state: State,
     unsure: float,
     missing: Array | None = None,
     still: IntArray | None = None,
@@ -152,7 +152,7 @@ def on_its_ground(
     return replace(mounting, R_bs=so3.exp(np.array([leaning.upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
 
 
-def _standing_roll(mounting: FittedMounting, state: ChainState, still: IntArray | None) -> float | None:
+def _standing_roll(mounting: FittedMounting, state: State, still: IntArray | None) -> float | None:
     """Roll of the kart at rest, rad, as if each place counted once; None where it never stood."""
     if still is None or not len(still):
         return None
@@ -237,13 +237,13 @@ class _Leaning:
         return replace(self, upright=upright, variance=share * self._of_place)
 
 
-def _are_fitted(state: ChainState, missing: Array | None) -> BoolArray:
+def _are_fitted(state: State, missing: Array | None) -> BoolArray:
     """Mask (K,) of the keyframes that a mounting is fitted to: at speed, and told by samples."""
     use = are_driven(state)
     return use if missing is None else use & are_told(missing)
 
 
-def _slope_sigma(state: ChainState, driven: BoolArray, height_sigma: float | None) -> float:
+def _slope_sigma(state: State, driven: BoolArray, height_sigma: float | None) -> float:
     """How well the mean slope of the road is known, rad: laps come back to where they were, roads lead elsewhere."""
     length = float(np.sum(np.hypot(state.velocity_n[driven, 0], state.velocity_n[driven, 1]))) * state.interval
     if height_sigma is not None:
@@ -252,13 +252,13 @@ def _slope_sigma(state: ChainState, driven: BoolArray, height_sigma: float | Non
     return ROAD_SLOPE * min(float(np.linalg.norm(last - first)) / length, 1.0)
 
 
-def along_wheels(mounting: FittedMounting, constants: Constants, variance: float) -> FittedMounting:
+def along_wheels(mounting: FittedMounting, state: State, variance: float) -> FittedMounting:
     """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the first level axis.
 
     About what is up in the mounting: the level axes are an alignment's, with few fixes some degrees off level and tens
     off the nose, and turned about their own up the nose would be off by the product of both.
     """
-    offset, axis_b = constants.slip[0], mounting.R_bs @ constants.level_axes_s[0]
+    offset, axis_b = state.constants["slip"][0], mounting.R_bs @ state.geometry.level_axes_s[0]
     turned = so3.exp(np.array([[0.0, 0.0, offset]]))[0]
     ahead_b = turned @ (axis_b * [1.0, 1.0, 0.0])
     turn = so3.exp(np.array([[0.0, 0.0, -np.arctan2(ahead_b[1], ahead_b[0])]]))[0]

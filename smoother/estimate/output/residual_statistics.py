@@ -1,7 +1,7 @@
 """What is left of each kind of factor in a solved graph, in a few figures: whether its noise was taken as it is.
 
-Rows have residuals in units of their own. Those of inertial factors, whose errors hang together from turn to way, are
-whitened: in sigmas, each beyond what those before it say.
+Rows have residuals in units of their own. Those of the IMU factors, whose errors of rotation, position and velocity are
+correlated, are whitened: in sigmas.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,35 +10,39 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import pieces
-from smoother.estimate.graph.batch import Solved
-from smoother.estimate.graph.inertial import PIECE, inertial_after_step
-from smoother.estimate.graph.rows import Rows
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.model.state import KEYFRAME_SIZE
+from smoother.estimate.solvers.identify import Solution
 from smoother.trajectory import WHITENED, ResidualStatistics
 
+PIECE = 256  # factors that stay in the processor's cache
 UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad", "slip": "rad"}
-INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # turn, way and velocity; biases
+INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # rotation, position and velocity; biases
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
 
-def left_of_rows(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
+def row_statistics(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
     """Return what is left of the kinds of rows that were measured, by their names."""
     return {name: _of_rows(rows[name], unit) for name, unit in UNITS.items() if name in rows}
 
 
-def left_of_inertial(solved: Solved, intervals: slice) -> dict[str, ResidualStatistics]:
-    """Return what is left of the inertial factors of some intervals after the last step, by the names of INERTIAL."""
-    first, end, _ = intervals.indices(len(solved.inertial.whitened))
-    total, squares = np.zeros(15), np.zeros(15)
+def inertial_statistics(solution: Solution, intervals: slice) -> dict[str, ResidualStatistics]:
+    """Return what is left of the IMU factors of some intervals after the last step, by the names of INERTIAL."""
+    step = solution.step
+    first, end, _ = intervals.indices(len(step.imu))
+    total, squares = np.zeros(step.imu.shape[1]), np.zeros(step.imu.shape[1])
     for part in pieces(end - first, PIECE):
-        at = first + np.arange(part.start, part.stop)
-        left = inertial_after_step(solved.inertial, at, solved.solution)
+        at = slice(first + part.start, first + part.stop)
+        moved = np.concatenate([step.keyframes[at], step.keyframes[at.start + 1 : at.stop + 1]], axis=1)
+        left = np.einsum("nri,ni->nr", step.imu[at, :, : 2 * KEYFRAME_SIZE], moved)
+        left += step.imu[at, :, 2 * KEYFRAME_SIZE : -1] @ step.constants - step.imu[at, :, -1]
         total += left.sum(axis=0)
         squares += np.square(left).sum(axis=0)
     return {name: _whitened(total[part], squares[part], end - first) for name, part in INERTIAL.items()}
 
 
 def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, ResidualStatistics]:
-    """Return what is left of the inertial factors of several parts of a session."""
+    """Return what is left of the IMU factors of several parts of a session."""
     out = {}
     for name in INERTIAL:
         own = [part[name] for part in parts if name in part]

@@ -16,15 +16,14 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.config import SessionConfig
-from smoother.estimate.graph.components import OWN_SCATTER
-from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.first_noise import scatter_of
-from smoother.estimate.graph.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
-from smoother.estimate.graph.inputs import Noise, Priors, constants_sigma
-from smoother.estimate.graph.mounting import FittedMounting
 from smoother.estimate.graph.options import GraphOptions
 from smoother.estimate.graph.start import Start
-from smoother.estimate.graph.state import CONSTANTS_SIZE, LEVER_ARM, POSITION_LATENCY, VELOCITY_LATENCY
+from smoother.estimate.model.state import COLUMNS, CONSTANTS
+from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.output.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
+from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.solvers.variance_components import OWN_SCATTER
 from smoother.samples import Problem, Session
 from smoother.trajectory import STATED
 from smoother.units import DEG
@@ -44,51 +43,50 @@ REMEDY = "Correct it in session.toml, or leave it out to have it found"
 
 @dataclass(frozen=True, eq=False)
 class Loosened:
-    """Constants (31,) that a session would find, were none of them stated, by one step; their covariance (31, 31)."""
+    """Constants (C,) that a session would find, were none of them stated, by one step; their covariance (C, C)."""
 
     value: Array
     covariance: Array
 
 
-def loosened(found: Estimated, priors: Priors, noise: Noise, loose: Array) -> Loosened:
-    """Take the step from what was `found`, with the prior sigmas `loose` (31,) where those were narrower."""
-    sigma, value = constants_sigma(priors, noise), found.state.constants.as_vector()
-    wider = np.maximum(sigma, loose)
-    own = np.sqrt(np.diag(found.constants_covariance))
-    information = np.linalg.inv(found.constants_covariance / np.outer(own, own)) / np.outer(own, own)
+def loosened(found: Estimated, loose: dict[str, float]) -> Loosened:
+    """Take the step from what was `found`, with prior sigmas by name where those were narrower."""
+    known = found.known
+    sigma = np.concatenate([known.prior_sigma(c.name) for c in CONSTANTS])
+    mean = np.concatenate([known.priors.constants[c.name][0] for c in CONSTANTS])
+    value = np.concatenate([found.state.constants[c.name] for c in CONSTANTS])
+    wider = sigma.copy()
+    for name, own in loose.items():
+        wider[COLUMNS[name]] = np.maximum(sigma[COLUMNS[name]], own)
+    scale = np.sqrt(np.diag(known.constants_covariance))
+    information = np.linalg.inv(known.constants_covariance / np.outer(scale, scale)) / np.outer(scale, scale)
     less = sigma**-2.0 - wider**-2.0
     covariance = np.linalg.inv(information - np.diag(less))
-    return Loosened(value + covariance @ (less * (value - priors.constants)), covariance)
+    return Loosened(value + covariance @ (less * (value - mean)), covariance)
 
 
-def contradicted_constants(
-    session: Session, found: Estimated, priors: Priors, noise: Noise, doubt: float
-) -> tuple[Problem, ...]:
-    """Say which stated delays and arm the session contradicts.
-
-    doubt: see :func:`smoother.estimate.graph.identified.identified_values`.
-    """
-    config, constants = session.config, found.state.constants
+def contradicted_constants(session: Session, found: Estimated) -> tuple[Problem, ...]:
+    """Report which stated latencies and arm the session contradicts."""
+    config, geometry = session.config, found.state.geometry
     timing, arm = config.gps, config.mounting.lever_arm_b
-    is_any = any(value is not None for value in (timing.position_latency, timing.velocity_latency, arm))
-    if session.imu is None or not priors.drives or not is_any:
-        return ()
-    usual, loose = GraphOptions(), np.zeros(CONSTANTS_SIZE)
+    usual, loose = GraphOptions(), {}
     if timing.position_latency is not None:
-        loose[POSITION_LATENCY] = usual.latency_sigma
+        loose["position_latency"] = usual.latency_sigma
     if timing.velocity_latency is not None and np.any(np.isfinite(session.gnss.velocity_n[:, 0])):
-        loose[VELOCITY_LATENCY] = usual.latency_sigma
+        loose["velocity_latency"] = usual.latency_sigma
     if arm is not None:
-        loose[LEVER_ARM] = usual.lever_arm_sigma
+        loose["lever_arm"] = usual.lever_arm_sigma
+    if session.imu is None or not found.known.drives or not loose:
+        return ()
     try:
-        free = loosened(found, priors, noise, loose)
+        free = loosened(found, loose)
     except np.linalg.LinAlgError:
         return ()
-    unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt)
+    unsteady = doubt_by_rates(found.known.noise.inertial.gyro)
     moment = unsure_moment(session.imu.sampling, config.imu_delay, unsteady)
     problems = list(_delays(config, free, moment))
-    if arm is not None and not constants.is_steered:
-        R_bs = constants.level_axes_s if config.mounting.R_bs is None else config.mounting.R_bs
+    if arm is not None and not geometry.is_steered:
+        R_bs = geometry.level_axes_s if config.mounting.R_bs is None else config.mounting.R_bs
         problems += _arm(arm, free, R_bs, UNSTEADY_ARM * unsteady)
     return tuple(problems)
 
@@ -123,9 +121,10 @@ def contradicted_filter(session: Session) -> tuple[Problem, ...]:
 
 def _delays(config: SessionConfig, free: Loosened, moment: float) -> Iterator[Problem]:
     names = ("position_latency", config.gps.position_latency), ("velocity_latency", config.gps.velocity_latency)
-    for i, (name, stated) in enumerate(names):
+    for name, stated in names:
         if stated is None:
             continue
+        i = COLUMNS[name].start
         sigma = math.hypot(math.sqrt(free.covariance[i, i]), moment)
         off = float(free.value[i]) - stated
         if abs(off) > max(CERTAIN * sigma, LEAST_DELAY):
@@ -138,7 +137,8 @@ def _delays(config: SessionConfig, free: Loosened, moment: float) -> Iterator[Pr
 
 def _arm(stated: Array, free: Loosened, R_bs: Array, unsteady: float) -> Iterator[Problem]:
     """Ahead and to the left; up hardly shows."""
-    value, covariance = R_bs @ free.value[LEVER_ARM], R_bs @ free.covariance[LEVER_ARM, LEVER_ARM] @ R_bs.T
+    part = COLUMNS["lever_arm"]
+    value, covariance = R_bs @ free.value[part], R_bs @ free.covariance[part, part] @ R_bs.T
     off, sigma = (value - stated)[:2], np.hypot(np.sqrt(np.diag(covariance))[:2], unsteady)
     if np.any(np.abs(off) > np.maximum(CERTAIN * sigma, LEAST_ARM)):
         text = (

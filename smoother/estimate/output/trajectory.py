@@ -6,24 +6,20 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.disc import release
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.claims import claims_of
-from smoother.estimate.graph.components import unseen_offset
-from smoother.estimate.graph.dense_rows import DenseRows, DenseSource, parts_of
-from smoother.estimate.graph.estimated import Estimated
 from smoother.estimate.graph.expected import DopplerNoise
-from smoother.estimate.graph.identified import doubt_by_rates, identified_values, unsure_moment
 from smoother.estimate.graph.imu import BinnedImu
-from smoother.estimate.graph.inputs import Noise, Priors
-from smoother.estimate.graph.joint import Wandering
-from smoother.estimate.graph.kart_keyframes import keyframes_of_kart, widen
-from smoother.estimate.graph.leftovers import left_of_rows
-from smoother.estimate.graph.mounting import (
-    FittedMounting,
-    swing_on_the_wheel,
-)
-from smoother.estimate.graph.rows import Rows
-from smoother.estimate.graph.wander import share_wander
+from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
+from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.output.identified import doubt_by_rates, identified_values, unsure_moment
+from smoother.estimate.output.joint import WithUnseen
+from smoother.estimate.output.kart_keyframes import keyframes_of_kart, widen
+from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
+from smoother.estimate.output.residual_statistics import row_statistics
+from smoother.estimate.output.wander import share_wander
 from smoother.estimate.pauses import NO_PAUSES, Pauses
 from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (
@@ -31,7 +27,6 @@ from smoother.trajectory import (
     EstimateReport,
     FixResiduals,
     Identified,
-    JointPosition,
     Keyframes,
     Trajectory,
 )
@@ -45,57 +40,46 @@ ON_WHEEL = (
 def build_trajectory(
     session: Session,
     found: Estimated,
-    noise: Noise,
     mounting: FittedMounting,
     binned: BinnedImu,
-    priors: Priors,
     rate: float,
     population: Array,
     pauses: Pauses = NO_PAUSES,
-    doubt: float = 0.0,
     hidden: float = 0.0,
 ) -> Trajectory:
     """Return rows at `rate` Hz from the first to the last fix: antenna in n, attitude and accelerations of the kart.
 
     population (3,) m: sigma of the GPS offset of receivers like this one, the least that absolute positions are unsure.
-    pauses: where time is cut out of the session; the rows that fall into them are left out. doubt: see
-    :func:`identified_values`. hidden m: wander that these fixes may have unseen, see :func:`unseen_variance`.
+    pauses: where time is cut out of the session; the rows that fall into them are left out. hidden m: wander that these
+    fixes may have unseen, see :func:`unseen_variance`.
     """
-    unseen = unseen_offset(noise, population, len(session.gnss), hidden)
-    unsure = unseen if priors.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
-    found = _with_wander_shared(session, found, noise)
-    source = _source(session, found, noise, binned, pauses)
-    keyframes = keyframes_of_kart(session, found, source, mounting, priors, unsure)
-    swing = swing_on_the_wheel(keyframes, is_steered=found.state.constants.is_steered)
+    known, noise, is_steered = found.known, found.known.noise, found.state.geometry.is_steered
+    offset = OffsetModel(noise.offset_sigma, noise.offset_tau, known.offset_tau_spread)
+    unseen = unseen_variance(offset, float(noise.position[0]), population, len(session.gnss), hidden)
+    unsure = unseen if known.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
+    found = _with_wander_shared(session, found)
+    source = _source(session, found, binned, pauses)
+    keyframes = keyframes_of_kart(session, found, source, mounting, unsure)
+    swing = swing_on_the_wheel(keyframes, is_steered=is_steered)
     if swing is not None:
         widen(keyframes, swing)
     sampling = session.imu.sampling if session.imu is not None else Sampling(0.0)
-    identified = identified_values(
-        found.state.constants,
-        found.constants_covariance,
-        found.common_attitude,
-        noise,
-        priors,
-        mounting,
-        session.config,
-        unseen,
-        sampling,
-        doubt,
-    )
+    identified = identified_values(found, mounting, session.config, unseen, sampling)
     report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
-    joint = _joint(found, keyframes, unsure, source.doppler)
     t = _times(session, pauses, rate)
     rows = DenseRows.empty(len(t))
-    unsteady = max(doubt_by_rates(noise.inertial.gyro), doubt) if session.config.gps.position_latency is None else 0.0
+    unsteady = doubt_by_rates(noise.inertial.gyro) if session.config.gps.position_latency is None else 0.0
     moment = unsure_moment(sampling, session.config.imu_delay, unsteady)
     for part in parts_of(t, pauses):
-        rows.fill(part, t[part], found, noise, mounting, source, keyframes)
+        rows.fill(part, t[part], found, mounting, source, keyframes)
         rows.unsure_of_time(part, moment, sampling.stamp_sigma)
         release(rows, keyframes, binned)
-    return rows.trajectory(t, report, joint)
+    has_doppler = bool(np.isfinite(session.gnss.velocity_n[:, 0]).any())
+    usual = median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()) if has_doppler else None
+    return rows.trajectory(t, report, WithUnseen(found.joint, unsure, usual))
 
 
-def _with_wander_shared(session: Session, found: Estimated, noise: Noise) -> Estimated:
+def _with_wander_shared(session: Session, found: Estimated) -> Estimated:
     """What was found, with the part of the fixes' wander in the path that is the wander of its Doppler velocities.
 
     Not where corrections come and go: what such fixes are off by is not one process, and hardly Doppler's.
@@ -103,12 +87,13 @@ def _with_wander_shared(session: Session, found: Estimated, noise: Noise) -> Est
     fixes = session.gnss
     if not np.isfinite(fixes.velocity_n[:, 0]).any() or len(claims_of(fixes).renewed):
         return found
-    return replace(found, state=share_wander(found.state, found.rows["gps_position"], noise.offset_tau))
+    shared = share_wander(found.state, found.rows["gps_position"], found.known.noise.offset_tau)
+    return replace(found, state=shared)
 
 
-def _source(session: Session, found: Estimated, noise: Noise, binned: BinnedImu, pauses: Pauses) -> DenseSource:
-    fixes = session.gnss
-    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.of_velocities[i])) for i in (0, 2))
+def _source(session: Session, found: Estimated, binned: BinnedImu, pauses: Pauses) -> DenseSource:
+    fixes, noise = session.gnss, found.known.noise
+    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
     return DenseSource(found.state, binned, noise.inertial, level, up, pauses)
 
 
@@ -117,20 +102,12 @@ def _report(
 ) -> EstimateReport:
     return EstimateReport(
         identified=identified,
-        residuals={**left_of_rows(found.rows), **found.inertial},
+        residuals={**row_statistics(found.rows), **found.inertial},
         fixes=_fix_residuals(found.rows["gps_position"]),
         keyframes=keyframes,
         problems=(Problem(BOX_ON_WHEEL, ON_WHEEL),) if is_on_wheel else (),
         mode="full",
     )
-
-
-def _joint(found: Estimated, keyframes: Keyframes, unsure: Array, doppler: DopplerNoise | None) -> JointPosition | None:
-    """How errors hang together; where Doppler draws the rows between keyframes, their own errors wander too."""
-    joint = None if found.joint is None else found.joint(unsure)
-    if joint is not None and doppler is not None:
-        joint = Wandering(joint, median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()))
-    return joint
 
 
 def _times(session: Session, pauses: Pauses, rate: float) -> Array:

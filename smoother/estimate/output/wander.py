@@ -22,10 +22,10 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import roomy
+from smoother.estimate.factors.rows import Rows
 from smoother.estimate.gnss_chains import factor_chain, substituted
 from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
-from smoother.estimate.graph.rows import Rows
-from smoother.estimate.graph.state import ChainState
+from smoother.estimate.model.state import State
 from smoother.estimate.resample import bracket, hermite, hermite_slope
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
 
@@ -34,7 +34,7 @@ SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from 
 UNKNOWNS = 3  # of a node: o, w, b
 
 
-def share_wander(state: ChainState, fixes: Rows, tau: float) -> ChainState:
+def share_wander(state: State, fixes: Rows, tau: float) -> State:
     """Return the state with what is Doppler's of the level offset moved into positions and velocities.
 
     fixes: their rows, one per fix; tau s: over which their own offset is forgotten. As it was where fixes are too few.
@@ -115,7 +115,7 @@ def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Arra
     return F, np.asarray(np.linalg.inv(Q), dtype=np.float64)
 
 
-def _offset_at_fixes(state: ChainState, fixes: Rows) -> Drift:
+def _offset_at_fixes(state: State, fixes: Rows) -> Drift:
     """The level offset of the graph where fixes hold it, in means of BIN; white: variance of the fixes that do."""
     use = np.flatnonzero(np.isfinite(fixes.sigma[:, 0]) & (fixes.weight > WEIGHTY))
     at = fixes.interval[use]

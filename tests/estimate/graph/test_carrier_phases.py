@@ -7,7 +7,7 @@ import pytest
 
 from smoother.config import SessionConfig
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.graph.start import make_start
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -8,7 +8,7 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph.batch import Solved
 from smoother.estimate.graph.chain import ChainSolution
-from smoother.estimate.graph.dense_rows import DenseRows, _between_samples, _bridge
+from smoother.estimate.output.dense_rows import DenseRows, _between_samples, _bridge
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.graph.inertial import LinearInertial
 from smoother.estimate.graph.inertial_noise import InertialNoise
@@ -22,7 +22,7 @@ from smoother.estimate.graph.state import (
     ChainState,
     Constants,
 )
-from smoother.estimate.graph.uncertainty import bend_covariance, track_variance, uncertainty_of
+from smoother.estimate.output.uncertainty import bend_covariance, track_variance, uncertainty_of
 
 K, T = 4, 0.2
 TIMES = np.linspace(0.0, (K - 1) * T, K)

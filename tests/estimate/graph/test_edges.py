@@ -10,7 +10,7 @@ import pytest
 from smoother.estimate.graph import edges
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import Innovations, beside_outages, best_run, jumped, jumped_beside_outages
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import make_start
 from smoother.estimate.resample import resample
 from smoother.prepare import prepare

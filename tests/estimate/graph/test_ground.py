@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.ground import Visits
+from smoother.estimate.output.ground import Visits
 from smoother.units import DEG
 
 INTERVAL, LAP = 0.2, 40.0  # s

@@ -8,11 +8,11 @@ import pytest
 
 from smoother.config import SessionConfig
 from smoother.estimate.graph.heading import FieldFit, Heading
-from smoother.estimate.graph.identified import field_values, identified_values
+from smoother.estimate.output.identified import field_values, identified_values
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Noise, Priors, Told
-from smoother.estimate.graph.mounting import FittedMounting
-from smoother.estimate.graph.smoother import _early, _velocities_early
+from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.smoother import _early, _velocities_early
 from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
 from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes
 from smoother.samples import Sampling

@@ -8,7 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph import solve
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.clock import regularize, true_fix_times

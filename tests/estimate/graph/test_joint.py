@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import quad
 
 from smoother.arrays import Array
-from smoother.estimate.graph.joint import PLACE_TAU, Wandering, WindowsJoint, wander
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.output.joint import PLACE_TAU, Wandering, WindowsJoint, wander
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.slow_doppler import DOPPLER
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset

@@ -8,7 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.imu import are_told
-from smoother.estimate.graph.mounting import (
+from smoother.estimate.output.mounting import (
     CROSSFALL,
     FittedMounting,
     along_wheels,

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from smoother.estimate.graph import components, looks, solve
 from smoother.estimate.graph import start as graph_start
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.quality import assess
 from smoother.fit.running import gaussian_mean
 from smoother.frames import euler_from_rotation, wrap_angle

@@ -12,7 +12,7 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import slip_of
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, SLIP, ChainState, Constants
 from smoother.estimate.graph.upright import (
     STEADY,

@@ -9,8 +9,8 @@ from scipy.interpolate import CubicHermiteSpline
 from smoother.arrays import Array
 from smoother.estimate.gnss_offset import Drift
 from smoother.estimate.graph import output
-from smoother.estimate.graph.smoother import GraphSmoother
-from smoother.estimate.graph.wander import likeliest_sigma, most_probable, moved
+from smoother.estimate.smoother import GraphSmoother
+from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -6,7 +6,7 @@ import pytest
 from smoother import so3
 from smoother.estimate.graph import windows
 from smoother.estimate.graph.parts import busiest_part, stretch
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import busiest_span, make_start
 from smoother.prepare import prepare
 from smoother.sim.motion import Stop
