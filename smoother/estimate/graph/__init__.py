@@ -55,8 +55,4 @@ From a session to its solution
     coarse          first steps, on few keyframes
     edges           jumps of the fixes beside outages
     solve           noise and constants from a part, then the whole, in turns
-
-What a solution says
-    felt            what box and antenna felt between keyframes
-
 """

@@ -5,20 +5,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import even_pieces, roomy
-from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.antenna import arm_axes, course_of
 from smoother.estimate.factors.rows import Between
-from smoother.estimate.graph.expected import DopplerNoise
-from smoother.estimate.graph.felt import Felt, felt_on
-from smoother.estimate.graph.imu import BinnedImu, DensePath, dense_path, motion_at, shaken
+from smoother.estimate.graph.imu import BinnedImu, DensePath, at_times, dense_path, motion_at, shaken
 from smoother.estimate.graph.inertial_noise import InertialNoise, interval_noise
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import State
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.output.noise_filter import without_noise
 from smoother.estimate.pauses import Pauses
-from smoother.frames import euler_jacobian
+from smoother.frames import UP_N, euler_jacobian
 from smoother.trajectory import (
     EstimateReport,
     JointPosition,
@@ -34,65 +34,75 @@ LEAST_BETWEEN = 0.25  # of the smaller variance of two keyframes: no less is lef
 
 
 @dataclass(frozen=True, eq=False)
-class DenseSource:
-    """What dense rows come from: a solved chain, its samples, and the noise of these and of Doppler.
+class Stretch:
+    """A part of a session: keyframes `keys` with their state and bins, and the path of the samples through them.
 
-    doppler, upwards: noise of level and of vertical velocities; None where a receiver reports none.
+    At the edges of its bins: acceleration_n (M, 3) m/s^2 and rate_n (M, 3) rad/s of the kart, without noise;
+    rate_variance (3,) (rad/s)^2 about the axes of b.
+    """
+
+    keys: slice
+    state: State
+    binned: BinnedImu
+    path: DensePath
+    acceleration_n: Array
+    rate_n: Array
+    rate_variance: Array
+
+    def swing_at(self, t: Array) -> Array:
+        """Angular rate (N, 3) rad/s in n, at t (N,) s, with which the arm swings the antenna."""
+        rate_n = at_times(self.path, self.rate_n, t)
+        return rate_n * UP_N if self.state.geometry.is_steered else rate_n
+
+    def swing_covariance(self, arm_n: Array) -> Array:
+        """Covariance (N, 3, 3) m^2/s^2 of what the errors of the rates swing arms arm_n (N, 3) by."""
+        by_rate = so3.skew(arm_n)
+        return np.asarray((by_rate * self.rate_variance) @ by_rate.transpose(0, 2, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class DenseSource:
+    """What dense rows come from: a solved chain, its samples, and the noise of these.
+
     pauses: where time is cut out of the session; no path goes through them.
     """
 
     state: State
     binned: BinnedImu
     noise: InertialNoise
-    doppler: DopplerNoise | None
-    upwards: DopplerNoise | None
     pauses: Pauses
-    _last: dict[tuple[int, int], "_Stretch"] = field(default_factory=dict)
+    _last: dict[tuple[int, int], Stretch] = field(default_factory=dict)
 
-    def around(self, t: Array) -> "_Stretch":
-        """Return the path around times t (n,) s that their rows need, and what was felt on it. No pause is in t."""
+    def around(self, t: Array) -> Stretch:
+        """Return the path around times t (n,) s that their rows need. No pause is in t."""
         keys = _around(self.state, t, self.pauses)
         known = self._last.pop((keys.start, keys.stop), None)
         self._last.clear()  # of a day, two do not fit
         self._last[keys.start, keys.stop] = found = self._stretch(keys) if known is None else known
         return found
 
-    def _stretch(self, keys: slice) -> "_Stretch":
-        state, bins = self.state.part(keys), self.binned.between(keys.start, keys.stop)
-        path = dense_path(
-            corrected(bins, state),
-            state.R_ns,
-            state.position_n,
-            state.velocity_n,
-            state.accel_bias_s,
-            state.gyro_bias_s,
+    def _stretch(self, keys: slice) -> Stretch:
+        state, bins, noise = self.state.part(keys), self.binned.between(keys.start, keys.stop), self.noise
+        biases = state.accel_bias_s, state.gyro_bias_s
+        path = dense_path(corrected(bins, state), state.R_ns, state.position_n, state.velocity_n, *biases)
+        axes, dt = state.geometry.level_axes_s, bins.dt
+        R_nb = path.R_ns[:-1] @ axes.T
+        shapes = np.array([noise.accel_shape, noise.gyro_shape])
+        variances = np.einsum("ij,sjk,ik->si", axes, shapes, axes) / dt
+        acceleration_b = np.einsum("kji,kj->ki", R_nb, path.acceleration_n)
+        acceleration_b, _ = without_noise(acceleration_b, noise.accel**2 * variances[0], dt, np.array([1, 1, 0]) > 0)
+        rate_b, left = without_noise(
+            path.angular_rate_s @ axes.T, noise.gyro**2 * variances[1], dt, np.ones(3, dtype=np.bool_)
         )
-        return _Stretch(
-            keys,
-            state,
-            bins,
-            path,
-            felt_on(
-                path,
-                state.geometry.level_axes_s,
-                self.noise,
-                self.doppler,
-                state.interval,
-                self.upwards,
-                is_steered=state.geometry.is_steered,
-            ),
-        )
+        acceleration_n, rate_n = (_at_edges(np.einsum("kij,kj->ki", R_nb, x)) for x in (acceleration_b, rate_b))
+        if state.geometry.is_steered:  # the box turns with the wheel, the kart with its course
+            rate_n[:, 2] = np.interp(path.t, state.t, np.gradient(course_of(state), state.interval))
+        return Stretch(keys, state, bins, path, acceleration_n, rate_n, left)
 
 
-@dataclass(frozen=True, eq=False)
-class _Stretch:
-    """A part of a :class:`DenseSource`: keyframes `keys`, their state and bins, the path through them, what is felt."""
-
-    keys: slice
-    state: State
-    binned: BinnedImu
-    path: DensePath
-    felt: Felt
+def _at_edges(values: Array) -> Array:
+    """Values of bins (M-1, 3) at their edges, (M, 3)."""
+    return np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +138,14 @@ class DenseRows:
     ) -> None:
         """Make the rows `part` at times t (n,) s, from the keyframes around them."""
         near, noise = source.around(t), found.known.noise
-        motion, rate_n = motion_at(near.path, t), near.felt.rate_at(t)
+        motion, rate_n = motion_at(near.path, t), at_times(near.path, near.rate_n, t)
         state = near.state
         R_arm = arm_axes(Between.at(state, t)) if state.geometry.is_steered else motion.R_ns
         arm_n, R_nb = R_arm @ state.constants["lever_arm"], motion.R_ns @ mounting.R_bs.T
         self.position_n[part] = motion.position_n + arm_n
-        self.velocity_n[part] = motion.velocity_n + np.cross(near.felt.swing_at(t), arm_n)
+        self.velocity_n[part] = motion.velocity_n + np.cross(near.swing_at(t), arm_n)
         self.R_nb[part] = R_nb
-        self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, near.felt.acceleration_at(t))
+        self.acceleration_b[part] = np.einsum("nji,nj->ni", R_nb, at_times(near.path, near.acceleration_n, t))
         self.angular_rate_b[part] = np.einsum("nji,nj->ni", R_nb, rate_n)
         known, keys = found.uncertainty, near.keys
         bend = known.bend[keys] + _between_samples(near.binned, noise.inertial, state.R_ns)

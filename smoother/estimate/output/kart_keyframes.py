@@ -9,7 +9,6 @@ from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release, roomy
 from smoother.estimate.factors.antenna import arm_axes
 from smoother.estimate.factors.rows import Between
-from smoother.estimate.graph.felt import swing_covariance
 from smoother.estimate.output.dense_rows import TOGETHER, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated, attitude_variance, without_samples
 from smoother.estimate.output.mounting import FittedMounting
@@ -36,7 +35,7 @@ def keyframes_of_kart(
     keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
     if not (known.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
         _may_climb(keyframes)
-    elif source.upwards is not None:
+    elif np.any(np.isfinite(session.gnss.velocity_n[:, 2])):
         _drift_upwards(keyframes)
     return keyframes
 
@@ -74,11 +73,11 @@ def _keyframes(
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
         covariance[part, :, 0:3] = covariance[part, :, 0:3] @ left_n
         covariance[part, 0:3, 0:3] += (R_nb[part] * of_mounting**2) @ R_nb[part].transpose(0, 2, 1)
-        felt, arm_n = source.around(state.t[part]).felt, arms_n[part]
-        swing_n = felt.swing_at(state.t[part])
+        near, arm_n = source.around(state.t[part]), arms_n[part]
+        swing_n = near.swing_at(state.t[part])
         velocity_n[part] += np.cross(swing_n, arm_n)
         by_height = height_sigma * np.cross(swing_n, UP_N)
-        covariance[part, 3:6, 3:6] += swing_covariance(felt, arm_n) + by_height[:, :, None] * by_height[:, None, :]
+        covariance[part, 3:6, 3:6] += near.swing_covariance(arm_n) + by_height[:, :, None] * by_height[:, None, :]
         release(covariance, known, source.binned)
     return Keyframes(
         t=state.t,

@@ -10,7 +10,6 @@ from smoother.estimate.factors.rows import Rows
 from smoother.estimate.gnss_offset import OffsetModel, unseen_variance
 from smoother.estimate.gnss_path import UNKNOWN_HEIGHT
 from smoother.estimate.graph.claims import claims_of
-from smoother.estimate.graph.expected import DopplerNoise
 from smoother.estimate.graph.imu import BinnedImu
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated
@@ -58,7 +57,7 @@ def build_trajectory(
     unseen = unseen_variance(offset, float(noise.position[0]), population, len(session.gnss), hidden)
     unsure = unseen if known.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
     found = _with_wander_shared(session, found)
-    source = _source(session, found, binned, pauses)
+    source = DenseSource(found.state, binned, noise.inertial, pauses)
     keyframes = keyframes_of_kart(session, found, source, mounting, unsure)
     swing = swing_on_the_wheel(keyframes, is_steered=is_steered)
     if swing is not None:
@@ -89,12 +88,6 @@ def _with_wander_shared(session: Session, found: Estimated) -> Estimated:
         return found
     shared = share_wander(found.state, found.rows["gps_position"], found.known.noise.offset_tau)
     return replace(found, state=shared)
-
-
-def _source(session: Session, found: Estimated, binned: BinnedImu, pauses: Pauses) -> DenseSource:
-    fixes, noise = session.gnss, found.known.noise
-    level, up = (DopplerNoise.of(fixes.t, fixes.velocity_n[:, i], float(noise.velocity[i])) for i in (0, 2))
-    return DenseSource(found.state, binned, noise.inertial, level, up, pauses)
 
 
 def _report(
