@@ -24,8 +24,8 @@ from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.response import evened, low_passed
 from smoother.estimate.graph.rows import Rows, ground_rows
 from smoother.estimate.graph.session_rows import expected_of
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import GRAVITY_N, wrap_angle
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset

@@ -11,10 +11,10 @@ from smoother.estimate.clock_offset import DELAY, NO_OFFSET, ClockOffset, clock_
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.begin import begin
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import with_samples_at
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw

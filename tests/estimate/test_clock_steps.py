@@ -11,10 +11,10 @@ from smoother.estimate.align import align
 from smoother.estimate.clock_steps import ClockStep, moves_of, of_both_sides, session_steps, step_problems
 from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.graph.begin import begin
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import moved
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.true_time import in_session_time
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from smoother.estimate.graph import begin as begin_module
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.in_step import advanced, identified, in_step
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session

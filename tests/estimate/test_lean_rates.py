@@ -10,10 +10,10 @@ from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.align import Alignment, align
 from smoother.estimate.check import check
-from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.lean_rates import NAMINGS, lean_rates
 from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset

@@ -8,13 +8,13 @@ import numpy as np
 
 from smoother.estimate.graph.batch import Batch, constants_moved, moved, variances
 from smoother.estimate.graph.coarse import near_solution
-from smoother.estimate.output.estimated import are_made_up, estimated
 from smoother.estimate.graph.inputs import Noise
+from smoother.estimate.graph.relaxation import Relaxation
+from smoother.estimate.graph.start import make_start
+from smoother.estimate.output.estimated import are_made_up, estimated
 from smoother.estimate.output.mounting import fit_mounting
 from smoother.estimate.output.trajectory import build_trajectory
-from smoother.estimate.graph.relaxation import Relaxation
 from smoother.estimate.smoother import GraphOptions
-from smoother.estimate.graph.start import make_start
 from smoother.live.lag import LagOptions, LagStart
 from smoother.samples import Session
 from smoother.trajectory import Trajectory

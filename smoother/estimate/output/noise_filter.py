@@ -17,8 +17,8 @@ BEYOND = 10.0  # s by which both ends are mirrored
 def without_noise(values: Array, noise: Array, dt: float, falling: BoolArray) -> tuple[Array, Array]:
     """Return values (N, c), dt s apart, without white noise of variance `noise` (c,), and the variances (c,) left.
 
-    falling (c,): signals of which there is the less the quicker they are. Of these the kept share never rises again
-    with the frequency: engines that the sampling folds do not pass for motion. A kart bounces on its tyres.
+    falling (c,): signals of which there is the less the quicker they are, beyond where they are strongest. Of these the
+    kept share never rises again: engines that the sampling folds do not pass for motion. (A kart bounces on its tyres.)
     """
     n = len(values)
     beyond = min(n - 1, round(BEYOND / dt))
@@ -27,6 +27,8 @@ def without_noise(values: Array, noise: Array, dt: float, falling: BoolArray) ->
     width = 2 * max(1, round(0.5 * SMOOTHED * dt * len(mirrored)))
     power = running_mean(np.abs(spectrum) ** 2 / len(mirrored), width)
     share = np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0)
-    share[:, falling] = np.minimum.accumulate(share[:, falling], axis=0)
+    for i in np.flatnonzero(falling):
+        beyond_peak = share[int(np.argmax(power[:, i])) :, i]
+        np.minimum.accumulate(beyond_peak, out=beyond_peak)
     kept = np.fft.irfft(spectrum * share, len(mirrored), axis=0)[beyond : beyond + n]
     return kept, np.asarray(noise * share.mean(axis=0))

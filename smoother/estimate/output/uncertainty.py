@@ -32,9 +32,8 @@ ARM = COLUMNS["lever_arm"]
 class Uncertainty:
     """What is known of the errors of K keyframes.
 
-    antenna (K, 9, 9): covariance of the errors in n of the sensor's attitude, the antenna's velocity and its position;
-    biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see :func:`track_variance`; bend (K, 3, 3) m^2/s^2:
-    see :func:`bend_covariance`.
+    antenna (K, 9, 9): see :func:`antenna_covariance`; biases (K, 6): sigmas of force and rate; track (K, 2) m^2: see
+    :func:`track_variance`; bend (K, 3, 3) m^2/s^2: see :func:`bend_covariance`.
     """
 
     antenna: Array
@@ -46,14 +45,27 @@ class Uncertainty:
 def uncertainty_of(solution: Solution, wheels_heading: float | None) -> Uncertainty:
     """Return sigmas and covariances of the antenna at the keyframes of a solved graph.
 
+    wheels_heading: as for :func:`antenna_covariance`.
+    """
+    state, known = solution.step.state, solution.covariances
+    return Uncertainty(
+        antenna_covariance(state, known, wheels_heading),
+        np.sqrt(np.einsum("kii->ki", known.keyframes)[:, ACCEL_BIAS.start : GYRO_BIAS.stop]),
+        track_variance(state, known),
+        bend_covariance(state, known),
+    )
+
+
+def antenna_covariance(state: State, known: Covariances, wheels_heading: float | None) -> Array:
+    """Covariance (K, 9, 9) of the errors in n of the sensor's attitude, the antenna's velocity and its position.
+
     wheels_heading: variance, rad^2, of the heading by sideslip beyond that in the solution; None where it is not by it.
     """
-    state, P, S = solution.step.state, solution.covariances.keyframes, solution.covariances.constants
-    R, R_arm = state.R_ns, arm_axes(Between.at(state, state.t))
+    R, R_arm, P = state.R_ns, arm_axes(Between.at(state, state.t)), known.keyframes
     R_turning = np.zeros_like(R) if state.geometry.is_steered else R  # what errors of attitude turn the arm by
     K, turn_n, arm_n = len(state.t), _turning(state, R_arm), R_arm @ state.constants["lever_arm"]
     swing_n = np.cross(turn_n, arm_n)
-    # errors in n of (attitude, velocity, position) by rotation, translation and velocity of the keyframe and by the arm
+    # by rotation, translation and velocity of the keyframe and by the arm
     J, C = np.zeros((K, 9, 9)), np.zeros((K, 9, 3))
     J[:, 0:3, ROTATION] = R
     J[:, 3:6, ROTATION], J[:, 3:6, VELOCITY] = -so3.skew(swing_n) @ R_turning, np.eye(3)
@@ -63,7 +75,7 @@ def uncertainty_of(solution: Solution, wheels_heading: float | None) -> Uncertai
     if wheels_heading is not None:  # then the error of the sideslip is one of the kart's attitude
         columns, C = np.append(columns, COLUMNS["slip"].start), np.concatenate([C, np.zeros((K, 9, 1))], axis=2)
         C[:, 2, 3] = 1.0
-    S, with_constants = S[np.ix_(columns, columns)], solution.covariances.with_constants
+    S, with_constants = known.constants[np.ix_(columns, columns)], known.with_constants
     antenna = np.empty((K, 9, 9))
     for part in pieces(K, PIECE):
         J_t, C_t = J[part].transpose(0, 2, 1), C[part].transpose(0, 2, 1)
@@ -71,9 +83,7 @@ def uncertainty_of(solution: Solution, wheels_heading: float | None) -> Uncertai
         antenna[part] = J[part] @ P[part, _MOTION, _MOTION] @ J_t + C[part] @ S @ C_t
         antenna[part] += cross + cross.transpose(0, 2, 1)
     antenna[:, 2, 2] += wheels_heading or 0.0
-    sigma = np.sqrt(np.einsum("kii->ki", P)[:, ACCEL_BIAS.start : GYRO_BIAS.stop])
-    covariances = solution.covariances
-    return Uncertainty(antenna, sigma, track_variance(state, covariances), bend_covariance(state, covariances))
+    return antenna
 
 
 def _turning(state: State, R_arm: Array) -> Array:

@@ -28,7 +28,6 @@ from smoother.estimate.graph.imu import BinnedImu, bin_imu
 from smoother.estimate.graph.inertial import inertial_factors
 from smoother.estimate.graph.inertial_noise import InertialNoise
 from smoother.estimate.graph.inputs import Data, Noise, Priors
-from smoother.estimate.output.residual_statistics import joined, left_of_inertial
 from smoother.estimate.graph.preintegration import preintegrate
 from smoother.estimate.graph.row_components import posterior_variance
 from smoother.estimate.graph.rows import Rows
@@ -43,6 +42,7 @@ from smoother.estimate.graph.state import (
     ChainState,
     Constants,
 )
+from smoother.estimate.output.residual_statistics import joined, left_of_inertial
 from smoother.frames import GRAVITY_N
 from smoother.samples import ImuSamples
 

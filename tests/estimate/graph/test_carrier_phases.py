@@ -7,8 +7,8 @@ import pytest
 
 from smoother.config import SessionConfig
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.graph.start import make_start
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

@@ -10,9 +10,9 @@ import pytest
 from smoother.estimate.graph import edges
 from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.graph.edges import Innovations, beside_outages, best_run, jumped, jumped_beside_outages
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import make_start
 from smoother.estimate.resample import resample
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.scenario import Interval, Jump
 from smoother.sim.simulation import Simulation, simulate_preset

@@ -12,8 +12,8 @@ from smoother.estimate.graph.batch import Batch
 from smoother.estimate.graph.parts import is_partly_sampled, where_sampled
 from smoother.estimate.graph.sampled import HOLE, are_sampled, are_unsampled, has_hole, sampled_spans
 from smoother.estimate.graph.session_rows import expected_of
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import MAX_LATENCY, Start, make_start
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Stop

@@ -13,7 +13,6 @@ from smoother.estimate.graph import batch as batch_module
 from smoother.estimate.graph import looks, solve
 from smoother.estimate.graph import slip as slip_module
 from smoother.estimate.graph.batch import DrivenMotion, Solved
-from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.slip import (
@@ -26,9 +25,10 @@ from smoother.estimate.graph.slip import (
     slip_rows,
     with_nose,
 )
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState, Constants
+from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.resample import resample
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Spin

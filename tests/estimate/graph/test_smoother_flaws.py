@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 
 from smoother.estimate.graph import components, looks, solve
 from smoother.estimate.graph import start as graph_start
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.quality import assess
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.fit.running import gaussian_mean
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare

@@ -12,7 +12,6 @@ from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
 from smoother.estimate.graph.rows import Rows
 from smoother.estimate.graph.slip import slip_of
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.state import CONSTANTS_SIZE, KEYFRAME_SIZE, SLIP, ChainState, Constants
 from smoother.estimate.graph.upright import (
     STEADY,
@@ -22,6 +21,7 @@ from smoother.estimate.graph.upright import (
     unsteadiness,
     upright_rows,
 )
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.simulation import Simulation, simulate_preset
 from smoother.trajectory import Trajectory

@@ -10,10 +10,10 @@ from smoother.estimate.bridge import problem_of
 from smoother.estimate.factors.gaussian import custom_factors
 from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
 from smoother.estimate.graph.options import GraphOptions
-from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.graph.start import make_start
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import Problem, identify
 from smoother.prepare import prepare

@@ -7,51 +7,71 @@ import numpy as np
 import pytest
 
 from smoother.config import SessionConfig
+from smoother.estimate.factors.graph import Priors
 from smoother.estimate.graph.heading import FieldFit, Heading
-from smoother.estimate.output.identified import field_values, identified_values
 from smoother.estimate.graph.inertial_noise import InertialNoise
-from smoother.estimate.graph.inputs import Noise, Priors, Told
-from smoother.estimate.output.mounting import FittedMounting
-from smoother.estimate.smoother import _early, _velocities_early
-from smoother.estimate.graph.state import CONSTANTS_SIZE, Constants
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE
 from smoother.estimate.noise_of_fixes import noise_of_fixes, scatter_of_fixes
+from smoother.estimate.output.estimated import Estimated, Known
+from smoother.estimate.output.identified import field_values, identified_values
+from smoother.estimate.output.joint import WindowsJoint
+from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.output.noise_uncertainty import NoiseUncertainty
+from smoother.estimate.output.uncertainty import Uncertainty
+from smoother.estimate.smoother import _early, _velocities_early
 from smoother.samples import Sampling
 from smoother.trajectory import Identified
 from smoother.units import DEG
 
+from .still_state import state_of
 
-def told(
-    sampled_every: float,
+UNKNOWN = NoiseUncertainty(0.7, 0.7, np.full(3, 0.7), np.full(3, 0.7), np.zeros(3), np.zeros(3))
+
+
+def found(
     sigma: float = 2e-3,
-    stamp_sigma: float = 0.0,
     tau_spread: float = math.inf,
-    config: SessionConfig | None = None,
     *,
     is_steered: bool = False,
+    holds_height: bool = False,
+    drives: bool = True,
     gyro: float = 0.01,
-    doubt: float = 0.0,
-    counted: float = 1.0,
-    noise_told: Told | None = None,
-    **priors: bool,
-) -> dict[str, Identified]:
-    """Of latencies known to `sigma`, s, with priors of 0.25 s."""
-    inertial, half = InertialNoise(0.1, gyro, 0.003, 1e-4), np.full(3, 0.5)
-    noise = Noise(
-        inertial, half, half, half, 60.0, np.full(3, 0.01), tau_spread, counted=counted, told=noise_told or Told()
-    )
-    beforehand = Priors(0.5, 0.05, np.zeros(3), np.zeros(CONSTANTS_SIZE), np.full(CONSTANTS_SIZE, 0.25), **priors)  # type: ignore[arg-type]
-    return identified_values(
-        Constants(0.12, 0.2, np.array([0.3, 0.4, 0.0]), is_steered=is_steered),
+    uncertainty: NoiseUncertainty = UNKNOWN,
+) -> Estimated:
+    """Constants known to `sigma`, with priors of 0.25."""
+    half, no = np.full(3, 0.5), np.empty((2, 0))
+    constants = {
+        "position_latency": np.array([0.12]),
+        "velocity_latency": np.array([0.2]),
+        "lever_arm": np.array([0.3, 0.4, 0.0]),
+        "heading_offset": np.array([0.1]),
+    }
+    beforehand = {c.name: (np.zeros(c.size), np.full(c.size, 0.25)) for c in CONSTANTS}
+    beforehand["slip"] = (np.zeros(4), np.array([0.5, 0.01, 2e-3, 1.0]))
+    scales = {"accel_scale": np.full(6, 0.01), "gyro_scale": np.full(3, 0.01), "rectification": np.full(6, 0.01)}
+    noise = Noise(InertialNoise(0.1, gyro, 0.003, 1e-4), half, half, half, 60.0, constants=scales)
+    known = Known(
+        noise,
+        uncertainty,
+        Priors(0.5, 0.05, np.zeros(3), beforehand, np.array([0.0, 0.0, 1.0]) if holds_height else None),
         sigma**2 * np.eye(CONSTANTS_SIZE),
         np.zeros((3, 3)),
-        noise,
-        beforehand,
-        FittedMounting(np.eye(3), np.full(3, 0.01), True, True),
-        config or SessionConfig(),
-        np.zeros(3),
-        Sampling(sampled_every, stamp_sigma),
-        doubt,
+        None,
+        tau_spread,
+        True,
+        drives,
     )
+    state = state_of(np.arange(2.0), np.tile(np.eye(3), (2, 1, 1)), is_steered=is_steered, **constants)
+    return Estimated(state, known, Uncertainty(no, no, no, no), {}, WindowsJoint([]))
+
+
+def told(
+    sampled_every: float, stamp_sigma: float = 0.0, config: SessionConfig | None = None, **given: object
+) -> dict[str, Identified]:
+    """What is reported of what was :func:`found`."""
+    mounting, sampling = FittedMounting(np.eye(3), np.full(3, 0.01), True, True), Sampling(sampled_every, stamp_sigma)
+    return identified_values(found(**given), mounting, config or SessionConfig(), np.zeros(3), sampling)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("key", ["gps_position_latency", "gps_velocity_latency"])
@@ -91,16 +111,13 @@ def test_an_arm_that_keeps_to_the_course_says_less_of_antenna_and_receiver() -> 
 
 
 def test_delays_miss_more_beside_rates_that_do_not_tell_attitudes() -> None:
-    """And wherever else there is a doubt, the larger one of both."""
     steady, between, unsteady = (told(0.0, gyro=gyro * DEG) for gyro in (3.4, 4.5, 5.0))
-    doubted = told(0.0, gyro=5.0 * DEG, doubt=3.0)
     own = math.hypot(2e-3, 1.5e-3)
     assert steady["gps_position_latency"].sigma == pytest.approx(own)
     assert unsteady["gps_position_latency"].sigma == pytest.approx(math.hypot(own, 0.02))
-    assert doubted["gps_position_latency"].sigma == pytest.approx(math.hypot(own, 0.06))
     sigma = between["gps_velocity_latency"].sigma
     assert isinstance(sigma, float) and own < sigma < 0.02
-    assert doubted["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-3, [0.6, 0.6, 0.0]))
+    assert unsteady["lever_arm_b"].sigma == pytest.approx(np.hypot(2e-3, [0.2, 0.2, 0.0]))
 
 
 def test_a_parked_kart_knows_its_priors_and_no_more() -> None:
@@ -115,8 +132,9 @@ def test_how_large_the_wander_is_shows_with_how_long_it_lasts(spread: float, obs
 
 def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
     """As any box's where nothing tells it, and then it is a default."""
-    each = Told(0.1, 0.2, np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7]))
-    known, unknown = told(0.0, noise_told=each), told(0.0)
+    spreads = np.array([0.05, 0.05, 0.3]), np.array([0.1, 0.1, 0.7])
+    each = replace(UNKNOWN, accel=0.1, gyro=0.2, position=spreads[0], velocity=spreads[1])
+    known, unknown = told(0.0, uncertainty=each), told(0.0)
     for name, spread in (("accel_noise", 0.1), ("gyro_noise", 0.2)):
         assert known[name].sigma == pytest.approx(spread * np.asarray(known[name].value))
         assert (known[name].observable, known[name].source) == (True, "identified")
@@ -124,47 +142,37 @@ def test_a_noise_is_as_unsure_as_the_session_tells_it() -> None:
         assert (unknown[name].observable, unknown[name].source) == (False, "default")
     half = np.full(3, 0.5)
     assert known["gps_position_noise"] == noise_of_fixes(half, each.position, "m", np.zeros(3))
-    assert known["gps_velocity_noise"] == noise_of_fixes(half, each.velocity, "m/s", np.zeros(3))
-
-
-def test_what_lasts_of_velocities_may_be_none_of_the_drive_s() -> None:
-    """It was seen at rest: velocities count half as much as they are white, or as that."""
-    spread, half = np.full(3, 0.1), np.full(3, 0.5)
-    lasting = told(0.0, counted=2.0, noise_told=Told(velocity=spread))["gps_velocity_noise"]
-    assert lasting.value == pytest.approx([1.0, 1.0, 0.5])
-    assert lasting == noise_of_fixes(np.array([1.0, 1.0, 0.5]), spread, "m/s", half * [1.0, 1.0, 0.0])
-    assert isinstance(lasting.sigma, list)
-    assert lasting.sigma[0] > 0.5 > 0.1 > lasting.sigma[2]
+    assert known["gps_velocity_noise"] == noise_of_fixes(half, each.velocity, "m/s")
 
 
 def test_what_the_wander_goes_between_keyframes_is_no_noise_of_fixes() -> None:
-    each = Told(position=np.full(3, 0.1), wandered=np.array([0.09, 0.09, 1.0]))
-    found = told(0.0, noise_told=each)["gps_position_noise"]
-    assert found.value == pytest.approx([0.4, 0.4, 0.02])
-    assert found == scatter_of_fixes(np.full(3, 0.5), each.position, each.wandered, 0.02)
+    each = replace(UNKNOWN, position=np.full(3, 0.1), wandered=np.array([0.09, 0.09, 1.0]))
+    noise = told(0.0, uncertainty=each)["gps_position_noise"]
+    assert noise.value == pytest.approx([0.4, 0.4, 0.02])
+    assert noise == scatter_of_fixes(np.full(3, 0.5), each.position, each.wandered, 0.02)
 
 
 def test_a_wander_may_hide_beneath_the_noise() -> None:
-    hidden = told(0.0, noise_told=Told(hidden=np.array([1.0, 1.0, 2.0])))["gps_offset_sigma"]
+    hidden = told(0.0, uncertainty=replace(UNKNOWN, hidden=np.array([1.0, 1.0, 2.0])))["gps_offset_sigma"]
     assert hidden.sigma == pytest.approx(np.hypot(0.25, [1.0, 1.0, 2.0]))
 
 
 def test_a_compass_that_is_not_used_has_no_values() -> None:
-    constants, covariance = Constants(0.0, 0.0, np.zeros(3), heading_offset=0.1), 1e-4 * np.eye(CONSTANTS_SIZE)
-    assert field_values(None, constants, covariance) == {}
+    solved = found(1e-2)
+    assert field_values(None, solved) == {}
     calibrated = Heading(np.arange(3), np.zeros((3, 3)), 0.0, 0.1, 0.012)
-    values = field_values(calibrated, constants, covariance)
+    values = field_values(calibrated, solved)
     assert list(values) == ["mag_heading_offset"]  # iron is the calibration's
     offset = values["mag_heading_offset"]
     assert (offset.value, offset.sigma, offset.observable) == (0.1, pytest.approx(0.01), False)
     fit = FieldFit(40.0 * np.eye(3), np.ones(3), np.full((3, 3), 1.0), np.full(3, 2.0), turned=0.1)
-    values = field_values(replace(calibrated, fit=fit, offset_sigma=0.8), constants, covariance)
+    values = field_values(replace(calibrated, fit=fit, offset_sigma=0.8), solved)
     assert values["mag_heading_offset"].observable
     assert values["mag_hard_iron"].sigma == [2.0, 2.0, 2.0]
     np.testing.assert_allclose(values["mag_soft_iron"].value, np.eye(3))
     np.testing.assert_allclose(values["mag_soft_iron"].sigma, 1.0 / 40.0)
     stands = replace(calibrated, fit=replace(fit, turned=1e-3))
-    assert list(field_values(stands, constants, covariance)) == ["mag_heading_offset"]
+    assert list(field_values(stands, solved)) == ["mag_heading_offset"]
 
 
 @pytest.mark.parametrize(("value", "said"), [(-0.8, True), (-0.06, False), (0.1, False)])

@@ -8,6 +8,7 @@ import pytest
 
 from smoother import so3
 from smoother.estimate.graph.imu import are_told
+from smoother.estimate.model.state import State
 from smoother.estimate.output.mounting import (
     CROSSFALL,
     FittedMounting,
@@ -16,10 +17,11 @@ from smoother.estimate.output.mounting import (
     on_its_ground,
     swing_on_the_wheel,
 )
-from smoother.estimate.graph.state import ChainState, Constants
 from smoother.frames import rotation_from_euler
 from smoother.trajectory import Keyframes
 from smoother.units import DEG, STANDARD_GRAVITY
+
+from .still_state import state_of
 
 K, INTERVAL = 1500, 0.2
 ROUGH = 4.0 * DEG
@@ -27,7 +29,7 @@ ROUGH = 4.0 * DEG
 
 def state_of_drive(
     R_bs: np.ndarray, slip: float, lean: float, noise: float, seed: int = 0, turns: float = 0.1
-) -> ChainState:
+) -> State:
     """A kart on winding road: slip angle, roll and pitch in proportion to acceleration, plus noise, all in rad.
 
     slip, lean: rad per m/s^2. turns: share by which one side outweighs the other.
@@ -41,8 +43,7 @@ def state_of_drive(
     roll, pitch, slide = noise * rng.normal(size=(3, K))
     R_nb = rotation_from_euler(lean * left + roll, -lean * forward + pitch, course + slip * left + slide)
     velocity_n = np.stack([speed * np.cos(course), speed * np.sin(course), np.zeros(K)], axis=1)
-    zeros = np.zeros((K, 3))
-    return ChainState(t, R_nb @ R_bs, zeros, velocity_n, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+    return state_of(t, R_nb @ R_bs, velocity_n)
 
 
 def rough(R_bs: np.ndarray, seed: int) -> np.ndarray:
@@ -89,7 +90,7 @@ def test_sigma_covers_the_error_of_slips_however_long_they_last(corner: float) -
     assert 0.8 < rms < 1.3  # 90 values: one by 8 %, and the correlation is found from a hundred corners
 
 
-def uphill(state: ChainState, R_bs: np.ndarray, slope: float) -> ChainState:
+def uphill(state: State, R_bs: np.ndarray, slope: float) -> State:
     """The same drive on a road that climbs all the way."""
     R_nb = state.R_ns @ R_bs.T
     speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
@@ -123,7 +124,7 @@ def test_pitch_is_as_unsure_as_the_mean_slope_of_the_road() -> None:
 
 def state_of_laps(
     R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], noise: float = 0.1 * DEG, give: float = 0.0
-) -> ChainState:
+) -> State:
     """Six laps of 50 s with bends to both sides. bank: roll rad of the ground at 0..2 pi around the lap.
 
     noise, rad: of roll, of each keyframe its own; give, rad: what the frame leans at 1 g beyond 1 deg per g.
@@ -141,8 +142,7 @@ def state_of_laps(
     roll = bank(phase) + 1.0 * DEG * push + give * push * np.abs(push)
     roll += noise * np.random.default_rng(7).standard_normal(K)
     R_nb = rotation_from_euler(roll, np.zeros(K), np.arctan2(velocity_n[:, 1], velocity_n[:, 0]))
-    zeros = np.zeros((K, 3))
-    return ChainState(t, R_nb @ R_bs, position_n, velocity_n, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+    return state_of(t, R_nb @ R_bs, velocity_n, position_n)
 
 
 def uneven(rms: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -191,7 +191,7 @@ def test_no_track_falls_to_one_side_all_the_way_by_more_than_water_needs() -> No
     assert found.sigma[0] == pytest.approx(np.hypot(fitted.sigma[0], CROSSFALL), rel=0.07)  # and what leans on it
 
 
-def state_of_oval(R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], side: float = 1.0) -> ChainState:
+def state_of_oval(R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], side: float = 1.0) -> State:
     """Laps of 15 s around an ellipse of 34 by 26 m, to the left (side 1) or right (-1); bank as for other laps."""
     t = INTERVAL * np.arange(K)
     phase = 2.0 * np.pi * t / 15.0 + 0.05 * np.sin(2.0 * np.pi * t / 73.0)
@@ -203,8 +203,7 @@ def state_of_oval(R_bs: np.ndarray, bank: Callable[[np.ndarray], np.ndarray], si
     roll = bank(phase) + 1.0 * DEG * push / STANDARD_GRAVITY
     roll += 0.1 * DEG * np.random.default_rng(7).standard_normal(K)
     R_nb = rotation_from_euler(roll, np.zeros(K), np.arctan2(velocity_n[:, 1], velocity_n[:, 0]))
-    zeros = np.zeros((K, 3))
-    return ChainState(t, R_nb @ R_bs, position_n, velocity_n, zeros, zeros, zeros, Constants(0.0, 0.0, np.zeros(3)))
+    return state_of(t, R_nb @ R_bs, velocity_n, position_n)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -231,15 +230,14 @@ def test_level_ground_takes_nothing_from_roll_on_an_oval() -> None:
     assert on_its_ground(fitted, state, (0.1 * DEG) ** 2) is fitted
 
 
-def stood_before(state: ChainState, R_bs: np.ndarray, roll: float) -> tuple[ChainState, np.ndarray]:
+def stood_before(state: State, R_bs: np.ndarray, roll: float) -> tuple[State, np.ndarray]:
     """The same drive after 10 s at rest at its first place, where the kart leans by `roll` rad; and those intervals."""
     n = round(10.0 / INTERVAL)
     R_ns = np.concatenate([np.repeat(rotation_from_euler(roll, 0.0, 1.0)[None] @ R_bs, n, axis=0), state.R_ns])
     position_n = np.concatenate([np.repeat(state.position_n[:1], n, axis=0), state.position_n])
     velocity_n = np.concatenate([np.zeros((n, 3)), state.velocity_n])
-    t, zeros = INTERVAL * np.arange(n + K), np.zeros((n + K, 3))
-    constants = Constants(0.0, 0.0, np.zeros(3))
-    return ChainState(t, R_ns, position_n, velocity_n, zeros, zeros, zeros, constants), np.arange(n - 1)
+    t = INTERVAL * np.arange(n + K)
+    return state_of(t, R_ns, velocity_n, position_n), np.arange(n - 1)
 
 
 def banked(steepest: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -284,7 +282,7 @@ def test_a_place_that_falls_to_one_side_does_not_turn_the_box_on_a_track_with_be
 
 @pytest.mark.parametrize("state_of", [state_of_laps, state_of_oval])
 def test_level_ground_is_as_sure_as_before_where_the_kart_stood_level(
-    state_of: Callable[[np.ndarray, Callable[[np.ndarray], np.ndarray]], ChainState],
+    state_of: Callable[[np.ndarray, Callable[[np.ndarray], np.ndarray]], State],
 ) -> None:
     R_bs = random_rotation(1)
     state = state_of(R_bs, np.zeros_like)
@@ -465,9 +463,9 @@ def test_the_nose_that_slip_tells_is_beside_axes_that_are_not_quite_level() -> N
     axes = tilted @ so3.exp(np.array([[0.0, 0.0, -0.5]]))[0] @ R_bs
     axis_b = R_bs @ axes[0]  # its direction on level ground, and how far the nose is to the left of it
     offset = -np.arctan2(axis_b[1], axis_b[0])
-    constants = Constants(0.0, 0.0, np.zeros(3), slip=np.array([offset, 0.0, 0.0, 0.0]), level_axes_s=axes)
+    state = state_of(np.arange(2.0), np.tile(np.eye(3), (2, 1, 1)), axes_s=axes, slip=np.array([offset, 0.0, 0.0, 0.0]))
     askew = so3.exp(np.array([[0.0, 0.0, 0.1]]))[0] @ R_bs
-    found = along_wheels(FittedMounting(askew, np.full(3, 0.01), True, True), constants, 0.02**2)
+    found = along_wheels(FittedMounting(askew, np.full(3, 0.01), True, True), state, 0.02**2)
     np.testing.assert_allclose(found.R_bs, R_bs, atol=1e-12)
     assert found.by_wheels
     assert found.sigma[2] == pytest.approx(0.02)

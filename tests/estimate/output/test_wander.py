@@ -8,10 +8,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from smoother.arrays import Array
 from smoother.estimate.gnss_offset import Drift
-from smoother.estimate.graph import output
-from smoother.estimate.smoother import GraphSmoother
+from smoother.estimate.output import trajectory as output
 from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

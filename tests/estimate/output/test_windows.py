@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph import windows
+from smoother.estimate import bridge
 from smoother.estimate.graph.parts import busiest_part, stretch
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.graph.start import busiest_span, make_start
+from smoother.estimate.output import windows
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.motion import Stop
 from smoother.sim.simulation import simulate_preset
@@ -23,6 +24,7 @@ def pair() -> Pair:
     whole = GraphSmoother().estimate(session)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(windows, "WINDOW", 80.0)
+        patch.setattr(bridge, "WINDOW", 80.0)
         patch.setattr(windows, "OVERLAP", 60.0)
         return whole, GraphSmoother().estimate(session)
 
@@ -33,8 +35,9 @@ def joint_pair(pair: Pair) -> Pair:
     session = prepare(simulate_preset("kart", 3, duration=300.0).raw)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(windows, "WINDOW", 80.0)
+        patch.setattr(bridge, "WINDOW", 80.0)
         patch.setattr(windows, "OVERLAP", 60.0)
-        patch.setattr(windows, "busiest_part", lambda start, span: start)
+        patch.setattr(bridge, "busiest_part", lambda start, span: start)
         return pair[0], GraphSmoother().estimate(session)
 
 
@@ -128,25 +131,6 @@ def test_times_that_no_window_holds_together_share_the_unseen_offset_alone(pair:
     P = parts.joint.covariance(parts.t[[10, -10]], np.tile([0.0, 1.0, 0.0], (2, 1)))
     np.testing.assert_allclose(P, P.T)
     assert 0.0 <= P[0, 1] < P[0, 0]
-
-
-def test_a_stream_goes_through_windows_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one piece, an hour of it took eighteen times as long, and four times the memory."""
-    session = prepare(simulate_preset("kart", 3, duration=150.0).raw)
-    monkeypatch.setattr(windows, "WINDOW", 40.0)
-    monkeypatch.setattr(windows, "OVERLAP", 10.0)
-    batch, lengths, stream = GraphSmoother().estimate(session), [], windows.solve_as_stream
-
-    def counted(*given: object, **named: object) -> object:
-        solved = stream(*given, **named)  # type: ignore[arg-type]
-        lengths.append(np.ptp(solved.state.t))
-        return solved
-
-    monkeypatch.setattr(windows, "solve_as_stream", counted)
-    found = GraphSmoother(GraphOptions(solver="isam2")).estimate(session)
-    assert len(lengths) > 1 and max(lengths) < 80.0
-    assert batch.sigmas is not None
-    assert in_sigmas(found.velocity_n - batch.velocity_n, batch.sigmas.velocity_n) < 0.2
 
 
 def test_the_busiest_part_of_a_stretch_is_of_that_stretch() -> None:
