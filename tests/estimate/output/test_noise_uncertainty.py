@@ -1,4 +1,4 @@
-"""How well a session tells its noise, from the residuals of a solved graph."""
+"""How well a session determines its noise, from the residuals of a solved graph."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -6,37 +6,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.inertial import VarianceComponent
 from smoother.estimate.graph.inertial_noise import InertialNoise
-from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.row_components import RowComponent
-from smoother.estimate.graph.state import KEYFRAME_SIZE, OFFSET
-from smoother.estimate.graph.told import told_by
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import KEYFRAME_SIZE, OFFSET
 from smoother.estimate.noise_of_fixes import hidden_wander
+from smoother.estimate.output.noise_uncertainty import corners, noise_uncertainty
+from smoother.estimate.solvers.variance_components import RowComponent, SampleComponent
 from smoother.fit.noise_spread import ANY_NOISE, Residuals, of_force, of_positions, of_rate, of_velocities
 
 N, INTERVAL, SHARE = 600, 0.2, 0.25
 LEFT = {"force": 0.2, "rate": 0.05, "position": 0.7, "velocity": 0.8}  # shares of the noise in the residuals
 
 
-def solved() -> Any:
-    """A graph with a fix at a quarter of each interval."""
-    left, right = np.zeros((N, 3, KEYFRAME_SIZE)), np.zeros((N, 3, KEYFRAME_SIZE))
-    left[:, :, OFFSET], right[:, :, OFFSET] = (1.0 - SHARE) * np.eye(3), SHARE * np.eye(3)
-    state = SimpleNamespace(t=INTERVAL * np.arange(N + 1), interval=INTERVAL)
-    return SimpleNamespace(
-        state=state, rows={"gps_position": SimpleNamespace(left=left, right=right, residual=np.zeros((N, 3)))}
-    )
-
-
 def noise() -> Noise:
     third = np.full(3, 0.5)
-    return Noise(InertialNoise(0.2, 0.01, 1e-3, 1e-4), third, third, np.array([2.0, 2.0, 3.0]), 60.0, np.full(3, 0.01))
+    return Noise(InertialNoise(0.2, 0.01, 1e-3, 1e-4), third, third, np.array([2.0, 2.0, 3.0]), 60.0)
 
 
-def samples(left: float) -> VarianceComponent:
+def samples(left: float) -> SampleComponent:
     each = np.full(N, 3.0 * left)
-    return VarianceComponent(each, each, np.eye(3), np.eye(3))
+    return SampleComponent(each, each, np.eye(3), np.eye(3))
 
 
 def fixes(left: float, known: int = N) -> RowComponent:
@@ -47,8 +36,22 @@ def fixes(left: float, known: int = N) -> RowComponent:
 
 
 def told(velocities: int = N) -> Any:
-    both = samples(LEFT["force"]), samples(LEFT["rate"])
-    return told_by(solved(), noise(), both, (fixes(LEFT["position"]), fixes(LEFT["velocity"], velocities)))
+    """Of a graph with a fix at a quarter of each interval."""
+    left, right = np.zeros((N, 3, KEYFRAME_SIZE)), np.zeros((N, 3, KEYFRAME_SIZE))
+    left[:, :, OFFSET], right[:, :, OFFSET] = (1.0 - SHARE) * np.eye(3), SHARE * np.eye(3)
+    solution = SimpleNamespace(
+        components=SimpleNamespace(
+            force=samples(LEFT["force"]),
+            rate=samples(LEFT["rate"]),
+            position=fixes(LEFT["position"]),
+            velocity=fixes(LEFT["velocity"], velocities),
+        ),
+        noise=noise(),
+        state=SimpleNamespace(t=INTERVAL * np.arange(N + 1), interval=INTERVAL),
+        step=SimpleNamespace(rows={"gps_position": SimpleNamespace(left=left, right=right, residual=np.zeros((N, 3)))}),
+        graph=SimpleNamespace(measured=SimpleNamespace(rolls=None)),
+    )
+    return noise_uncertainty(solution, np.ones(4))  # type: ignore[arg-type]
 
 
 def residuals(left: float, of_each: int) -> Residuals:
@@ -80,3 +83,9 @@ def test_what_is_hidden_is_that_of_its_noise_and_length() -> None:
     given = noise()
     expected = hidden_wander(given.position, given.velocity, INTERVAL, N * INTERVAL, given.offset_tau)
     assert told().hidden == pytest.approx(expected)
+
+
+def test_a_corner_counts_once_however_long_it_lasts() -> None:
+    t = np.linspace(0.0, 100.0, 1000)
+    assert corners(np.where(t < 1.0, 0.0, 8.0)) == 1
+    assert corners(8.0 * np.sin(2.0 * np.pi * 0.05 * t)) == 10
