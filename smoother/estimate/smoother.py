@@ -432,7 +432,7 @@ def _fitted_mounting(found: Estimated, start: Start) -> FittedMounting:
         return mounting
     mean, common = attitude_variance(found, mounting.R_bs, without_samples(start.fine))
     own = float(max(mean[0] - common[0], 0.0))
-    mounting = on_its_ground(mounting, state, own, start.fine.missing, start.data.still)
+    mounting = on_its_ground(mounting, state, own, start.fine.missing)
     if known.wheels_heading is None:
         return mounting
     slip = COLUMNS["slip"].start

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
 from smoother.estimate.graph.imu import are_told
 from smoother.estimate.leaning import LEAST_LEAN
 from smoother.estimate.model.state import State
@@ -37,12 +37,10 @@ ROCKING = 0.2 * DEG
 # However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
 # (FIA, Appendix O to the International Sporting Code, 7.5)
 CROSSFALL = 0.022
-SURELY = 3.0  # sigmas by which lap and standstill lean apart, where chance is no longer a reason
 BANK = 2.0 * CELL  # m, after which ground may fall to another side
 # rad at 1 g by which a vehicle leans, either way: what is known of that before it is driven. Karts lean outwards by up
 # to 1.2 deg, cars by 2 to 6; and how far from in proportion to the push
 LEAN = np.array([3.0, 1.0]) * DEG
-BANKED = 12.0 * DEG  # rad at 1 g by which a bend may fall to its inside, and how far from in proportion
 FOUND, MOST_ROUNDS = 0.01, 100  # relative change of the ground's variance from one round to the next; each is quick
 STEERED = 0.6  # least correlation of that with slip
 # A calm hand moves the wheel by less, and the box still leans into each bend: on the columns of a simulator of other
@@ -113,22 +111,19 @@ def fit_mounting(
 
 
 def on_its_ground(
-    mounting: FittedMounting,
-    state: State,
-    unsure: float,
-    missing: Array | None = None,
-    still: IntArray | None = None,
+    mounting: FittedMounting, state: State, unsure: float, missing: Array | None = None
 ) -> FittedMounting:
     """Return `mounting`, fitted to `state`, with its roll as unsure as the ground around the lap is unlevel.
 
-    unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`; still (S,):
-    intervals at rest. Ground that falls by a degree more here than there was not made level to a tenth of it on
-    average: that the mean over the lap is off by about as much as places differ is taken for granted. What falls to one
-    side everywhere and alike does not show.
+    unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`. Ground that falls
+    by a degree more here than there was not made level to a tenth of it on average: that the mean over the lap is off
+    by about as much as places differ is taken for granted. What falls to one side everywhere and alike does not show.
 
-    Where all turns go to one side, roll without a push is read off beyond all that was felt, by a slope that the ground
-    has a part in: by what is known of it (:class:`_Leaning`) roll is moved, and unsure. Where the kart stood it leans
-    by the ground there alone: beside a lap on banks that is the better reading, and both are taken by their sigmas.
+    Where all turns go to one side, roll without a push is beyond all that was measured, by a slope that the ground has
+    a part in. A straight line through roll takes from the ground what happens to go with push there, by as much as
+    stretches that fall their own way are few: the line has what is known beforehand beside it (LEAN), and the ground
+    all that the line leaves, and what that is unsure by. Source: Foerstner 1979, of a line with a prior; the expected
+    squares are those of the EM algorithm (Dempster, Laird and Rubin 1977).
     """
     use = _are_fitted(state, missing)
     t, position_n, velocity_n = state.t[use], state.position_n[use], state.velocity_n[use]
@@ -137,104 +132,31 @@ def on_its_ground(
         return mounting
     acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
     R_nb = state.R_ns[use] @ mounting.R_bs.T
-    push = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n) / STANDARD_GRAVITY
+    push, roll = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n) / STANDARD_GRAVITY, R_nb[:, 2, 1]
     lap = float(np.sum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]))) * state.interval / visits.each
-    # errors that last for minutes come back with the next lap as well: those are in the sigma already
-    own = unsure + ROCKING**2
-    leaning = _Leaning.of(push, R_nb[:, 2, 1], visits, own, max(lap / BANK, 1.0))
-    standing = _standing_roll(mounting, state, still)
-    if standing is not None:
-        leaning = leaning.beside(standing, mounting.sigma[0] ** 2 + own)
-    if leaning.unlevel == 0.0:
-        return mounting
-    variance = mounting.sigma[0] ** 2 + min(leaning.unlevel, CROSSFALL**2) + leaning.variance
+    # beside the push its signed square: frames that give by more or less than in proportion do so to both sides
+    design = np.stack([push, push * np.abs(push)], axis=1)
+    _, _, weight = _robust_line(np.column_stack([np.ones(len(push)), design]), roll)
+    weight = weight / np.sum(weight)
+    mean_push, mean_roll = weight @ design, float(weight @ roll)
+    design, roll = design - mean_push, roll - mean_roll
+    weighted = (design * weight[:, None]).T
+    spread, together = weighted @ design, weighted @ roll
+    slopes, covariance, unlevel = np.zeros(len(LEAN)), np.diag(LEAN**2), np.inf
+    for _ in range(MOST_ROUNDS):
+        before = unlevel
+        unlevel = visits.variance(roll - design @ slopes) + float(np.trace(spread @ covariance)) - unsure - ROCKING**2
+        if unlevel <= 0.0:
+            return mounting
+        known = max(lap / BANK, 1.0) / unlevel
+        covariance = np.linalg.inv(np.diag(LEAN**-2.0) + known * spread)
+        slopes = covariance @ (known * together)
+        if abs(unlevel - before) < FOUND * unlevel:
+            break
+    upright = mean_roll - float(mean_push @ slopes)
+    variance = mounting.sigma[0] ** 2 + min(unlevel, CROSSFALL**2) + float(mean_push @ covariance @ mean_push)
     sigma = np.array([np.sqrt(variance), *mounting.sigma[1:]])
-    return replace(mounting, R_bs=so3.exp(np.array([leaning.upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
-
-
-def _standing_roll(mounting: FittedMounting, state: State, still: IntArray | None) -> float | None:
-    """Roll of the kart at rest, rad, as if each place counted once; None where it never stood."""
-    if still is None or not len(still):
-        return None
-    roll = np.einsum("i,ki->k", mounting.R_bs[1], state.R_ns[still, 2])
-    _, of_place = np.unique(np.round(state.position_n[still, :2] / BANK), axis=0, return_inverse=True)
-    of_place = of_place.ravel()
-    return float(np.mean(np.bincount(of_place, roll) / np.bincount(of_place)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Leaning:
-    """Roll of a kart that nothing pushes, rad, its variance by what it leans, and the variance of the ground, rad^2.
-
-    hidden, rad^2: variance of `upright` if no more were known of what leans than beforehand. Level ground: all zero.
-    """
-
-    upright: float
-    variance: float
-    unlevel: float
-    hidden: float
-
-    @staticmethod
-    def of(push: Array, roll: Array, visits: Visits, rest: float, stretches: float) -> "_Leaning":
-        """Tell what leans from the ground.
-
-        push (N,) g to the left, roll (N,) rad. rest, rad^2: of what comes back with the place and is no ground;
-        stretches: of ground, each of which may fall its own way, on a lap. A straight line through roll takes from the
-        ground what happens to go with push there, by as much as they are few, and each counts once however often it
-        was driven: the line has what is known beforehand beside it (LEAN), and the ground all that the line leaves,
-        and what that is unsure by. Source: Foerstner 1979, of a line with a prior; the expected squares are those of
-        the EM algorithm (Dempster, Laird and Rubin 1977).
-
-        Bends that are banked are no chance of the ground: by as much as roll without a push is another where the slopes
-        may be those of banks (BANKED), `upright` is unsure as well.
-        """
-        # beside the push its signed square: frames that give by more or less than in proportion do so to both sides
-        design = np.stack([push, push * np.abs(push)], axis=1)
-        _, _, weight = _robust_line(np.column_stack([np.ones(len(push)), design]), roll)
-        weight = weight / np.sum(weight)
-        mean_push, mean_roll = weight @ design, float(weight @ roll)
-        design, roll = design - mean_push, roll - mean_roll
-        weighted = (design * weight[:, None]).T
-        spread, together = weighted @ design, weighted @ roll
-        slopes, covariance, unlevel = np.zeros(len(LEAN)), np.diag(LEAN**2), np.inf
-        hidden = float(mean_push @ covariance @ mean_push)
-        for _ in range(MOST_ROUNDS):
-            before = unlevel
-            unlevel = visits.variance(roll - design @ slopes) - rest + float(np.trace(spread @ covariance))
-            if unlevel <= 0.0:
-                return _Leaning(0.0, 0.0, 0.0, hidden)
-            known = stretches / unlevel
-            covariance = np.linalg.inv(np.diag(LEAN**-2.0) + known * spread)
-            slopes = covariance @ (known * together)
-            if abs(unlevel - before) < FOUND * unlevel:
-                break
-        on_banks = np.linalg.solve(np.diag((LEAN**2 + BANKED**2) ** -1.0) + known * spread, known * together)
-        upright, banked = (mean_roll - float(mean_push @ each) for each in (slopes, on_banks))
-        variance = float(mean_push @ covariance @ mean_push) + (upright - banked) ** 2
-        return _Leaning(upright, variance, unlevel, hidden)
-
-    def beside(self, standing: float, own: float) -> "_Leaning":
-        """Return the same beside a kart that leans by `standing`, rad, where it stands, read with a variance of `own`.
-
-        Ground that looks level, and where the kart stands is not, is as unlevel as that, and what leans is known no
-        better than beforehand. What leans is then known from both; what lap and place fall by alike, from neither.
-        """
-        apart = (standing - self.upright) ** 2
-        if self.unlevel == 0.0:
-            if apart < SURELY**2 * own:
-                return self
-            return replace(self, variance=self.hidden, unlevel=apart - own)._with(standing)
-        return self._with(standing) if apart < SURELY**2 * (own + self.variance + self._of_place) else self
-
-    @property
-    def _of_place(self) -> float:
-        """Variance of how far one place is from level, rad^2: of those off the track nothing shows."""
-        return max(self.unlevel, CROSSFALL**2)
-
-    def _with(self, standing: float) -> "_Leaning":
-        share = self.variance / (self.variance + self._of_place)
-        upright = self.upright + share * (standing - self.upright)
-        return replace(self, upright=upright, variance=share * self._of_place)
+    return replace(mounting, R_bs=so3.exp(np.array([upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
 
 
 def _are_fitted(state: State, missing: Array | None) -> BoolArray:

@@ -230,67 +230,6 @@ def test_level_ground_takes_nothing_from_roll_on_an_oval() -> None:
     assert on_its_ground(fitted, state, (0.1 * DEG) ** 2) is fitted
 
 
-def stood_before(state: State, R_bs: np.ndarray, roll: float) -> tuple[State, np.ndarray]:
-    """The same drive after 10 s at rest at its first place, where the kart leans by `roll` rad; and those intervals."""
-    n = round(10.0 / INTERVAL)
-    R_ns = np.concatenate([np.repeat(rotation_from_euler(roll, 0.0, 1.0)[None] @ R_bs, n, axis=0), state.R_ns])
-    position_n = np.concatenate([np.repeat(state.position_n[:1], n, axis=0), state.position_n])
-    velocity_n = np.concatenate([np.zeros((n, 3)), state.velocity_n])
-    t = INTERVAL * np.arange(n + K)
-    return state_of(t, R_ns, velocity_n, position_n), np.arange(n - 1)
-
-
-def banked(steepest: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Bends of the oval that fall to their inside by up to `steepest` rad, half as much of the push later on."""
-    return lambda phase: -steepest * np.clip(1.6 * np.cos(phase) ** 2, 0.0, 1.0)
-
-
-@pytest.mark.parametrize("steepest", [3.0 * DEG, 8.0 * DEG, 14.0 * DEG])
-@pytest.mark.parametrize("at_rest", [-1.0 * DEG, 0.0, 1.0 * DEG])
-def test_where_the_kart_stood_tells_the_banks_of_an_oval_from_a_box_that_lies_askew(
-    steepest: float, at_rest: float
-) -> None:
-    R_bs = random_rotation(1)
-    state = state_of_oval(R_bs, banked(steepest))
-    fitted = fit_mounting(state, R_bs)
-    stood, still = stood_before(state, R_bs, at_rest)
-    found = on_its_ground(fitted, stood, (0.1 * DEG) ** 2, still=still)
-    first, error = (abs(so3.log(R_bs @ each.R_bs.T)[0]) for each in (fitted, found))
-    assert error < 2.0 * found.sigma[0]
-    assert error < max(0.3 * first, 1.0 * DEG)
-    assert found.sigma[0] < on_its_ground(fitted, state, (0.1 * DEG) ** 2).sigma[0]
-
-
-@pytest.mark.parametrize("steepest", [8.0 * DEG, 14.0 * DEG])
-def test_without_a_standstill_roll_is_as_unsure_as_banks_that_pass_for_lean(steepest: float) -> None:
-    R_bs = random_rotation(1)
-    state = state_of_oval(R_bs, banked(steepest))
-    found = on_its_ground(fit_mounting(state, R_bs), state, (0.1 * DEG) ** 2)
-    assert abs(so3.log(R_bs @ found.R_bs.T)[0]) < 2.0 * found.sigma[0]
-
-
-def test_a_place_that_falls_to_one_side_does_not_turn_the_box_on_a_track_with_bends_to_both() -> None:
-    """But one of the two is unlevel, and roll as unsure: by no more than a lap falls on average."""
-    R_bs = random_rotation(1)
-    state = state_of_laps(R_bs, np.zeros_like)
-    fitted = fit_mounting(state, R_bs)
-    stood, still = stood_before(state, R_bs, 3.0 * DEG)
-    found = on_its_ground(fitted, stood, (0.1 * DEG) ** 2, still=still)
-    assert abs(so3.log(found.R_bs @ fitted.R_bs.T)[0]) < 0.3 * DEG
-    assert found.sigma[0] == pytest.approx(CROSSFALL, rel=0.1)
-
-
-@pytest.mark.parametrize("state_of", [state_of_laps, state_of_oval])
-def test_level_ground_is_as_sure_as_before_where_the_kart_stood_level(
-    state_of: Callable[[np.ndarray, Callable[[np.ndarray], np.ndarray]], State],
-) -> None:
-    R_bs = random_rotation(1)
-    state = state_of(R_bs, np.zeros_like)
-    fitted = fit_mounting(state, R_bs)
-    stood, still = stood_before(state, R_bs, 0.4 * DEG)
-    assert on_its_ground(fitted, stood, (0.1 * DEG) ** 2, still=still) is fitted
-
-
 def test_of_a_road_that_is_driven_once_the_ground_does_not_show() -> None:
     R_bs = random_rotation(1)
     state = state_of_laps(R_bs, uneven(0.8 * DEG))
