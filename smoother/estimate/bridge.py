@@ -22,7 +22,7 @@ from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import Geometry, State
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
-from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held
+from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_rectification
 from smoother.estimate.solvers.variance_components import Scatter
 from smoother.samples import Problem as SessionProblem
 from smoother.samples import Session
@@ -55,14 +55,14 @@ class Solved:
 def solve(session: Session, start: Start, options: GraphOptions, say: Say, doubted: BoolArray) -> Solved:
     """Identify constants and noise on the busiest part, then solve all of the session."""
     problem, noise = problem_of(start)
-    first = identify(problem, noise, lambda share: say(0.5 * share), wheels=options.wheels and start.wheels)
+    first = identify(problem, noise, lambda share: say(0.5 * share))
     state = first.state
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     start = informed(session, start, options, chain_state(state).constants, biases, doubted)
     if is_partly_sampled(start) or is_long(start):
         return _solve_in_windows(session, start, first.noise, options, say)
     whole, _ = problem_of(start)
-    whole = replace(whole, state=replace(whole.state, constants=state.constants))
+    whole = with_rectification(replace(whole, state=replace(whole.state, constants=state.constants)), first)
     field, noise = _Field(session, start), replace(first.noise, slip=None)
     sigmas = Sigmas.of(first.covariances)
     solution = _identified(whole, noise, field, options, lambda share: say(0.5 + 0.5 * share), sigmas)
@@ -82,7 +82,7 @@ def _solve_in_windows(session: Session, start: Start, noise: Noise, options: Gra
     busiest = longest_sampled(busiest_part(start, WINDOW))
     problem, _ = problem_of(busiest)
     field = _Field(session, busiest)
-    main = _identified(problem, replace(noise, slip=None, least_slip=0.0), field, options, lambda s: say(0.3 * s))
+    main = _identified(problem, replace(noise, slip=None), field, options, lambda s: say(0.3 * s))
     known = known_from(main, problem.priors, busiest, session.config)
     if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
         known = replace(known, common_attitude=np.zeros((3, 3)))

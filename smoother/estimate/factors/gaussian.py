@@ -5,7 +5,6 @@ solved for are one more: GTSAM eliminates few large blocks in half the time of m
 """
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -15,15 +14,14 @@ from smoother.estimate.factors.rows import Rows
 from smoother.estimate.model.state import (
     COLUMNS,
     CONSTANTS,
-    CONSTANTS_SIZE,
     DIMENSIONS,
     KEYFRAME_SIZE,
     KEYS,
+    SIZES,
     State,
     keyframe_keys,
 )
 
-WIDTH = 2 * KEYFRAME_SIZE + CONSTANTS_SIZE + 1
 CONSTANTS_BLOCK = gtsam.symbol("c", len(CONSTANTS))
 
 
@@ -32,56 +30,61 @@ def block(k: int) -> int:
     return gtsam.symbol("k", k)
 
 
-def linear_factors(rows: Sequence[Rows], imu: Array, free: IntArray) -> gtsam.GaussianFactorGraph:
-    """One linear factor of GTSAM an interval, of all its rows; imu (K-1, 15, WIDTH) of factors/imu.py.
+def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str]) -> gtsam.GaussianFactorGraph:
+    """One linear factor of GTSAM an interval, of all its rows. unknown: names of the constants that are solved for.
 
-    free: columns of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
-    GTSAM a Jacobian factor: one array that is copied once.)
+    (In Python a GaussianConditional is the cheapest way to hand GTSAM a Jacobian: one array that is copied once.)
     """
-    interval = np.concatenate([np.repeat(np.arange(len(imu)), imu.shape[1])] + [_repeated(r) for r in rows])
+    interval = np.concatenate([np.repeat(r.interval, r.residual.shape[1]) for r in rows])
     order = np.argsort(interval, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
-    A = np.zeros((len(order), WIDTH))
-    begin = imu.shape[0] * imu.shape[1]
-    A[place[:begin]] = imu.reshape(-1, WIDTH)
+    starts, size = places(unknown)
+    starts = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}
+    A, begin = np.empty((len(order), 2 * KEYFRAME_SIZE + size + 1)), 0
     for r in rows:
-        n = r.residual.size
-        r.put_whitened(A, place[begin : begin + n])
-        begin += n
-    if len(free) < CONSTANTS_SIZE:
-        A = A[:, np.concatenate([np.arange(2 * KEYFRAME_SIZE), 2 * KEYFRAME_SIZE + free, [WIDTH - 1]])]
-    bounds = np.searchsorted(interval[order], np.arange(len(imu) + 1)).tolist()
-    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, len(free), 1]
-    for k, (begin, end) in enumerate(pairwise(bounds)):
-        keys = [block(k), block(k + 1), CONSTANTS_BLOCK]
+        A[place[begin : begin + r.residual.size]] = r.whitened(starts, A.shape[1])
+        begin += r.residual.size
+    bounds = np.searchsorted(interval[order], np.arange(intervals + 1)).tolist()
+    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, size, 1]
+    blocks = [block(k) for k in range(intervals + 1)]
+    for one, two, begin, end in zip(blocks[:-1], blocks[1:], bounds[:-1], bounds[1:], strict=True):
+        keys = [one, two, CONSTANTS_BLOCK]
         graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
 
 
-def put_in_blocks(factor: gtsam.JacobianFactor, free: IntArray, system: gtsam.GaussianFactorGraph) -> None:
+def places(unknown: Sequence[str]) -> tuple[dict[str, int], int]:
+    """First columns of constants in their block, and its size."""
+    ends = np.cumsum([0, *(SIZES[name] for name in unknown)]).tolist()
+    return dict(zip(unknown, ends, strict=False)), ends[-1]
+
+
+def columns_of(unknown: Sequence[str]) -> IntArray:
+    """Columns of constants among those of all, in the order of their block."""
+    return np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in unknown])
+
+
+def put_in_blocks(factor: gtsam.GaussianFactor, unknown: Sequence[str], system: gtsam.GaussianFactorGraph) -> None:
     """Add a linear factor of one variable, as GTSAM makes of a prior, to the system of blocks."""
     (key,) = factor.keys()
     A, b = factor.jacobian()
     if key in _OF_CONSTANTS:
-        wide = np.zeros((len(b), CONSTANTS_SIZE))
-        wide[:, COLUMNS[_OF_CONSTANTS[key]]] = A
-        if np.any(wide[:, free]):
-            system.add(CONSTANTS_BLOCK, wide[:, free], b, gtsam.noiseModel.Unit.Create(len(b)))
-        return
-    k = gtsam.Symbol(key).index()
-    start = _STARTS[keyframe_keys(k).index(key)]
-    wide = np.zeros((len(b), KEYFRAME_SIZE))
+        name = _OF_CONSTANTS[key]
+        if name not in unknown:
+            return
+        starts, size = places(unknown)
+        own, start = CONSTANTS_BLOCK, starts[name]
+    else:
+        k = gtsam.Symbol(key).index()
+        own, start, size = block(k), _STARTS[keyframe_keys(k).index(key)], KEYFRAME_SIZE
+    wide = np.zeros((len(b), size))
     wide[:, start : start + A.shape[1]] = A
-    system.add(block(k), wide, b, gtsam.noiseModel.Unit.Create(len(b)))
+    system.add(own, wide, b, gtsam.noiseModel.Unit.Create(len(b)))
 
 
 _OF_CONSTANTS = {key: name for name, key in KEYS.items()}
 _STARTS = np.cumsum([0, *DIMENSIONS]).tolist()
-
-
-def _repeated(rows: Rows) -> Array:
-    return np.repeat(rows.interval, rows.residual.shape[1])
 
 
 def custom_factors(build: Callable[[State], Rows], state: State) -> list[gtsam.CustomFactor]:

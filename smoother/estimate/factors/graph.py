@@ -5,7 +5,7 @@ which of them a session has and whether outliers lose weight.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -154,17 +154,20 @@ TABLE = (
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The graph of a session for one noise: GTSAM's factors in `nonlinear`, the IMU factors of all intervals first, and
-    all others by :meth:`rows`. state: times and geometry.
+    """The graph of a session for one noise: GTSAM's own factors, of the samples of all intervals in `imu` and of what
+    is known beforehand in `prior`, and all others by :meth:`rows`. state: times and geometry.
+    rectified: whether the rectification is unknown.
     """
 
-    nonlinear: gtsam.NonlinearFactorGraph
+    imu: gtsam.NonlinearFactorGraph
+    prior: gtsam.NonlinearFactorGraph
     preintegrated: list[gtsam.PreintegratedCombinedMeasurements]
     measured: Measurements
     noise: Noise
     priors: Priors
     state: State
     shaken: Array
+    rectified: bool = True
     table: tuple[Factor, ...] = TABLE
 
     def prior_variances(self) -> Array:
@@ -185,28 +188,41 @@ def build_graph(
     priors: Priors,
     state: State,
     table: tuple[Factor, ...] = TABLE,
+    *,
+    rectified: bool = True,
 ) -> Graph:
-    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`."""
+    """Return the graph of a session or of a part of it: IMU samples preintegrated about the mean biases of `state`.
+
+    rectified: whether the rectification is unknown.
+    """
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     preintegrated = preintegrate(binned, noise.inertial, *biases)
-    nonlinear = imu_factors(preintegrated)
-    for factor in _prior_factors(priors, noise, state):
-        nonlinear.add(factor)
-    return Graph(nonlinear, preintegrated, measured, noise, priors, state, shaken(binned), table)
+    imu, prior = imu_factors(preintegrated), _prior_factors(priors, noise, state)
+    return Graph(imu, prior, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
 
 
-def _prior_factors(priors: Priors, noise: Noise, state: State) -> Iterable[gtsam.NonlinearFactor]:
-    yield gtsam.PriorFactorPose3(X(0), gtsam.Pose3(gtsam.Rot3(state.R_ns[0]), state.position_n[0]), _diagonal(ANYWHERE))
-    yield gtsam.PriorFactorVector(V(0), state.velocity_n[0], _diagonal(np.full(3, ANY_SPEED)))
+def with_same_samples(graph: Graph, measured: Measurements, noise: Noise, priors: Priors, state: State) -> Graph:
+    """Return the graph for other measurements, noise of them and priors; the samples keep their noise."""
+    noise = replace(noise, inertial=graph.noise.inertial)
+    prior = _prior_factors(priors, noise, state)
+    return replace(graph, measured=measured, noise=noise, priors=priors, prior=prior, state=state)
+
+
+def _prior_factors(priors: Priors, noise: Noise, state: State) -> gtsam.NonlinearFactorGraph:
+    graph, pose = gtsam.NonlinearFactorGraph(), gtsam.Pose3(gtsam.Rot3(state.R_ns[0]), state.position_n[0])
+    graph.add(gtsam.PriorFactorPose3(X(0), pose, _diagonal(ANYWHERE)))
+    graph.add(gtsam.PriorFactorVector(V(0), state.velocity_n[0], _diagonal(np.full(3, ANY_SPEED))))
     bias = gtsam.imuBias.ConstantBias(np.zeros(3), priors.gyro_bias_mean)
     sigma = np.repeat([priors.accel_bias, priors.gyro_bias], 3)
-    yield gtsam.PriorFactorConstantBias(B(0), bias, _diagonal(sigma))
+    graph.add(gtsam.PriorFactorConstantBias(B(0), bias, _diagonal(sigma)))
     for constant in CONSTANTS:
         mean = priors.constants[constant.name][0]
         information = np.diag(1.0 / np.square(_prior_sigma(constant.name, priors, noise)))
         if constant.name == "lever_arm" and priors.held_s is not None:
             information += np.outer(priors.held_s, priors.held_s) / HELD**2
-        yield gtsam.PriorFactorVector(KEYS[constant.name], mean, gtsam.noiseModel.Gaussian.Information(information))
+        known = gtsam.noiseModel.Gaussian.Information(information)
+        graph.add(gtsam.PriorFactorVector(KEYS[constant.name], mean, known))
+    return graph
 
 
 def _prior_sigma(name: str, priors: Priors, noise: Noise) -> Array:

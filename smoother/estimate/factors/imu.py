@@ -13,17 +13,14 @@ from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
 from smoother.arrays import Array
-from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, State
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.model.state import State
 from smoother.frames import GRAVITY_N
 
-# where GTSAM has the columns of X V X V B B of a factor, and where the tangents of two keyframes have them
-_FROM_TO = (
-    (slice(0, 6), slice(0, 6)),
-    (slice(6, 9), slice(6, 9)),
-    (slice(9, 15), slice(18, 24)),
-    (slice(15, 18), slice(24, 27)),
-    (slice(18, 24), slice(9, 15)),
-    (slice(24, 30), slice(27, 33)),
+# where GTSAM has the columns of a factor, X V X V B B, in the order of the tangents of both keyframes
+_SIDES = (
+    (slice(0, 6), slice(6, 9), slice(18, 24)),
+    (slice(9, 15), slice(15, 18), slice(24, 30)),
 )
 SIZE = 15  # residuals: rotation, position, velocity, bias of force, bias of rate
 
@@ -38,28 +35,32 @@ def imu_factors(
     return graph
 
 
-def whitened_imu(linear: gtsam.GaussianFactorGraph, n: int, state: State, shaken: Array) -> Array:
-    """Jacobian and, as last column, minus the residual (n, 15, 36 + C + 1), whitened, of n IMU factors.
+def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, rectified: bool) -> Rows:
+    """The IMU factors of all intervals as rows of 15, whitened: rotation, position, velocity, biases.
 
-    linear: factors as GTSAM linearised them at `state`, those of the intervals first. shaken (n, 2): power of the
+    linear: factors as GTSAM linearised them at `state`, those of the intervals first. shaken (K-1, 2): power of the
     vibration of force and of rate beyond the session's mean, over it; it pushes an accelerometer (rectification).
+    rectified: whether the rectification is unknown; it is subtracted in either case.
     """
+    n = len(state.t) - 1
     read = [linear.at(k).jacobian() for k in range(n)]
     A, b = np.array([a for a, _ in read]), np.array([b for _, b in read])
-    out = np.zeros((n, SIZE, 2 * KEYFRAME_SIZE + CONSTANTS_SIZE + 1))
-    for of_gtsam, ours in _FROM_TO:
-        out[:, :, ours] = A[:, :, of_gtsam]
-    by_bias = A[:, :, 18:24] + A[:, :, 24:30]  # of both biases alike: their walk has no part in it
+    left, right = (
+        np.concatenate([A[:, :, part] for part in side] + [np.zeros((n, SIZE, 3))], axis=2) for side in _SIDES
+    )
+    by_bias = left[:, :, 9:15] + right[:, :, 9:15]  # of both biases alike: their walk has no part in it
     force, rate = _force_and_rate(state)
-    by_accel = (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6)
-    by_gyro = by_bias[:, :, 3:] * rate[:, None, None]
-    by_constants = out[:, :, 2 * KEYFRAME_SIZE : -1]
-    by_constants[:, :, COLUMNS["accel_scale"]], by_constants[:, :, COLUMNS["gyro_scale"]] = by_accel, by_gyro
-    by_vibration = (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6)
-    by_constants[:, :, COLUMNS["rectification"]] = by_vibration
-    b = b - by_vibration @ state.constants["rectification"]
-    out[:, :, -1] = b - by_accel @ state.constants["accel_scale"] - by_gyro @ state.constants["gyro_scale"]
-    return out
+    scale, bent = (state.constants[name].reshape(3, 2) for name in ("accel_scale", "rectification"))
+    error = np.hstack([force @ scale.T + shaken @ bent.T, rate[:, None] * state.constants["gyro_scale"]])
+    residual = (by_bias @ error[:, :, None])[:, :, 0] - b
+    constants = {
+        "accel_scale": (by_bias[:, :, :3, None] * force[:, None, None, :]).reshape(n, SIZE, 6),
+        "gyro_scale": by_bias[:, :, 3:] * rate[:, None, None],
+    }
+    if rectified:
+        constants["rectification"] = (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6)
+    full = np.ones((n, SIZE))
+    return Rows("imu", np.arange(n), residual, full, left, right, constants, full[:, 0])
 
 
 def _force_and_rate(state: State) -> tuple[Array, Array]:

@@ -50,21 +50,23 @@ class Rows:
             by_constants[:, :, COLUMNS[name]] = block
         return J
 
-    def put_whitened(self, A: Array, at: IntArray) -> None:
-        """Write Jacobian and, as last column, minus the residual, each over its sigma, into the rows `at` (N r,) of A.
+    def take(self, at: IntArray) -> "Rows":
+        """Some of the measurements."""
+        parts = {name: getattr(self, name)[at] for name in ("interval", "residual", "sigma", "left", "right", "weight")}
+        return replace(self, **parts, constants={name: block[at] for name, block in self.constants.items()})
 
-        A (.., 36 + C + 1) is zero there.
+    def whitened(self, starts: Mapping[str, int], width: int) -> Array:
+        """Jacobian and, as last column, minus the residual, each over its sigma: (N r, width).
+
+        starts: first columns of the constants that are unknown; those of the keyframes are first.
         """
-        root = (np.sqrt(self.weight)[:, None] / self.sigma).reshape(-1, 1)
-        starts = (0, KEYFRAME_SIZE)
-        for start, J in zip(starts, (self.left, self.right), strict=True):
-            for part in used_columns(J):
-                A[at, start + part.start : start + part.stop] = J[:, :, part].reshape(len(at), -1) * root
+        out = np.zeros((*self.residual.shape, width))
+        out[:, :, :KEYFRAME_SIZE], out[:, :, KEYFRAME_SIZE : 2 * KEYFRAME_SIZE] = self.left, self.right
         for name, J in self.constants.items():
-            columns = COLUMNS[name]
-            first = 2 * KEYFRAME_SIZE + columns.start
-            A[at, first : first + J.shape[2]] = J.reshape(len(at), -1) * root
-        A[at, -1] = -self.residual.ravel() * root[:, 0]
+            out[:, :, starts[name] : starts[name] + J.shape[2]] = J
+        out[:, :, -1] = -self.residual
+        out *= (np.sqrt(self.weight)[:, None] / self.sigma)[:, :, None]
+        return out.reshape(-1, width)
 
 
 def rows_of(
@@ -81,14 +83,6 @@ def rows_of(
     sigma = np.where(known, np.broadcast_to(sigma, residual.shape), np.inf)
     residual = np.where(known, residual, 0.0)
     return Rows(name, interval, residual, sigma, left, right, constants or {}, np.ones(len(residual)))
-
-
-BLOCKS = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 15), slice(15, 18))
-
-
-def used_columns(J: Array) -> list[slice]:
-    """Blocks of the columns of a Jacobian (N, r, 18) that are not all zero."""
-    return [part for part in BLOCKS if np.any(J[:, :, part])]
 
 
 def no_jacobian(n: int, r: int) -> tuple[Array, Array]:

@@ -64,16 +64,10 @@ def slip_of(state: State, motion: LowPassedMotion) -> Slip:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Rolling:
-    """Keyframes (K,) at which the wheels roll, and sigma rad of the process by how far their slip scatters."""
+def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> BoolArray | None:
+    """Keyframes (K,) at which wheels roll, by the slip of a solution without wheels; None where they say nothing.
 
-    at: BoolArray
-    sigma: float
-
-
-def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> Rolling | None:
-    """By the slip of a solution without wheels; None where the box does not follow the path.
+    That is where the IMU turns against the path, as on a steering wheel, or slips more than a chassis does.
 
     moves (K,): keyframes at speed whose attitude the samples tell; variance (K,): of slip.value, by the errors of that
     solution. interval s.
@@ -93,7 +87,7 @@ def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> R
     fit = np.linalg.lstsq(design, value * np.sqrt(weight), rcond=None)[0]
     beyond = np.minimum((value - slip.by_constants[rolls] @ fit) ** 2, SLIDING**2) - variance[rolls]
     sigma = np.sqrt(max(float(np.average(beyond, weights=weight**2)), 0.0))
-    return None if sigma > MOST else Rolling(rolls, float(sigma))
+    return None if sigma > MOST else rolls
 
 
 def slip_rows(slip: Slip, rolls: BoolArray, sigma: float, interval: float) -> tuple[Rows, Rows]:

@@ -13,8 +13,7 @@ from smoother.estimate.graph.inertial_noise import InertialNoise
 class Noise:
     """inertial: densities of the samples and walks of the biases. position m, velocity m/s (3,): white noise of fixes,
     per axis of n. offset_sigma (3,) m, offset_tau s: the slow error of the fixes, a Gauss-Markov process; offset_most
-    (3,) m: what its sigma may be found to be at most. slip rad: sideslip in a hard corner, None without wheels, no
-    less than least_slip.
+    (3,) m: what its sigma may be found to be at most. slip rad: sideslip in a hard corner, None without wheels.
     constants: prior sigmas by name that are found with the noise.
     """
 
@@ -24,6 +23,5 @@ class Noise:
     offset_sigma: Array
     offset_tau: float
     slip: float | None = None
-    least_slip: float = 0.0
     constants: Mapping[str, Array] = field(default_factory=dict)
     offset_most: Array = field(default_factory=lambda: np.full(3, np.inf))

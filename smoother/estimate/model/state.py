@@ -45,6 +45,7 @@ CONSTANTS = (
     Constant("rectification", 6, "m/s^2: force by vibration of force and of rate, (3, 2)"),
 )
 KEYS: Mapping[str, int] = {c.name: gtsam.symbol("c", i) for i, c in enumerate(CONSTANTS)}
+SIZES: Mapping[str, int] = {c.name: c.size for c in CONSTANTS}
 _ENDS = np.cumsum([c.size for c in CONSTANTS])
 COLUMNS: Mapping[str, slice] = {
     c.name: slice(int(end) - c.size, int(end)) for c, end in zip(CONSTANTS, _ENDS, strict=True)

@@ -85,13 +85,14 @@ def known_from(solution: Solution, priors: Priors, start: Start, config: Session
 
 def estimated(solution: Solution, known: Known) -> Estimated:
     """Return what a graph that was solved in one piece says."""
+    rows = rows_after(solution)
     return Estimated(
         solution.state,
         known,
         uncertainty_of(solution, known.wheels_heading),
-        rows_after(solution),
+        rows,
         ChainPositions(solution.step.state, solution.chain),
-        inertial_statistics(solution, slice(None)),
+        inertial_statistics(rows.pop("imu"), slice(None)),
     )
 
 

@@ -9,13 +9,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.disc import pieces
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.model.state import KEYFRAME_SIZE
-from smoother.estimate.solvers.identify import Solution
 from smoother.trajectory import WHITENED, ResidualStatistics
 
-PIECE = 256  # factors that stay in the processor's cache
 UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad", "slip": "rad"}
 INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # rotation, position and velocity; biases
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
@@ -26,19 +22,9 @@ def row_statistics(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
     return {name: _of_rows(rows[name], unit) for name, unit in UNITS.items() if name in rows}
 
 
-def inertial_statistics(solution: Solution, intervals: slice) -> dict[str, ResidualStatistics]:
-    """Return what is left of the IMU factors of some intervals after the last step, by the names of INERTIAL."""
-    step = solution.step
-    first, end, _ = intervals.indices(len(step.imu))
-    total, squares = np.zeros(step.imu.shape[1]), np.zeros(step.imu.shape[1])
-    for part in pieces(end - first, PIECE):
-        at = slice(first + part.start, first + part.stop)
-        moved = np.concatenate([step.keyframes[at], step.keyframes[at.start + 1 : at.stop + 1]], axis=1)
-        left = np.einsum("nri,ni->nr", step.imu[at, :, : 2 * KEYFRAME_SIZE], moved)
-        left += step.imu[at, :, 2 * KEYFRAME_SIZE : -1] @ step.constants - step.imu[at, :, -1]
-        total += left.sum(axis=0)
-        squares += np.square(left).sum(axis=0)
-    return {name: _whitened(total[part], squares[part], end - first) for name, part in INERTIAL.items()}
+def inertial_statistics(rows: Rows, intervals: slice) -> dict[str, ResidualStatistics]:
+    """Return what is left of the IMU factors of some intervals, whitened rows of 15, by the names of INERTIAL."""
+    return {name: _whitened(rows.residual[intervals, part]) for name, part in INERTIAL.items()}
 
 
 def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, ResidualStatistics]:
@@ -54,12 +40,12 @@ def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, Resid
     return out
 
 
-def _whitened(total: Array, squares: Array, count: int) -> ResidualStatistics:
-    """Of sums (r,) over `count` intervals of r whitened residuals and of their squares; none of them is rejected."""
-    if count <= 0:
+def _whitened(residual: Array) -> ResidualStatistics:
+    """Of residuals (n, r) in sigmas; none of them is rejected."""
+    if residual.size == 0:
         return ResidualStatistics(WHITENED, 0, 0.0, 0.0, 0.0, 0)
-    rms = float(np.sqrt(np.mean(squares) / count))
-    return ResidualStatistics(WHITENED, count, float(np.mean(total) / count), rms, rms, 0)
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return ResidualStatistics(WHITENED, len(residual), float(np.mean(residual)), rms, rms, 0)
 
 
 def _of_rows(rows: Rows, unit: str) -> ResidualStatistics:

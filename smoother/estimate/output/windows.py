@@ -114,8 +114,9 @@ def _piece(solution: Solution, start: Start, window: _Window) -> _Piece:
     state, begin = solution.state, window.begin
     core, margin = slice(window.first - begin, window.last - begin), _margin(state)
     outer = slice(max(0, core.start - margin), core.stop + margin)
-    fixes, rows, own = np.flatnonzero(fixes_between(start, begin, window.end - 1)), {}, {}
-    for name, r in rows_after(solution).items():
+    fixes, after = np.flatnonzero(fixes_between(start, begin, window.end - 1)), rows_after(solution)
+    inertial, rows, own = inertial_statistics(after.pop("imu"), core), {}, {}
+    for name, r in after.items():
         use = np.flatnonzero((r.interval >= core.start) & (r.interval < core.stop))
         empty = np.empty((len(use), 0, 0))
         rows[name] = Rows(name, r.interval[use] + begin, r.residual[use], r.sigma[use], empty, empty, {}, r.weight[use])
@@ -131,7 +132,7 @@ def _piece(solution: Solution, start: Start, window: _Window) -> _Piece:
         window_positions(float(t[core.start]), float(until), solution.step.state, solution.chain),
         rows,
         own,
-        inertial_statistics(solution, core),
+        inertial,
     )
 
 

@@ -1,8 +1,8 @@
-"""Covariances out of GTSAM's Bayes tree of a chain, exact: one sweep back, and the joint of any functions of keyframes.
+"""Covariances out of GTSAM's Bayes net of a chain, exact: one sweep back, and the joint of any functions of keyframes.
 
 Given the next keyframe and the constants, a keyframe is `x_k = G_k x_{k+1} + H_k c + noise of covariance Q_k`: that is
-what its clique says, `R x_k + S (x_{k+1}, c) = d`. All else follows by propagation of covariance. gtsam.Marginals gives
-the same numbers one key at a time, which costs 2 to 7 ms each and grows with the length of the session.
+what its conditional says, `R x_k + S (x_{k+1}, c) = d`. All else follows by propagation of covariance. gtsam.Marginals
+gives the same numbers one key at a time, which costs 2 to 7 ms each and grows with the length of the session.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block
 from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE
 
-NONE = slice(0, 0)  # of the constants
+NONE = np.empty(0, np.int64)
 
 
 class IndeterminateError(ArithmeticError):
@@ -47,32 +47,26 @@ class Chain:
     constants: Array
 
     @staticmethod
-    def of(tree: gtsam.GaussianBayesTree, n: int, free: IntArray, held: Array) -> "Chain":
-        """Read the Bayes tree of n keyframes, eliminated in their order with the constants last.
+    def of(net: gtsam.GaussianBayesNet, columns: IntArray, priors: Array) -> "Chain":
+        """Read the Bayes net of a chain: a conditional for each keyframe, given the next, and one for the constants.
 
-        free (m,): columns of the constants that were solved for; held (C,): variances of all others.
+        columns (m,): those of the constants that were solved for; priors (C,): variances of all others.
         """
-        m, size = len(free), KEYFRAME_SIZE
-        cliques = [tree[block(k)].conditional() for k in range(n - 2)]
-        root, gain, influence = np.empty((n, size, size)), np.empty((n - 1, size, size)), np.zeros((n, size, m))
-        if cliques:
-            separator = np.array([c.S() for c in cliques])
-            order = _columns(cliques[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
-            root[: n - 2] = np.linalg.inv(np.array([c.R() for c in cliques]))
-            by_others = -root[: n - 2] @ separator[:, :, order]
-            gain[: n - 2], influence[: n - 2] = by_others[:, :, :size], by_others[:, :, size:]
-        R = _last_two(tree[block(n - 1)].conditional(), n, m)
-        a, b, c = slice(0, size), slice(size, 2 * size), slice(2 * size, None)
-        root[-2], root[-1], of_constants = (np.linalg.inv(R[part, part]) for part in (a, b, c))
-        gain[-1], influence[-1] = -root[-2] @ R[a, b], -root[-1] @ R[b, c]
-        influence[-2] = -root[-2] @ R[a, c] + gain[-1] @ influence[-1]
-        for k in range(n - 3, -1, -1):
+        m, size, n = len(columns), KEYFRAME_SIZE, net.size() - 1
+        conditionals = [net.at(k) for k in range(n)]
+        root = np.linalg.inv(np.array([c.R() for c in conditionals]))
+        separator = np.array([c.S() for c in conditionals[:-1]])
+        order = _columns(conditionals[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
+        by_others = -root[:-1] @ separator[:, :, order]
+        gain, influence = by_others[:, :, :size], np.concatenate([by_others[:, :, size:], np.empty((1, size, m))])
+        influence[-1] = -root[-1] @ conditionals[-1].S()
+        for k in range(n - 2, -1, -1):
             influence[k] += gain[k] @ influence[k + 1]
-        constants, of_all = np.diag(held), np.zeros((n, size, CONSTANTS_SIZE))
-        constants[free] = 0.0
-        constants[np.ix_(free, free)] = of_constants @ of_constants.T
-        of_all[:, :, free] = influence
-        return Chain(gain, of_all, root, constants)
+        of_constants = np.linalg.inv(net.at(n).R())
+        constants, of_all = np.diag(priors), np.zeros((n, size, CONSTANTS_SIZE))
+        constants[np.ix_(columns, columns)] = of_constants @ of_constants.T
+        of_all[:, :, columns] = influence
+        return Chain(np.ascontiguousarray(gain), of_all, root, constants)
 
     @cached_property
     def given_constants(self) -> Array:
@@ -146,19 +140,19 @@ class Chain:
         root = np.linalg.cholesky(np.concatenate([noise, last[None]]))
         return Chain(gain, self.influence[at], root, self.constants)
 
-    def with_constants(self, covariance: Array, free: slice = NONE) -> "Chain":
-        """The chain beside constants of another covariance (C, C); those that are free follow the others as in its own.
+    def with_constants(self, covariance: Array, free: IntArray = NONE) -> "Chain":
+        """The chain beside constants of another covariance (C, C); `free` (f,) follow the others as in its own.
 
         The others were held when it was solved: x_free = A x_others + what its own covariance leaves of them.
         """
-        others = np.delete(np.arange(CONSTANTS_SIZE), np.arange(CONSTANTS_SIZE)[free])
+        others = np.delete(np.arange(CONSTANTS_SIZE), free)
         own, out = self.constants, covariance.copy()
-        follow = np.linalg.solve(own[np.ix_(others, others)], own[others, free]).T
-        known = own[free, free] - follow @ own[others, free]
+        follow = np.linalg.solve(own[np.ix_(others, others)], own[np.ix_(others, free)]).T
         out[free, :] = 0.0
-        out[free, others] = follow @ covariance[np.ix_(others, others)]
+        out[np.ix_(free, others)] = follow @ covariance[np.ix_(others, others)]
         out[:, free] = out[free, :].T
-        out[free, free] = known + follow @ covariance[np.ix_(others, others)] @ follow.T
+        left = own[np.ix_(free, free)] - follow @ own[np.ix_(others, free)]
+        out[np.ix_(free, free)] = left + follow @ covariance[np.ix_(others, others)] @ follow.T
         return replace(self, constants=out)
 
 
@@ -170,13 +164,3 @@ def _columns(keys: list[int], sizes: dict[int, int]) -> IntArray:
     """Where the columns of `sizes`, in its order, are among those of `keys`."""
     starts = dict(zip(keys, np.cumsum([0, *(sizes[key] for key in keys)]), strict=False))
     return np.concatenate([starts[key] + np.arange(size) for key, size in sizes.items() if key in starts])
-
-
-def _last_two(root: gtsam.GaussianConditional, n: int, m: int) -> Array:
-    """Square-root information (36 + m, 36 + m), triangular, of the last two keyframes and m constants.
-
-    They are the root of the tree, in an order of GTSAM's.
-    """
-    sizes = {block(n - 2): KEYFRAME_SIZE, block(n - 1): KEYFRAME_SIZE, CONSTANTS_BLOCK: m}
-    R = root.R()[:, _columns(root.keys(), sizes)]
-    return np.asarray(np.linalg.qr(R, mode="r"))

@@ -4,11 +4,22 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
 
-from smoother.arrays import Array
-from smoother.estimate.factors.graph import TABLE, WHEELS_BELOW, Factor, Graph, Measurements, Priors, build_graph
-from smoother.estimate.factors.wheels import MOVING, Rolling, rolling, slip_of
+from smoother.arrays import Array, BoolArray
+from smoother.estimate.factors.gaussian import columns_of
+from smoother.estimate.factors.graph import (
+    TABLE,
+    WHEELS_BELOW,
+    Factor,
+    Graph,
+    Measurements,
+    Priors,
+    build_graph,
+    with_same_samples,
+)
+from smoother.estimate.factors.wheels import MOVING, rolling, slip_of
 from smoother.estimate.graph.heading import Heading
 from smoother.estimate.graph.imu import BinnedImu, are_told
 from smoother.estimate.model.motion import LowPassedMotion
@@ -21,6 +32,7 @@ from smoother.estimate.solvers.variance_components import (
     Components,
     Scatter,
     components_of,
+    slip_sigma,
     update_noise,
 )
 
@@ -28,6 +40,7 @@ FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
 MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
+FREE = ("slip", "heading_offset")  # constants that what joins may still move
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
 ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
@@ -40,6 +53,7 @@ class Problem:
     """A session or a part of it, ready to be solved: samples, measurements, priors, and where to begin.
 
     usual: noise before any residual; scatter: of the samples; stated: names of densities that the settings state.
+    rectified: whether the rectification is unknown, as in the part that identifies it.
     """
 
     binned: BinnedImu
@@ -50,6 +64,7 @@ class Problem:
     scatter: Scatter
     stated: frozenset[str] = frozenset()
     table: tuple[Factor, ...] = TABLE
+    rectified: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,50 +107,82 @@ def identify(
     the headings that can be used.
     """
     values, state = problem.state.values(), problem.state
+    wheels = wheels and not state.geometry.is_steered
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
         values = step(graph, values).moved
-    damping, held, is_settled = Damping(), None, False
-    wheels = wheels and not state.geometry.is_steered
+    damping, is_settled = Damping(), False
     for turn in range(MOST_TURNS):
         taken = step(graph, values)
         values, is_last = taken.moved, turn + 1 == MOST_TURNS
         progress((turn + 1) / MOST_TURNS)
         if sigmas is not None and moved(taken, sigmas) > (MOVED if is_settled else NEAR) and not is_last:
             continue  # covariances cost as much as a step, and say little of a state that is on its way
-        chain = taken.chain() if held is None else taken.chain().with_constants(held, COLUMNS["slip"])
+        chain = taken.chain()
         covariances = chain.covariances()
+        sigmas = Sigmas.of(covariances)
         better, found = update_noise(
             graph, taken, covariances, problem.binned, problem.scatter, problem.usual, set(problem.stated)
         )
         better = damping.damped(graph.noise, better)
-        if graph.noise.slip is not None:
-            better = replace(graph.noise, slip=better.slip)
-        sigmas = Sigmas.of(covariances)
         change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
+        is_settled = change < CHANGED
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
-            if field is not None:
-                problem = replace(problem, measured=replace(problem.measured, heading=field))
-                prior = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
-                problem = replace(problem, priors=replace(problem.priors, constants=prior))
-                joined = True
-        if wheels and better.slip is None and move < NEAR and change < CHANGED:
-            wheels, found_rolling = False, _rolling(taken, covariances, problem)
-            if found_rolling is not None:
-                problem = replace(problem, measured=replace(problem.measured, rolls=found_rolling.at))
-                better = replace(better, slip=max(found_rolling.sigma, USUAL_SLIP), least_slip=found_rolling.sigma)
-                held, problem = covariances.constants, _held(problem, taken.after, "slip")
-                joined = True
-        is_settled = change < CHANGED
+            problem, joined = _with_heading(problem, field), field is not None
+        if wheels and move < NEAR and is_settled:
+            wheels, rolls = False, _rolling(taken, covariances, problem)
+            if rolls is not None:
+                graph = _renewed(problem, graph, taken.after, better)
+                return _with_wheels(problem, rolls, graph, values, covariances, found)
         if (move < MOVED and is_settled and not joined) or is_last:
             break
-        graph = _graph(problem, taken.after, better) if joined else _renewed(problem, graph, taken.after, better)
+        graph = _renewed(problem, graph, taken.after, better)
     return Solution(graph, taken, chain, covariances, found)
 
 
+def _with_heading(problem: Problem, field: Heading | None) -> Problem:
+    if field is None:
+        return problem
+    known = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
+    measured, priors = replace(problem.measured, heading=field), replace(problem.priors, constants=known)
+    return replace(problem, measured=measured, priors=priors)
+
+
+def _with_wheels(
+    problem: Problem, rolls: BoolArray, graph: Graph, values: gtsam.Values, before: Covariances, found: Components
+) -> Solution:
+    """Solve with wheels that roll at the keyframes `rolls` (K,), after a solution without them: once to find how much
+    they slip, then until the state is at rest. Constants stay, but those that the wheels and the heading decide.
+    """
+    state = graph.state
+    held = _held(replace(problem, measured=replace(problem.measured, rolls=rolls)), state, FREE)
+    noise, sigmas = replace(graph.noise, slip=USUAL_SLIP), None
+    for _ in range(MOST_TURNS):
+        graph = with_same_samples(graph, held.measured, noise, held.priors, state)
+        taken = step(graph, values)
+        values = taken.moved
+        if sigmas is not None and moved(taken, sigmas) > MOVED:
+            continue
+        chain = taken.chain().with_constants(before.constants, columns_of(FREE))
+        covariances = chain.covariances()
+        if sigmas is not None:
+            break
+        sigmas, noise = Sigmas.of(covariances), replace(noise, slip=slip_sigma(taken, covariances, USUAL_SLIP))
+    return Solution(graph, taken, chain, covariances, found)
+
+
+def with_rectification(problem: Problem, part: Solution) -> Problem:
+    """The problem of all of a session with the rectification that a part of it has found."""
+    name = "rectification"
+    sigma = np.sqrt(np.diag(part.covariances.constants))[COLUMNS[name]]
+    priors = replace(problem.priors, constants=problem.priors.constants | {name: (part.state.constants[name], sigma)})
+    return replace(problem, priors=priors, rectified=False)
+
+
 def _graph(problem: Problem, state: State, noise: Noise) -> Graph:
-    return build_graph(problem.binned, problem.measured, noise, problem.priors, state, problem.table)
+    p = problem
+    return build_graph(p.binned, p.measured, noise, p.priors, state, p.table, rectified=p.rectified)
 
 
 def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Graph:
@@ -143,8 +190,7 @@ def _renewed(problem: Problem, graph: Graph, state: State, noise: Noise) -> Grap
     one, two = graph.noise.inertial, noise.inertial
     if max(abs(math.log(one.accel / two.accel)), abs(math.log(one.gyro / two.gyro))) > ALIKE:
         return _graph(problem, state, noise)
-    same = replace(noise, inertial=one)
-    return replace(graph, measured=problem.measured, noise=same, priors=problem.priors)
+    return with_same_samples(graph, problem.measured, noise, problem.priors, state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +223,7 @@ def solve_held(
 
     covariance (C, C): of the constants, which is in that of the keyframes. heading: as for :func:`identify`.
     """
-    problem = _held(problem, problem.state)
+    problem = replace(_held(problem, problem.state), rectified=False)
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
@@ -193,27 +239,27 @@ def solve_held(
         if joins and slip is not None:
             rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), problem)
             if rolls is not None:
-                problem = replace(problem, measured=replace(problem.measured, rolls=rolls.at))
+                problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
             slip = None
         if joins:
-            graph = replace(graph, measured=problem.measured, noise=noise)
+            graph = with_same_samples(graph, problem.measured, noise, problem.priors, taken.after)
     chain = taken.chain().with_constants(covariance)
     covariances = chain.covariances()
     found = components_of(graph, taken, covariances, problem.binned)
     return Solution(graph, taken, chain, covariances, found)
 
 
-def _held(problem: Problem, state: State, free: str = "") -> Problem:
-    """The problem with constants that stay where they are in `state`, all but the one that is free."""
+def _held(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Problem:
+    """The problem with constants that stay where they are in `state`, all but those that are free."""
     priors = {
-        name: problem.priors.constants[name] if name == free else (value, np.full(len(value), FIXED))
+        name: problem.priors.constants[name] if name in free else (value, np.full(len(value), FIXED))
         for name, value in state.constants.items()
     }
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Covariances, problem: Problem) -> Rolling | None:
+def _rolling(step: Step, covariances: Covariances, problem: Problem) -> BoolArray | None:
     """Whether and where wheels roll, by a step without them."""
     state = step.after
     slip = slip_of(state, LowPassedMotion(state, WHEELS_BELOW))

@@ -127,13 +127,8 @@ def sample_components(
     by_motion = force.T @ root[:, :, 3:9].reshape(-1, 15, 2, 3).transpose(0, 2, 3, 1)
     turn = np.linalg.solve(root.transpose(0, 2, 1), np.linalg.solve(rate, np.eye(15)[ROTATION]).T)
     of = np.concatenate([by_motion.reshape(-1, 6, 15), turn.transpose(0, 2, 1)], axis=1)
-    J = step.imu[at][:, :, :-1]
-    moves = np.concatenate(
-        [step.keyframes[at], step.keyframes[at + 1], np.broadcast_to(step.constants, (len(at), len(step.constants)))],
-        axis=1,
-    )
-    residual = np.einsum("nri,ni->nr", J, moves) - step.imu[at][:, :, -1]
-    left = posterior_covariance(of @ J, at, covariances)
+    rows = after_step(step.rows["imu"].take(at), step.keyframes, step.constants)
+    left, residual = posterior_covariance(of @ rows.jacobian(), at, covariances), rows.residual
     weighed = np.einsum("nri,ni->nr", of, residual)
     moved, turned = weighed[:, :6].reshape(-1, 2, 3), weighed[:, 6:] / (density[1] * math.sqrt(T))[:, None]
     V = density[0][:, None, None] ** 2 * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
@@ -205,8 +200,10 @@ def update_noise(
         position=np.maximum(position, SMALLEST_POSITION),
         velocity=np.maximum(velocity, SMALLEST_VELOCITY),
         offset_sigma=_offset_sigma(step, covariances, noise),
-        constants={name: _scale_sigma(name, sigma, step, covariances) for name, sigma in noise.constants.items()},
-        slip=None if noise.slip is None else max(_slip_sigma(step, covariances, noise.slip), noise.least_slip),
+        constants={
+            name: _scale_sigma(name, sigma, step, covariances) if name in step.unknown else sigma
+            for name, sigma in noise.constants.items()
+        },
     )
     return better, found
 
@@ -357,8 +354,11 @@ def _bias_walks(step: Step, c: Covariances, noise: InertialNoise, usual: Inertia
     return replace(noise, accel_bias_walk=found[0], gyro_bias_walk=found[1])
 
 
-def _slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
-    """Sigma of the slip's process, by its start and its steps, whose variance it shares with bumps."""
+def slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
+    """Sigma of the slip's process, halfway from what it was to what residuals say: the first step says it roughly.
+
+    Its start and its steps share their variance with bumps.
+    """
     squares, expected = 0.0, 0.0
     of_step = 1.0 - math.exp(-2.0 * step.state.interval / MEMORY)
     for name, own in (("slip_start", sigma**2), ("slip", of_step * sigma**2)):
@@ -367,7 +367,8 @@ def _slip_sigma(step: Step, covariances: Covariances, sigma: float) -> float:
             component, share = RowComponent.of(rows, step, covariances), own / rows.sigma**2
             squares += float(np.sum(share * component.squares))
             expected += float(np.sum(share * component.expected))
-    return sigma * float(_ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5) ** HASTE)
+    ratio = _ratio(squares, expected, SLIP_COUNT, USUAL_SLIP / sigma, 2.5)
+    return float(sigma * math.sqrt(ratio))
 
 
 def _scale_sigma(name: str, sigma: Array, step: Step, covariances: Covariances) -> Array:

@@ -5,17 +5,16 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, WIDTH, block, linear_factors
+from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block, columns_of, linear_factors
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, KEYFRAME_SIZE
+from smoother.estimate.model.state import CONSTANTS, CONSTANTS_SIZE, KEYFRAME_SIZE, SIZES
 from smoother.estimate.solvers.covariance import Chain
 
-ALL = np.arange(CONSTANTS_SIZE)
+ALL, ALL_NAMES = np.arange(CONSTANTS_SIZE), tuple(SIZES)
 
 
 def random_system(rng: np.random.Generator, n: int) -> tuple[gtsam.GaussianFactorGraph, Array]:
     """A chain of n keyframes with IMU factors, measurements in some intervals and priors; and its information."""
-    imu = rng.standard_normal((n - 1, 15, WIDTH))
     interval = np.sort(rng.integers(0, n - 1, 3 * n))
     shape = (len(interval), 2, KEYFRAME_SIZE)
     constants = {c.name: rng.standard_normal((len(interval), 2, c.size)) for c in CONSTANTS[::2]}
@@ -31,10 +30,19 @@ def random_system(rng: np.random.Generator, n: int) -> tuple[gtsam.GaussianFacto
         constants,
         rng.uniform(0.1, 1.0, len(interval)),
     )
-    system = linear_factors([rows], imu, ALL)
+    system = linear_factors([imu_like(rng, n, ALL_NAMES), rows], n - 1, ALL_NAMES)
     for key, size in [*((block(k), KEYFRAME_SIZE) for k in range(n)), (CONSTANTS_BLOCK, CONSTANTS_SIZE)]:
         system.add(key, 0.3 * rng.standard_normal((size, size)) + np.eye(size), np.zeros(size), unit(size))
     return system, system.hessian(ordering(n))[0]
+
+
+def imu_like(rng: np.random.Generator, n: int, names: tuple[str, ...]) -> Rows:
+    """Rows of 15 in all intervals, of the constants that are named."""
+    shape = (n - 1, 15)
+    left, right = rng.standard_normal((2, *shape, KEYFRAME_SIZE))
+    constants = {name: rng.standard_normal((*shape, SIZES[name])) for name in names}
+    one = np.ones(shape)
+    return Rows("imu", np.arange(n - 1), np.zeros(shape), one, left, right, constants, one[:, 0])
 
 
 def ordering(n: int) -> gtsam.Ordering:
@@ -46,7 +54,7 @@ def unit(size: int) -> gtsam.noiseModel.Base:
 
 
 def chain_of(system: gtsam.GaussianFactorGraph, n: int) -> Chain:
-    return Chain.of(system.eliminateMultifrontal(ordering(n)), n, ALL, np.zeros(CONSTANTS_SIZE))
+    return Chain.of(system.eliminateSequential(ordering(n)), ALL, np.zeros(CONSTANTS_SIZE))
 
 
 @pytest.mark.parametrize("n", [3, 4, 11])
@@ -78,17 +86,14 @@ def test_they_are_those_of_gtsam_marginals() -> None:
 def test_constants_that_nothing_measures_stay_at_their_priors() -> None:
     """Left out of the system they have the covariance of their priors, and all else is as with them."""
     n, rng = 5, np.random.default_rng(6)
-    idle = np.arange(4, 9)
-    free = np.delete(ALL, idle)
-    imu = rng.standard_normal((n - 1, 15, WIDTH))
-    imu[:, :, 2 * KEYFRAME_SIZE + idle] = 0.0
-    sigma, found = rng.uniform(0.5, 2.0, CONSTANTS_SIZE), []
-    for some in (ALL, free):
-        system = linear_factors([], imu, some)
+    measured = ALL_NAMES[:3] + ALL_NAMES[5:]
+    sigma, found, imu = rng.uniform(0.5, 2.0, CONSTANTS_SIZE), [], imu_like(rng, n, measured)
+    for names in (ALL_NAMES, measured):
+        system, some = linear_factors([imu], n - 1, names), columns_of(names)
         for k in range(n):
             system.add(block(k), np.eye(KEYFRAME_SIZE), np.zeros(KEYFRAME_SIZE), unit(KEYFRAME_SIZE))
         system.add(CONSTANTS_BLOCK, np.diag(1.0 / sigma[some]), np.zeros(len(some)), unit(len(some)))
-        found.append(Chain.of(system.eliminateMultifrontal(ordering(n)), n, some, sigma**2).covariances())
+        found.append(Chain.of(system.eliminateSequential(ordering(n)), some, sigma**2).covariances())
     np.testing.assert_allclose(found[1].constants, found[0].constants, atol=1e-9)
     np.testing.assert_allclose(found[1].keyframes, found[0].keyframes, atol=1e-9)
     np.testing.assert_allclose(found[1].with_constants, found[0].with_constants, atol=1e-9)
@@ -126,15 +131,16 @@ def test_a_thinned_chain_knows_the_same_of_the_keyframes_that_it_keeps() -> None
 def test_free_constants_follow_those_that_are_held() -> None:
     n, rng = 6, np.random.default_rng(8)
     chain = chain_of(random_system(rng, n)[0], n)
-    free, others = slice(3, 5), [i for i in range(CONSTANTS_SIZE) if i not in (3, 4)]
+    free = np.array([3, 4, 9])
+    others = np.delete(ALL, free)
     np.testing.assert_allclose(chain.with_constants(chain.constants, free).constants, chain.constants, atol=1e-12)
     root = rng.standard_normal((CONSTANTS_SIZE, CONSTANTS_SIZE))
     held = root @ root.T
     found = chain.with_constants(held, free).constants
     information = np.linalg.inv(chain.constants)
-    follow = -np.linalg.solve(information[free, free], information[free][:, others])
+    follow = -np.linalg.solve(information[np.ix_(free, free)], information[np.ix_(free, others)])
     of_others = held[np.ix_(others, others)]
     np.testing.assert_allclose(found[np.ix_(others, others)], of_others)
-    np.testing.assert_allclose(found[free][:, others], follow @ of_others, atol=1e-9)
-    left = np.linalg.inv(information[free, free])
-    np.testing.assert_allclose(found[free, free], left + follow @ of_others @ follow.T, atol=1e-9)
+    np.testing.assert_allclose(found[np.ix_(free, others)], follow @ of_others, atol=1e-9)
+    left = np.linalg.inv(information[np.ix_(free, free)])
+    np.testing.assert_allclose(found[np.ix_(free, free)], left + follow @ of_others @ follow.T, atol=1e-9)
