@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph import windows
+from smoother.estimate import bridge
 from smoother.estimate.graph.batch import Batch
 from smoother.estimate.graph.parts import is_partly_sampled, where_sampled
 from smoother.estimate.graph.sampled import HOLE, are_sampled, are_unsampled, has_hole, sampled_spans
 from smoother.estimate.graph.session_rows import expected_of
 from smoother.estimate.graph.start import MAX_LATENCY, Start, make_start
+from smoother.estimate.output import windows
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
@@ -228,16 +229,11 @@ def test_the_leap_across_a_hole_in_an_outage_does_not_tell_delays() -> None:
 
 def test_a_session_of_windows_has_the_constants_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows, "WINDOW", 80.0)
+    monkeypatch.setattr(bridge, "WINDOW", 80.0)
     monkeypatch.setattr(windows, "OVERLAP", 40.0)
     long = smoothed((200.0, 230.0), duration=301.0)
     assert rms(long.z) < 1.6
     assert rms(long.velocity_error_n[long.rows(sampled=False)]) < 0.15
-
-
-def test_a_stream_has_them_too() -> None:
-    stream = smoothed((50.0, 90.0), duration=150.0, solver="isam2")
-    assert rms(stream.z) < 1.6
-    assert rms(stream.velocity_error_n[stream.rows(sampled=True)]) < 0.12
 
 
 def test_the_motion_does_not_stop_where_the_samples_end() -> None:

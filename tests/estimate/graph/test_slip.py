@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array
+from smoother.estimate import bridge
 from smoother.estimate.evaluate import errors_between
 from smoother.estimate.graph import batch as batch_module
-from smoother.estimate.graph import looks, solve
 from smoother.estimate.graph import slip as slip_module
+from smoother.estimate.graph import solve
 from smoother.estimate.graph.batch import DrivenMotion, Solved
 from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.imu import DensePath
@@ -26,9 +27,11 @@ from smoother.estimate.graph.slip import (
     with_nose,
 )
 from smoother.estimate.graph.state import KEYFRAME_SIZE, ROTATION, SLIP, VELOCITY, ChainState, Constants
-from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.model.state import COLUMNS
+from smoother.estimate.output.estimated import Estimated, Known
 from smoother.estimate.resample import resample
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.solvers.identify import Solution
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Spin
@@ -326,25 +329,23 @@ def test_yaw_is_unsure_by_the_nose_only_where_wheels_tell_it(stated: bool, monke
         mounting = replace(session.config.mounting, R_bs=simulation.scenario.R_bs)
         session = replace(session, config=replace(session.config, mounting=mounting))
     solutions = []
-    whole = looks.estimated
+    whole = bridge.estimated
 
-    def watched(solved: Solved, nose: float | None, made_up: BoolArray | None) -> Estimated:
-        assert (nose is None) == stated
-        solutions.append((solved, nose or 0.0))
-        return whole(solved, nose, made_up)
+    def watched(solution: Solution, known: Known) -> Estimated:
+        assert (known.wheels_heading is None) == stated
+        solutions.append((solution, known.wheels_heading or 0.0))
+        return whole(solution, known)
 
-    monkeypatch.setattr(looks, "estimated", watched)
+    monkeypatch.setattr(bridge, "estimated", watched)
     found = GraphSmoother().estimate(session)
     assert found.report.keyframes is not None
-    (solved, nose), *_ = solutions
-    state, solution = solved.state, solved.solution
-    of_slip = np.zeros((len(state.t), len(solution.constants)))
-    of_slip[:, SLIP.start] = 0.0 if stated else 1.0
-    turn = np.zeros((len(state.t), KEYFRAME_SIZE))
-    turn[:, ROTATION] = state.R_ns[:, 2, :]
-    variance = np.einsum("ki,kij,kj->k", turn, solution.covariance, turn)
-    variance += 2.0 * np.einsum("ki,kim,km->k", turn, solution.constants_cross, of_slip)
-    variance += np.einsum("km,mn,kn->k", of_slip, solution.constants_covariance, of_slip) + nose
+    (solution, beyond), *_ = solutions
+    state, covariances, column = solution.step.state, solution.covariances, COLUMNS["slip"].start
+    turn = state.R_ns[:, 2, :]
+    variance = np.einsum("ki,kij,kj->k", turn, covariances.keyframes[:, ROTATION, ROTATION], turn)
+    if not stated:
+        variance += 2.0 * np.einsum("ki,ki->k", turn, covariances.with_constants[:, ROTATION, column])
+        variance += covariances.constants[column, column] + beyond
     yaw = found.report.keyframes.covariance[:, 2, 2]
     np.testing.assert_allclose(yaw[50:-50], variance[50:-50], rtol=0.02)
 

@@ -62,7 +62,7 @@ def test_the_windows_agree_with_the_whole_to_a_part_of_a_sigma(pair: Pair) -> No
         "position_n",
         "velocity_n",
         "track",
-        pytest.param("attitude", marks=pytest.mark.xfail(reason="yaw and slip of 80 s are not tied by the forces")),
+        "attitude",
     ],
 )
 def test_sigmas_are_those_of_the_whole_or_little_more(pair: Pair, name: str) -> None:
