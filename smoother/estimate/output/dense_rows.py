@@ -38,7 +38,7 @@ class Stretch:
     """A part of a session: keyframes `keys` with their state and bins, and the path of the samples through them.
 
     At the edges of its bins: acceleration_n (M, 3) m/s^2 and rate_n (M, 3) rad/s of the kart, without noise;
-    rate_variance (3,) (rad/s)^2 about the axes of b.
+    rate_variance (3,) (rad/s)^2: of its errors, about two level axes and up.
     """
 
     keys: slice
@@ -97,6 +97,7 @@ class DenseSource:
         acceleration_n, rate_n = (_at_edges(np.einsum("kij,kj->ki", R_nb, x)) for x in (acceleration_b, rate_b))
         if state.geometry.is_steered:  # the box turns with the wheel, the kart with its course
             rate_n[:, 2] = np.interp(path.t, state.t, np.gradient(course_of(state), state.interval))
+        left[:2] = left[:2].mean()  # about any level axis
         return Stretch(keys, state, bins, path, acceleration_n, rate_n, left)
 
 

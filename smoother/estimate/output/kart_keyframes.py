@@ -24,22 +24,6 @@ SLOPE = 0.03  # rms of ground, as of a hilly road on record; karting tracks have
 SLOW_UPWARDS = 0.02
 
 
-def keyframes_of_kart(
-    session: Session, found: Estimated, source: "DenseSource", mounting: FittedMounting, unsure: Array
-) -> Keyframes:
-    """Keyframes of antenna and kart, as unsure of climbing as the fixes leave it; unsure (3,) m^2 of the offset."""
-    known = found.known
-    height_sigma = (
-        float(known.priors.constants["lever_arm"][1][2]) if known.priors.held_s is not None and known.drives else 0.0
-    )
-    keyframes = _keyframes(found, source, mounting, unsure, height_sigma)
-    if not (known.has_height or np.any(np.isfinite(session.gnss.velocity_n[:, 2]))):
-        _may_climb(keyframes)
-    elif np.any(np.isfinite(session.gnss.velocity_n[:, 2])):
-        _drift_upwards(keyframes)
-    return keyframes
-
-
 def _left_of_attitude(found: Estimated, mounting: FittedMounting, unsampled: BoolArray | None) -> Array:
     """Share (3,), by axis of b, of the attitude's errors that is left once the mounting is fitted to it.
 
@@ -54,20 +38,25 @@ def _left_of_attitude(found: Estimated, mounting: FittedMounting, unsampled: Boo
     return np.array([*left[:2], 1.0]) if mounting.by_wheels else np.asarray(left)
 
 
-def _keyframes(
-    found: Estimated, source: DenseSource, mounting: FittedMounting, unseen: Array, height_sigma: float
+def keyframes_of_kart(
+    session: Session, found: Estimated, source: DenseSource, mounting: FittedMounting, unseen: Array
 ) -> Keyframes:
     """Antenna and kart at the keyframes, with the covariance of attitude (in n), velocity and position.
 
-    height_sigma, m: of the antenna above the box where the graph held it, which tilting swings it by.
+    unseen (3,) m^2: variance of the slow error of the fixes that no session shows. Upwards velocities are as unsure as
+    ground that is taken to be level where no fix has a height, and by the slow error of a receiver's own.
     """
-    state, known = found.state, found.uncertainty
+    state, antenna, known = found.state, found.uncertainty.antenna, found.known
     R, arms_n = state.R_ns, arm_axes(Between.at(state, state.t)) @ state.constants["lever_arm"]
-    R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(known.antenna.shape), state.velocity_n.copy()
+    R_nb, covariance, velocity_n = R @ mounting.R_bs.T, roomy(antenna.shape), state.velocity_n.copy()
     left = _left_of_attitude(found, mounting, without_samples(source.binned))
     of_mounting = np.array([*mounting.sigma[:2], 0.0]) if mounting.by_wheels else mounting.sigma
+    is_held = known.priors.held_s is not None and known.drives  # the height of the antenna, which tilting swings it by
+    height_sigma = float(known.priors.constants["lever_arm"][1][2]) if is_held else 0.0
+    has_upwards = bool(np.any(np.isfinite(session.gnss.velocity_n[:, 2])))
+    slope = 0.0 if known.has_height or has_upwards else SLOPE
     for part in parts_of(state.t, source.pauses):
-        covariance[part] = known.antenna[part]
+        covariance[part] = antenna[part]
         covariance[part, 6:9, 6:9] += np.diag(unseen)
         left_n = (R_nb[part] * left) @ R_nb[part].transpose(0, 2, 1)
         covariance[part, 0:3] = left_n @ covariance[part, 0:3]
@@ -78,7 +67,9 @@ def _keyframes(
         velocity_n[part] += np.cross(swing_n, arm_n)
         by_height = height_sigma * np.cross(swing_n, UP_N)
         covariance[part, 3:6, 3:6] += near.swing_covariance(arm_n) + by_height[:, :, None] * by_height[:, None, :]
-        release(covariance, known, source.binned)
+        covariance[part, 5, 5] += slope**2 * np.sum(velocity_n[part, :2] ** 2, axis=1)
+        covariance[part, 5, 5] += SLOW_UPWARDS**2 if has_upwards else 0.0
+        release(covariance, antenna, source.binned)
     return Keyframes(
         t=state.t,
         position_n=state.position_n + arms_n,
@@ -87,25 +78,11 @@ def _keyframes(
         covariance=covariance,
         accel_bias_s=state.accel_bias_s,
         gyro_bias_s=state.gyro_bias_s,
-        sigma_accel_bias=known.biases[:, :3],
-        sigma_gyro_bias=known.biases[:, 3:],
+        sigma_accel_bias=found.uncertainty.biases[:, :3],
+        sigma_gyro_bias=found.uncertainty.biases[:, 3:],
         gps_offset_n=state.offset_n,
         unseen_offset=unseen,
     )
-
-
-def _may_climb(keyframes: Keyframes) -> None:
-    """Add what ground that was taken to be level, where nothing tells of a height, may rise by to the velocity up."""
-    for part in pieces(len(keyframes.t), TOGETHER):
-        keyframes.covariance[part, 5, 5] += SLOPE**2 * np.sum(keyframes.velocity_n[part, :2] ** 2, axis=1)
-        release(keyframes)
-
-
-def _drift_upwards(keyframes: Keyframes) -> None:
-    """Add the slow error that receivers' vertical velocities have, which nothing in a session tells, to that up."""
-    for part in pieces(len(keyframes.t), TOGETHER):
-        keyframes.covariance[part, 5, 5] += SLOW_UPWARDS**2
-        release(keyframes)
 
 
 def widen(keyframes: Keyframes, swing: Array) -> None:
