@@ -365,7 +365,6 @@ def _other_values(
         ("gps_offset_tau", (gnss.offset_tau,) if gnss.offset_horizontal > 0.0 else ()),
         ("slip_sigma", (slip,)),
         ("gps_velocity_response", (0.0,)),
-        ("gps_course_delay", (0.0,)),
         ("accel_delay", (imu.accel_delay,)),
         ("mag_hard_iron", () if mag is None else tuple(mag.hard_iron_s)),
         ("mag_soft_iron", () if mag is None else tuple(np.ravel(_correction(mag.soft_iron)))),

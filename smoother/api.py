@@ -150,7 +150,7 @@ def smooth(
     path. imu: use the motion sensor; without it, as for a session that has none, attitude is NaN and `report.mode` is
     "gps-only".
     """
-    from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+    from smoother.estimate.smoother import GraphOptions, GraphSmoother
 
     smoother = GraphSmoother(GraphOptions(rate=rate, solver=solver, wheels=wheels), progress=progress)
     return smoother.estimate(session if imu else replace(session, imu=None))

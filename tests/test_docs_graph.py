@@ -9,23 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from smoother.estimate.graph.arm import course
+from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear
+from smoother.estimate.graph.expected import ExpectedMotion
 from smoother.estimate.graph.increments import left_jacobian_inverse, linearize_increments
+from smoother.estimate.graph.inertial import InertialGraph
+from smoother.estimate.graph.inputs import Noise
 from smoother.estimate.graph.response import evened, low_passed
+from smoother.estimate.graph.rows import Rows, ground_rows
 from smoother.estimate.graph.session_rows import expected_of
+from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.graph import batch as batch_module
-from smoother.estimate.graph.arm import course
-from smoother.estimate.graph.batch import Batch, DrivenMotion, Linear
-from smoother.estimate.graph.expected import ExpectedMotion
-from smoother.estimate.graph.inertial import InertialGraph
-from smoother.estimate.graph.inputs import Noise
-from smoother.estimate.graph.rows import Rows, ground_rows
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
-from smoother.estimate.graph.state import CONSTANTS_SIZE, ChainState, Constants
 from smoother.estimate.model.imu import DensePath, at_times, attitude_at
 from smoother.estimate.model.inertial_noise import interval_noise
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import GRAVITY_N, wrap_angle
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset

@@ -22,7 +22,7 @@ import emulation
 from emulation import build
 from smoother.arrays import Array
 from smoother.cli.pipeline import calibrated, read
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import geodetic_to_nwu
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import GivenLines

@@ -22,7 +22,6 @@ _NAMES = {
     "gps_velocity_latency": "GPS speed delay",
     "lever_arm_b": "antenna from box",
     "R_bs": "box in the kart",
-    "gps_course_delay": "GPS course behind speed",
     "accel_noise": "accelerometer noise",
     "gyro_noise": "gyroscope noise",
     "accel_delay": "accelerometer delay",

@@ -2,7 +2,7 @@
 
 Nothing tells what happens in a pause of an hour, and a chain of keyframes through it costs as much as an hour of
 driving, with covariances that grow beyond the digits of a float. So time is closed up: a little of the pause is left on
-either side, and what is estimated does not go on from one side to the other (:mod:`smoother.estimate.graph.windows`).
+either side, and what is estimated does not go on from one side to the other (:mod:`smoother.estimate.output.windows`).
 Rows of the time that was cut out say that the kart is where it was, and that nobody knows.
 """
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SmootherError
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.model.inertial_noise import InertialNoise
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
 from smoother.laps.path import PlanPath

@@ -139,7 +139,6 @@ _NAMES = {
     "gps_position_latency": "GPS position delay",
     "gps_velocity_latency": "GPS speed delay",
     "gps_velocity_response": "time over which the receiver smooths its speed",
-    "gps_course_delay": "GPS course behind its speed",
     "lever_arm_b": "antenna from the box: forward, left, up",
     "R_bs": "box in the kart: roll, pitch, yaw",
     "slip_sigma": "slide of the kart, how it differs between hard corners",

@@ -23,7 +23,6 @@ NEAR_FIX = 30.0  # s, within which a row counts in what is typical; a longer out
 # says nothing but where a session shows it: most boxes have none
 ONLY_IF_SEEN = (
     "gps_velocity_response",
-    "gps_course_delay",
     "accel_rectification",
     "accel_rectification_by_rate",
     "accel_delay",

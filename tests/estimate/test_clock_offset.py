@@ -9,12 +9,12 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.clock_offset import DELAY, NO_OFFSET, ClockOffset, clock_offset, offset_problems
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import with_samples_at
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw

@@ -9,12 +9,12 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.clock_steps import ClockStep, moves_of, of_both_sides, session_steps, step_problems
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.retimed import moved
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.true_time import in_session_time
 from smoother.prepare import prepare
 from smoother.samples import Session

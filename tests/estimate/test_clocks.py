@@ -16,11 +16,11 @@ from smoother.estimate.clocks import (
     on_clock_of_fixes,
 )
 from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial import begin as begin_module
 from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.session.load import load_raw

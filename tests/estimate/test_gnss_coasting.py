@@ -9,11 +9,11 @@ import pytest
 from smoother.arrays import BoolArray
 from smoother.estimate import gnss_coasting
 from smoother.estimate.gnss_coasting import COASTING, _held, coasting, coasting_problems
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.initial.begin import Begun, begin
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
+from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, Session

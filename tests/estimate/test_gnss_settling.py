@@ -9,8 +9,8 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.gnss_only import GnssSmoother
 from smoother.estimate.gnss_settling import settling_problems, unsettled
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.quality import assess
+from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import nwu_to_geodetic
 from smoother.prepare import prepare
 from smoother.samples import Problem, Session

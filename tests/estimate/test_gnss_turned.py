@@ -17,7 +17,7 @@ from smoother.estimate.gnss_turned import (
     disagreement_problems,
     in_agreement,
 )
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import Origin, nwu_to_geodetic, velocity_n_from_course
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Session

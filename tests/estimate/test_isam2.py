@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solvers import identify
 from smoother.prepare import prepare
 from smoother.samples import Session

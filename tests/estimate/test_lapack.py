@@ -25,7 +25,7 @@ def test_where_the_extension_is_not_found_the_whole_package_comes(monkeypatch: p
 
 
 def test_smoothing_fixes_does_not_wait_for_the_rest_of_scipy_and_numpy() -> None:
-    modules = "smoother.estimate.gnss_chains, smoother.estimate.graph.smoother, smoother.laps.analysis"
+    modules = "smoother.estimate.gnss_chains, smoother.estimate.smoother, smoother.laps.analysis"
     slow = "{'scipy.linalg', 'scipy.interpolate', 'scipy.signal', 'numpy.f2py'}"
     code = f"import {modules}, sys; print({slow} & set(sys.modules))"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,11 +9,11 @@ import pytest
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.check import check
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.initial.align import Alignment, align
 from smoother.estimate.lean_rates import NAMINGS, lean_rates
 from smoother.estimate.on_wheel import is_on_wheel
 from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import simulate_preset

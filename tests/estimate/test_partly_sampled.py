@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph import windows
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial.guess import Start, make_start
 from smoother.estimate.initial.parts import is_partly_sampled
+from smoother.estimate.output import windows
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Stop

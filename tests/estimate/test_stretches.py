@@ -9,10 +9,10 @@ import pytest
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.evaluate import evaluate
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.pauses import pauses_of
 from smoother.estimate.quality import assess
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Problem, Session
 from smoother.sim.simulation import simulate_preset

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.evaluate import evaluate
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.true_time import (
     clock_of_fixes,
     clock_problems,

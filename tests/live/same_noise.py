@@ -6,14 +6,13 @@ sigma of the fixes' slow offset, of a minute each, differ by as much as the few 
 
 import numpy as np
 
-from smoother.estimate.bridge import noise_of, old_priors, solved_of
 from smoother.estimate.factors.graph import build_graph
-from smoother.estimate.graph.estimated import are_made_up, estimated
-from smoother.estimate.graph.mounting import fit_mounting
-from smoother.estimate.graph.output import build_trajectory
 from smoother.estimate.initial.guess import make_start, problem_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.noise import Noise
+from smoother.estimate.output.estimated import estimated, known_from
+from smoother.estimate.output.mounting import fit_mounting
+from smoother.estimate.output.trajectory import build_trajectory
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import Sigmas, Solution, moved
 from smoother.estimate.solvers.variance_components import components_of
@@ -43,15 +42,9 @@ def batch_with_noise_of(session: Session, start: LagStart) -> Trajectory:
             break
     found = components_of(graph, taken, covariances, problem.binned)
     solution = Solution(graph, taken, taken.chain(), covariances, found)
-    solved = solved_of(solution)
-    mounting, population = fit_mounting(solved.state, start.R_bs), np.sqrt(start.offset_sigma**2 + start.unseen_offset)
-    return build_trajectory(
-        session,
-        estimated(solved, None, are_made_up(begun.fine)),
-        noise_of(solution, solved),
-        mounting,
-        begun.fine,
-        old_priors(begun.priors, None),
-        options.rate,
-        population,
+    known = known_from(solution, problem.priors, begun, session.config)
+    mounting, population = (
+        fit_mounting(solution.state, start.R_bs),
+        np.sqrt(start.offset_sigma**2 + start.unseen_offset),
     )
+    return build_trajectory(session, estimated(solution, known), mounting, begun.fine, options.rate, population)

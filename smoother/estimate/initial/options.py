@@ -10,7 +10,8 @@ from smoother.units import DEG
 
 FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
 LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
-SIGMAS: dict[str, float | tuple[float, ...]] = {
+Sigma = float | tuple[float, ...]  # of a constant, or of each of its numbers
+SIGMAS: dict[str, Sigma] = {
     "position_latency": 0.25,
     "velocity_latency": 0.25,
     "lever_arm": 0.5,
@@ -55,7 +56,7 @@ class GraphOptions:
     gyro_bias_sigma: float = 2.0 * DEG
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
-    sigmas: dict[str, float | tuple[float, ...]] = field(default_factory=lambda: dict(SIGMAS))
+    sigmas: dict[str, Sigma] = field(default_factory=lambda: dict(SIGMAS))
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
     identification_span: float = 120.0

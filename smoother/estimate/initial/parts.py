@@ -53,5 +53,5 @@ def fixes_between(start: Start, first: int, last: int) -> BoolArray:
 def stretch(start: Start, first: int, last: int) -> Start:
     """Return the start of the keyframes first .. last alone."""
     data = start.data.between(start.state.t, first, last + 1)
-    state, binned = start.state.between(first, last + 1), start.binned.between(first, last + 1)
+    state, binned = start.state.part(slice(first, last + 1)), start.binned.between(first, last + 1)
     return replace(start, state=state, data=data, binned=binned)

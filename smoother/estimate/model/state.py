@@ -99,9 +99,9 @@ class State:
         """A constant that is one number."""
         return float(self.constants[name][0])
 
-    def between(self, first: int, last: int) -> "State":
-        """Keyframes first to last, exclusive."""
-        return replace(self, **{name: getattr(self, name)[first:last] for name in OF_KEYFRAMES})
+    def part(self, keys: slice) -> "State":
+        """A copy of some of the keyframes."""
+        return replace(self, **{name: getattr(self, name)[keys].copy() for name in OF_KEYFRAMES})
 
     def values(self) -> gtsam.Values:
         """The same as GTSAM's values."""

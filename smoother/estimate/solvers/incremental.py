@@ -48,7 +48,7 @@ class Stream:
         p, noise = held_at(problem, problem.state), replace(noise, constants={})
         self._graph = build_graph(corrected(p.binned, p.state), p.measured, noise, p.priors, p.state, p.table)
         self._state, self._end = p.state, 0
-        self._values = p.state.between(0, 1).values()
+        self._values = p.state.part(slice(1)).values()
         self._in_tree: list[list[int]] = []  # indices of the measurements of each interval
         parameters, thresholds = gtsam.ISAM2Params(), gtsam.ISAM2ThresholdMap()
         for symbol, limit in THRESHOLDS.items():
@@ -105,10 +105,10 @@ class Stream:
         interval, end, factors = self._state.interval, self._end, graph.size()
         window = max(0, begin - 1 - round(WINDOW / interval))
         first = max(0, window - round(CONTEXT / interval))
-        state = self._state.between(0, end).with_values(self._values)
+        state = self._state.part(slice(end)).with_values(self._values)
         measured = self._graph.measured.between(state.t, first, end)
         of_intervals = []
-        for r in replace(self._graph, measured=measured).rows(state.between(first, end)):
+        for r in replace(self._graph, measured=measured).rows(state.part(slice(first, end))):
             r = replace(r, interval=r.interval + first, constants={})
             r = replace(r, weight=np.where(r.interval >= begin - 1, 1.0, r.weight))
             r = r.take(np.flatnonzero(r.interval >= window))

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from smoother.config import SessionConfig
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.initial.guess import make_start
 from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import RawSession, Session

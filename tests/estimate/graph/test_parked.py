@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smoother.config import Mounting
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.simulation import Simulation, simulate_preset

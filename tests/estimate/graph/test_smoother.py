@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smoother.estimate.baseline.baseline import ThesisBaseline
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG

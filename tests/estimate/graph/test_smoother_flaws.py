@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from smoother.estimate.graph import looks
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.initial import guess
 from smoother.estimate.quality import assess
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples, MagSamples
@@ -233,66 +232,8 @@ def test_an_antenna_farther_from_the_box_than_a_kart_is_long_is_believed_only_wh
     assert stated.mode == "full"
 
 
-@pytest.mark.parametrize(("is_quieter", "mode"), [(True, "full"), (False, "gps-only")])
-def test_an_arm_that_ran_away_is_looked_at_again_from_a_louder_force(
-    monkeypatch: pytest.MonkeyPatch, is_quieter: bool, mode: str
-) -> None:
-    """Folded vibration does that: the second look counts where its rates are the quieter ones."""
-    solve_as_it_is, force = looks._identify_and_solve, []
-
-    def running_away_at_first(session, start, options, say, seen):  # type: ignore[no-untyped-def]
-        force.append(seen(start).noise.inertial.accel)
-        start, found, solution = solve_as_it_is(session, start, options, say, seen)
-        if len(force) > 1:
-            return start, found, solution
-        constants = replace(found.state.constants, lever_arm_s=found.state.constants.level_axes_s[0] * 8.0)
-        inertial = replace(solution.noise.inertial, gyro=solution.noise.inertial.gyro * (3.0 if is_quieter else 0.3))
-        noise = replace(solution.noise, inertial=inertial)
-        return start, replace(found, state=replace(found.state, constants=constants)), replace(solution, noise=noise)
-
-    monkeypatch.setattr(looks, "_identify_and_solve", running_away_at_first)
-    found = GraphSmoother().estimate(prepare(simulate_preset("kart", 2, duration=60.0, gnss_outages=()).raw)).report
-    assert len(force) == 2 and force[1] > 2.0 * force[0]
-    assert found.mode == mode
-    assert ("arm_too_long" in [problem.code for problem in found.problems]) is not is_quieter
-    if is_quieter:  # what two looks find differently is no surer than where rates tell nothing
-        latency = found.identified["gps_velocity_latency"]
-        assert latency.sigma is not None and latency.sigma > 0.02
-
-
 SHAKEN = {"imu_rate": 100.0, "imu_anti_alias_hz": None, "imu_gyro_tone": 60.0 * DEG, "imu_accel_tone": 6.0}
 WHEEL = {"motion_steering": 5.0 * DEG, "motion_steering_per_curvature": 3.0}
-
-
-@pytest.mark.parametrize("comes_back", [True, False])
-def test_a_delay_that_the_size_of_the_force_denies_is_looked_at_again(
-    monkeypatch: pytest.MonkeyPatch, comes_back: bool
-) -> None:
-    """From the delay that the size tells, held near it; what is still off then is in the sigmas."""
-    simulation = simulate_preset("kart", 4, duration=90.0, gnss_outages=(), **WHEEL, **SHAKEN)
-    solve_as_it_is, held = looks._identify_and_solve, []
-
-    def running_away(session, start, options, say, seen):  # type: ignore[no-untyped-def]
-        held.append(seen(start).priors.constants_sigma[0])
-        start, found, solution = solve_as_it_is(session, start, options, say, seen)
-        if comes_back and len(held) > 1:
-            return start, found, solution
-        constants = replace(
-            found.state.constants,
-            position_latency=found.state.constants.position_latency + 0.3,
-            velocity_latency=found.state.constants.velocity_latency + 0.3,
-        )
-        return start, replace(found, state=replace(found.state, constants=constants)), solution
-
-    monkeypatch.setattr(looks, "_identify_and_solve", running_away)
-    identified = GraphSmoother().estimate(prepare(simulation.raw)).report.identified
-    assert held == pytest.approx([0.25, 0.05])
-    for name in ("gps_position_latency", "gps_velocity_latency"):
-        value, sigma = identified[name].value, identified[name].sigma
-        true = getattr(simulation.scenario.gnss, name[len("gps_") :])
-        assert isinstance(value, float) and isinstance(sigma, float)
-        assert sigma > (0.02 if comes_back else 0.2)
-        assert abs(value - true) < 2.0 * sigma
 
 
 def test_a_wheel_that_only_the_attitudes_show_takes_the_arm_off_the_box(monkeypatch: pytest.MonkeyPatch) -> None:

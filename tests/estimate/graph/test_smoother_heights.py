@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY

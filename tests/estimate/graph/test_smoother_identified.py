@@ -7,7 +7,7 @@ import pytest
 
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
-from smoother.estimate.graph.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Stop

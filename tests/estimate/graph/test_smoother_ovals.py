@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 
 from ..roads import FORCE_NOISE, LATENCY, RATE, hilly_oval
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.units import DEG
 
 from ..roads import unlevel_track

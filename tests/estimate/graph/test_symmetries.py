@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.graph.smoother import GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.frames import Origin, euler_from_rotation, nwu_to_geodetic, rotation_from_euler, wrap_angle
 from smoother.prepare import choose_origin, prepare
 from smoother.samples import RawSession

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from smoother import so3
-from smoother.estimate.graph.smoother import STRANGE_OF_CHANGES
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.align_rare import RareAlignment, align_rare
 from smoother.estimate.path_motion import PathMotion
+from smoother.estimate.smoother import STRANGE_OF_CHANGES
 from smoother.samples import ImuSamples
 from smoother.sim.motion import Motion, drive
 from smoother.sim.scenario import ImuErrors

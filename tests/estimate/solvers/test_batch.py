@@ -8,11 +8,11 @@ import pytest
 
 from smoother.estimate.factors.gaussian import custom_factors
 from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
-from smoother.estimate.graph.smoother import GraphSmoother
 from smoother.estimate.initial.guess import make_start, problem_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
+from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import Problem, identify
 from smoother.prepare import prepare

@@ -1,0 +1,207 @@
+"""The constants and the noise of a session that were identified: value, sigma, source, and whether it is observable."""
+
+import math
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.config import SessionConfig
+from smoother.estimate.gnss_offset import OffsetModel
+from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
+from smoother.estimate.model.state import COLUMNS
+from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
+from smoother.estimate.output.estimated import Estimated
+from smoother.estimate.output.mounting import FittedMounting
+from smoother.estimate.output.noise_uncertainty import ANY_SLIP
+from smoother.estimate.solvers.variance_components import SMALLEST_POSITION
+from smoother.fit.noise_spread import ANY_NOISE
+from smoother.samples import Sampling
+from smoother.trajectory import Identified
+from smoother.units import DEG
+
+# s^2, of the response: what an antenna half a metre above a box that leans by 2.2 mrad to a m/s^2 shows of its own
+ANTENNA_LEANS = 1.1e-3
+# m, by which a box on a steering wheel goes round the column, beside which an arm that stays has no meaning
+ROUND_THE_COLUMN = 0.1
+# s, of what a filter before the sampling holds a sample back by beyond the mean that it is taken for: those that are
+# usual with sensors of loggers, of 41 to 184 Hz, do so by 0 to 4 ms, and no file says which it was
+FILTERS = 1.5e-3
+# s, and m of the arm, that delays of boxes whose rates do not tell attitudes are off by beyond their own sigmas, rms:
+# 14 sessions of three sorts, karts and boxes on wheels with 60-90 deg/s of vibration in samples of 25 Hz
+UNSTEADY_DELAY, UNSTEADY_ARM = 0.02, 0.2
+# rad/s/sqrt(Hz) of the rates about the motion, from which on delays miss some of that, and all. Harsh simulated karts
+# and real ones on the wheel have 2.4 to 3.2 deg/s; six shaken boxes of 4.4 to 5.7 were off by 20 ms and 0.3 m rms
+DOUBTED, UNTOLD = 3.5 * DEG, 5.0 * DEG
+
+
+def doubt_by_rates(gyro: float) -> float:
+    """Share, 0 to 1, of UNSTEADY_DELAY and UNSTEADY_ARM that delays and arm miss beside rates of density `gyro`."""
+    return float(np.clip(math.log(max(gyro, 1e-12) / DOUBTED) / math.log(UNTOLD / DOUBTED), 0.0, 1.0))
+
+
+def unsure_moment(sampling: Sampling, stated: float | None, unsteady: float = 0.0) -> float:
+    """Sigma, s, of when a sample of `sampling` is true; stated: its delay, s, where it is known.
+
+    unsteady: in parts of UNSTEADY_DELAY, what delays miss where rates do not tell attitudes.
+    Else it is taken for the mean since the one before. Of a logger that stamps what is at that moment all latencies are
+    longer by half of that, of one behind a filter they are shorter.
+    """
+    of_samples = math.hypot(0.5 * sampling.every / math.sqrt(3.0), FILTERS) if stated is None else 0.0
+    return math.hypot(of_samples, sampling.stamp_sigma, UNSTEADY_DELAY * unsteady)
+
+
+def identified_values(
+    found: Estimated, mounting: FittedMounting, config: SessionConfig, unseen: Array, sampling: Sampling
+) -> dict[str, Identified]:
+    """Return each value by its name in `identified` of summary.json.
+
+    Sigmas are those of the priors where the kart did not drive. unseen (3,) m^2: variance of the GPS offset beyond what
+    the session shows. sampling: see :func:`unsure_moment`.
+    """
+    known = found.known
+    unsteady = doubt_by_rates(known.noise.inertial.gyro)
+    return {
+        **_of_the_receiver(found, config, unsure_moment(sampling, config.imu_delay, unsteady)),
+        "lever_arm_b": _lever_arm(found, mounting, config, unsteady),
+        "R_bs": _mounting(found, mounting, config),
+        **_rectification(found),
+        **_noise(found, config),
+        **wander_of_fixes(
+            OffsetModel(np.sqrt(known.noise.offset_sigma**2 + unseen), known.noise.offset_tau, known.offset_tau_spread),
+            known.noise_uncertainty.hidden,
+        ),
+    }
+
+
+def _covariance(found: Estimated, name: str) -> Array:
+    """Covariance (size, size) of a constant, its prior's where the kart did not drive."""
+    if not found.known.drives:
+        return np.diag(found.known.prior_sigma(name) ** 2)
+    return found.known.constants_covariance[COLUMNS[name], COLUMNS[name]]
+
+
+def _sigma(found: Estimated, name: str) -> Array:
+    return np.sqrt(np.diag(_covariance(found, name)))
+
+
+def _is_observable(found: Estimated, name: str) -> bool:
+    return bool(_sigma(found, name)[0] < OBSERVABLE * found.known.priors.constants[name][1][0])
+
+
+def field_values(heading: Heading | None, found: Estimated) -> dict[str, Identified]:
+    """Return what was found of the magnetometer; nothing where it is not used.
+
+    Hard and soft iron only where the graph had to find them, and the kart turned about.
+    """
+    if heading is None:
+        return {}
+    column = COLUMNS["heading_offset"].start
+    sigma = float(np.sqrt(found.known.constants_covariance[column, column]))
+    value = found.state.constant("heading_offset")
+    out = {"mag_heading_offset": _value(value, sigma, "rad", sigma < OBSERVABLE * heading.offset_sigma, False)}
+    fit = heading.fit
+    if fit is None or not fit.is_told:
+        return out
+    seen = bool(np.all(fit.iron_sigma < OBSERVABLE * ANY_HARD_IRON * fit.strength))
+    out["mag_hard_iron"] = _value(fit.iron.tolist(), fit.iron_sigma.tolist(), "of the readings", seen, False)
+    soft, of_soft = fit.soft_iron, fit.soft_iron_sigma
+    seen = bool(np.median(of_soft) < OBSERVABLE * ANY_IRON)
+    source = "identified" if seen else "default"
+    return {**out, "mag_soft_iron": Identified(soft.tolist(), of_soft.tolist(), "1", seen, source)}
+
+
+def _of_the_receiver(found: Estimated, config: SessionConfig, moment: float) -> dict[str, Identified]:
+    """Its latencies, and its response to a change of acceleration; moment: see :func:`unsure_moment`."""
+    state, known = found.state, found.known
+    out: dict[str, Identified] = {}
+    for name, configured in (
+        ("position_latency", config.gps.position_latency),
+        ("velocity_latency", config.gps.velocity_latency),
+    ):
+        own = math.hypot(_sigma(found, name)[0], moment if known.drives else 0.0)
+        out[f"gps_{name}"] = _value(state.constant(name), own, "s", _is_observable(found, name), configured is not None)
+    own = float(_sigma(found, "velocity_response")[0])
+    if known.priors.held_s is not None:
+        own = math.hypot(own, ANTENNA_LEANS)
+    if state.geometry.is_steered:
+        # the arm keeps to the course, the antenna to the heading: between them is the sideslip, by the acceleration
+        slip = float(known.priors.constants["slip"][1][1])
+        own = math.hypot(own, slip * float(np.linalg.norm(state.constants["lever_arm"])))
+    observable = _is_observable(found, "velocity_response")
+    out["gps_velocity_response"] = _value(state.constant("velocity_response"), own, "s^2", observable, False)
+    return out
+
+
+def _lever_arm(found: Estimated, mounting: FittedMounting, config: SessionConfig, unsteady: float) -> Identified:
+    """The arm from the IMU to the antenna, in b; unsteady: see :func:`unsure_moment`."""
+    state, known = found.state, found.known
+    geometry, prior = state.geometry, known.priors.constants["lever_arm"][1][0]
+    covariance_s = _covariance(found, "lever_arm")
+    if known.priors.held_s is not None and known.drives:
+        covariance_s = covariance_s + prior**2 * np.outer(known.priors.held_s, known.priors.held_s)
+    # an arm that keeps to the course is not in the axes of a box that turns beside it
+    R_bs = geometry.level_axes_s if geometry.is_steered else mounting.R_bs
+    arm_b, covariance = R_bs @ state.constants["lever_arm"], R_bs @ covariance_s @ R_bs.T
+    beside = math.hypot(ROUND_THE_COLUMN if geometry.is_steered else 0.0, UNSTEADY_ARM * unsteady)
+    sigma_b = np.hypot(np.sqrt(np.diag(covariance)), beside * np.array([1.0, 1.0, 0.0]))
+    # The value stays where it is not observable: it is the one between IMU and antenna in the trajectory.
+    observable = bool(np.all(sigma_b[:2] < OBSERVABLE * prior))
+    return _value(arm_b.tolist(), sigma_b.tolist(), "m", observable, config.mounting.lever_arm_b is not None)
+
+
+def _mounting(found: Estimated, mounting: FittedMounting, config: SessionConfig) -> Identified:
+    """How the IMU is mounted in the kart."""
+    stated, by_wheels = config.mounting.R_bs is not None, mounting.by_wheels
+    common = np.diag(mounting.R_bs @ found.known.common_attitude @ mounting.R_bs.T)
+    # by how much the axes are askew in their own case, no drive can show: as much as they are out of square and scale
+    askew = found.known.prior_sigma("accel_scale")[0]
+    variance = mounting.sigma**2 + askew**2 + common * [1.0, 1.0, 0.0 if by_wheels else 1.0]
+    return Identified(
+        mounting.R_bs.tolist(),
+        None if stated else np.sqrt(variance).tolist(),
+        "1 (sigma: rad)",
+        mounting.is_observable,
+        "configured" if stated else "identified" if mounting.is_observable else "default",
+    )
+
+
+def _rectification(found: Estimated) -> dict[str, Identified]:
+    """Force by vibration of force, and by that of rate."""
+    values, sigmas = (
+        x.reshape(3, 2).T for x in (found.state.constants["rectification"], _sigma(found, "rectification"))
+    )
+    out: dict[str, Identified] = {}
+    for name, value, own in zip(("accel_rectification", "accel_rectification_by_rate"), values, sigmas, strict=True):
+        seen = bool(np.min(own) < OBSERVABLE * found.known.prior_sigma("rectification")[0])
+        source = "identified" if seen else "default"
+        out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
+    return out
+
+
+def _noise(found: Estimated, config: SessionConfig) -> dict[str, Identified]:
+    """How noisy wheels, samples and fixes are."""
+    noise, known, stated = found.known.noise, found.known.noise_uncertainty, config.imu
+    out: dict[str, Identified] = {}
+    if noise.slip is not None and known.slip is not None:
+        out["slip_sigma"] = _value(noise.slip, known.slip, "rad", known.slip < OBSERVABLE * ANY_SLIP, False)
+    for name, value, spread, unit, given in (
+        ("accel_noise", noise.inertial.accel, known.accel, "m/s^2/sqrt(Hz)", stated.accel_noise),
+        ("gyro_noise", noise.inertial.gyro, known.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),
+    ):
+        out[name] = _value(value, value * spread, unit, spread < OBSERVABLE * ANY_NOISE, given is not None)
+    out["gps_position_noise"] = scatter_of_fixes(noise.position, known.position, known.wandered, SMALLEST_POSITION)
+    return {**out, "gps_velocity_noise": noise_of_fixes(noise.velocity, known.velocity, "m/s")}
+
+
+def _value(
+    value: float | list[float], sigma: float | list[float] | None, unit: str, observable: bool, configured: bool
+) -> Identified:
+    if configured:
+        return Identified(value, None, unit, True, "configured")
+    return Identified(
+        float(value) if isinstance(value, float) else value,
+        float(sigma) if isinstance(sigma, float) else sigma,
+        unit,
+        observable,
+        "identified" if observable else "default",
+    )

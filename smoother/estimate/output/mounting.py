@@ -1,0 +1,286 @@
+"""How the box sits in the kart, from the path itself: where the nose points, and which way is up, on average.
+
+A kart that neither slides nor leans points along its path and stands level. It does both in proportion to its
+acceleration, so the mounting is what is left at zero acceleration: the intercept of a robust line through slip angle
+and roll over lateral acceleration, and through pitch over forward acceleration. A mean would carry the bias of a track
+with more turns to one side. Up is square to the road along the path, which climbs as the velocity does; across it roads
+are taken to be level on average. How far they are from level here and there says how well that can hold, and how well
+what leans by itself is told from ground that happens to fall to one side where a track bends.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother import so3
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray
+from smoother.estimate.leaning import LEAST_LEAN
+from smoother.estimate.model.imu import are_told
+from smoother.estimate.model.state import State
+from smoother.estimate.output.ground import CELL, Visits
+from smoother.estimate.path_motion import MIN_SPEED
+from smoother.fit.running import gaussian_mean
+from smoother.frames import to_left, wrap_angle
+from smoother.trajectory import Keyframes
+from smoother.units import ANY_ANGLE, DEG, STANDARD_GRAVITY
+
+MEMORY = 10.0  # s; slip, lean and the errors of the attitude last about as long as a corner or two
+ROUGH = np.pi / 4.0  # sigma about each axis of a mounting that could not be fitted
+SLOWEST = 2.5  # m/s, where nothing was quicker
+MIN_KEYFRAMES = 100  # at speed; with fewer the mean of a bend or two would pass for the mounting
+SWING_SPAN = 2.0  # s; a hand on the wheel moves faster, a kart's slide and lean and the errors of attitude slower
+SWING = 2.5 * DEG  # of roll within that time. A kart has no springs; cars swing by 0.1 deg, boxes on a wheel by 4 to 6
+ROAD_SLOPE = 0.05  # of roads that lead from one place to another, where no height tells
+# What roll has of the place on level ground: kerbs that lift one side lap after lap, frames that do not give in
+# proportion. Up to 0.18 deg on the level tracks of a simulator of other making, 0.5 to 1.2 on those that are not
+ROCKING = 0.2 * DEG
+# However steep some banks are, what a track falls by all the way round is for the water: 1.5 to 3 % along straights
+# (FIA, Appendix O to the International Sporting Code, 7.5)
+CROSSFALL = 0.022
+BANK = 2.0 * CELL  # m, after which ground may fall to another side
+# rad at 1 g by which a vehicle leans, either way: what is known of that before it is driven. Karts lean outwards by up
+# to 1.2 deg, cars by 2 to 6; and how far from in proportion to the push
+LEAN = np.array([3.0, 1.0]) * DEG
+FOUND, MOST_ROUNDS = 0.01, 100  # relative change of the ground's variance from one round to the next; each is quick
+STEERED = 0.6  # least correlation of that with slip
+# A calm hand moves the wheel by less, and the box still leans into each bend: on the columns of a simulator of other
+# making by 1.3 to 7 deg per g of push. Frames lean outwards, by up to 1.2, and on banks of 12 % inwards, by 1 to 2
+LEAN_IN, SURE = 1.0 * DEG, 4.0  # rad per g, and sigmas of it
+# So the quickest has to tell: in less than a second hardly a road changes its bank. Lean in parts of a slip that the
+# push does not explain is on a column the tangent of its angle with up, less what else the slip has: 0.42 to 1.3 on
+# those, 1.1 on two real wheels, and within 0.3 of zero on the banks. Motorcycles have more
+HAND_SPAN = 0.7  # s
+COLUMNS = (0.4, 2.1)  # 22 to 65 deg
+WILD = 6.0  # times the usual slip: spins'
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMounting:
+    """R_bs (3, 3), sigma (3,) rad about axes of b, whether it is known, and whether from the attitudes themselves.
+
+    by_wheels: the nose is where the slip of the wheels has it, one of the graph's constants.
+    """
+
+    R_bs: Array
+    sigma: Array
+    is_observable: bool
+    is_fitted: bool = False
+    by_wheels: bool = False
+
+
+def are_driven(state: State) -> BoolArray:
+    """Mask (K,) of the keyframes at a speed that tells how the box lies in the kart."""
+    level = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+    driven = level > 1.5 * MIN_SPEED
+    return np.asarray(driven if np.count_nonzero(driven) >= MIN_KEYFRAMES else level > SLOWEST)
+
+
+def fit_mounting(
+    state: State, rough_R_bs: Array, missing: Array | None = None, height_sigma: float | None = 0.0
+) -> FittedMounting:
+    """Refine a rough mounting by the estimated attitude and velocity of all keyframes at speed.
+
+    missing (K-1,): share of each interval without samples; in a hole of them attitudes are made up. height_sigma, m: of
+    the height from the first of them to the last; None where no fix has a height.
+    """
+    use = _are_fitted(state, missing)
+    if np.count_nonzero(use) < MIN_KEYFRAMES:
+        return FittedMounting(rough_R_bs, np.full(3, ROUGH), False)
+    acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
+    R_sn = state.R_ns[use].transpose(0, 2, 1)
+    velocity_s = np.einsum("kij,kj->ki", R_sn, state.velocity_n[use] * [1.0, 1.0, 0.0])
+    slope = state.velocity_n[use, 2] / np.hypot(state.velocity_n[use, 0], state.velocity_n[use, 1])
+    up_s, acceleration_s = R_sn[:, :, 2], np.einsum("kij,kj->ki", R_sn, acceleration_n)
+    R_bs, sigma, memory = rough_R_bs, np.zeros(3), max(1, round(MEMORY / state.interval))
+    for _ in range(4):  # small angles: a turn of the mounting changes what counts as forward and left
+        velocity_b, up_b, acceleration_b = (x @ R_bs.T for x in (velocity_s, up_s, acceleration_s))
+        one = np.ones(len(velocity_b))
+        lateral = np.stack([one, acceleration_b[:, 1]], axis=1)
+        forward = np.stack([one, acceleration_b[:, 0]], axis=1)
+        # turning the body axes by w about b moves a vector v in b by -w x v
+        fits = [
+            _first_of_line(lateral, up_b[:, 1], memory),
+            _first_of_line(forward, slope - up_b[:, 0], memory),
+            _first_of_line(lateral, np.arctan2(velocity_b[:, 1], velocity_b[:, 0]), memory),
+        ]
+        turn = np.array([fit[0] for fit in fits])
+        sigma = np.array([fit[1] for fit in fits])
+        R_bs = so3.exp(-turn * [-1.0, -1.0, 1.0]) @ R_bs
+    sigma[1] = np.hypot(sigma[1], _slope_sigma(state, use, height_sigma))
+    return FittedMounting(R_bs, sigma, is_observable=True, is_fitted=True)
+
+
+def on_its_ground(
+    mounting: FittedMounting, state: State, unsure: float, missing: Array | None = None
+) -> FittedMounting:
+    """Return `mounting`, fitted to `state`, with its roll as unsure as the ground around the lap is unlevel.
+
+    unsure, rad^2: variance of the keyframes' own errors of roll; missing as for :func:`fit_mounting`. Ground that falls
+    by a degree more here than there was not made level to a tenth of it on average: that the mean over the lap is off
+    by about as much as places differ is taken for granted. What falls to one side everywhere and alike does not show.
+
+    Where all turns go to one side, roll without a push is beyond all that was measured, by a slope that the ground has
+    a part in. A straight line through roll takes from the ground what happens to go with push there, by as much as
+    stretches that fall their own way are few: the line has what is known beforehand beside it (LEAN), and the ground
+    all that the line leaves, and what that is unsure by. Source: Foerstner 1979, of a line with a prior; the expected
+    squares are those of the EM algorithm (Dempster, Laird and Rubin 1977).
+    """
+    use = _are_fitted(state, missing)
+    t, position_n, velocity_n = state.t[use], state.position_n[use], state.velocity_n[use]
+    visits = Visits.of(t, position_n, velocity_n)
+    if visits.rows < MIN_KEYFRAMES:
+        return mounting
+    acceleration_n = np.gradient(state.velocity_n, state.t, axis=0)[use]
+    R_nb = state.R_ns[use] @ mounting.R_bs.T
+    push, roll = np.einsum("kj,kj->k", R_nb[:, :, 1], acceleration_n) / STANDARD_GRAVITY, R_nb[:, 2, 1]
+    lap = float(np.sum(np.hypot(velocity_n[:, 0], velocity_n[:, 1]))) * state.interval / visits.each
+    # beside the push its signed square: frames that give by more or less than in proportion do so to both sides
+    design = np.stack([push, push * np.abs(push)], axis=1)
+    _, _, weight = _robust_line(np.column_stack([np.ones(len(push)), design]), roll)
+    weight = weight / np.sum(weight)
+    mean_push, mean_roll = weight @ design, float(weight @ roll)
+    design, roll = design - mean_push, roll - mean_roll
+    weighted = (design * weight[:, None]).T
+    spread, together = weighted @ design, weighted @ roll
+    slopes, covariance, unlevel = np.zeros(len(LEAN)), np.diag(LEAN**2), np.inf
+    for _ in range(MOST_ROUNDS):
+        before = unlevel
+        unlevel = visits.variance(roll - design @ slopes) + float(np.trace(spread @ covariance)) - unsure - ROCKING**2
+        if unlevel <= 0.0:
+            return mounting
+        known = max(lap / BANK, 1.0) / unlevel
+        covariance = np.linalg.inv(np.diag(LEAN**-2.0) + known * spread)
+        slopes = covariance @ (known * together)
+        if abs(unlevel - before) < FOUND * unlevel:
+            break
+    upright = mean_roll - float(mean_push @ slopes)
+    variance = mounting.sigma[0] ** 2 + min(unlevel, CROSSFALL**2) + float(mean_push @ covariance @ mean_push)
+    sigma = np.array([np.sqrt(variance), *mounting.sigma[1:]])
+    return replace(mounting, R_bs=so3.exp(np.array([upright, 0.0, 0.0])) @ mounting.R_bs, sigma=sigma)
+
+
+def _are_fitted(state: State, missing: Array | None) -> BoolArray:
+    """Mask (K,) of the keyframes that a mounting is fitted to: at speed, and told by samples."""
+    use = are_driven(state)
+    return use if missing is None else use & are_told(missing)
+
+
+def _slope_sigma(state: State, driven: BoolArray, height_sigma: float | None) -> float:
+    """How well the mean slope of the road is known, rad: laps come back to where they were, roads lead elsewhere."""
+    length = float(np.sum(np.hypot(state.velocity_n[driven, 0], state.velocity_n[driven, 1]))) * state.interval
+    if height_sigma is not None:
+        return height_sigma / length
+    first, last = state.position_n[driven][[0, -1], :2]
+    return ROAD_SLOPE * min(float(np.linalg.norm(last - first)) / length, 1.0)
+
+
+def along_wheels(mounting: FittedMounting, state: State, variance: float) -> FittedMounting:
+    """Return `mounting` with the nose where the slip found it, `variance` rad^2, beside the first level axis.
+
+    About what is up in the mounting: the level axes are an alignment's, with few fixes some degrees off level and tens
+    off the nose, and turned about their own up the nose would be off by the product of both.
+    """
+    offset, axis_b = state.constants["slip"][0], mounting.R_bs @ state.geometry.level_axes_s[0]
+    turned = so3.exp(np.array([[0.0, 0.0, offset]]))[0]
+    ahead_b = turned @ (axis_b * [1.0, 1.0, 0.0])
+    turn = so3.exp(np.array([[0.0, 0.0, -np.arctan2(ahead_b[1], ahead_b[0])]]))[0]
+    sigma = np.array([*mounting.sigma[:2], np.sqrt(variance)])
+    return replace(mounting, R_bs=turn @ mounting.R_bs, sigma=sigma, by_wheels=True)
+
+
+def without_heading(mounting: FittedMounting) -> FittedMounting:
+    """Return `mounting` of a kart hardly seen driving: its nose may point anywhere, also where the mounting is stated.
+
+    For where the sensor points is not known then either.
+    """
+    stated = mounting.is_observable and not mounting.is_fitted
+    return replace(mounting, sigma=np.array([*mounting.sigma[:2], ANY_ANGLE]), is_observable=stated)
+
+
+def swing_on_the_wheel(keyframes: Keyframes, *, is_steered: bool = False) -> Array | None:
+    """How far a box on the steering wheel stands off the kart, (3,) rad rms about the axes of b; None for other boxes.
+
+    A wheel turned to the left turns the box to the left about the column, which leans to the driver: the box leans to
+    the left as well, by much and at once. A kart in the same bend turns its nose to the left and leans to the right.
+    What the kart itself leans and slides is in these figures too, and little beside the wheel.
+
+    is_steered: the samples themselves have told a wheel, so that attitudes that are unsure only have to go with it.
+    """
+    level = np.hypot(keyframes.velocity_n[:, 0], keyframes.velocity_n[:, 1])
+    driving = level > 1.5 * MIN_SPEED
+    if np.count_nonzero(driving) < MIN_KEYFRAMES:
+        return None
+    velocity_b = np.einsum("kji,kj->ki", keyframes.R_nb[:, :2], keyframes.velocity_n[:, :2])
+    lean, slip = keyframes.R_nb[:, 2, 1], np.unwrap(np.arctan2(velocity_b[:, 1], velocity_b[:, 0]))
+    width = 0.5 * SWING_SPAN / float(keyframes.t[1] - keyframes.t[0])
+    quick_lean, quick_slip = ((values - gaussian_mean(values, width))[driving] for values in (lean, slip))
+    unsure = float(np.median(np.einsum("kii->ki", keyframes.covariance[driving, 0:3, 0:3])[:, :2]))
+    swing = float(np.std(quick_lean))
+    together = np.corrcoef(quick_lean, quick_slip)[0, 1]
+    is_swung = swing > SWING and (is_steered or swing**2 > 2.0 * unsure) and together > STEERED
+    if not (is_swung or _leans_with_the_hand(keyframes, lean, slip, driving, unsure)):
+        return None
+    return np.array([np.std(lean[driving]), 0.0, np.std(wrap_angle(slip[driving]))])
+
+
+def _leans_with_the_hand(keyframes: Keyframes, lean: Array, slip: Array, driving: BoolArray, unsure: float) -> bool:
+    """Whether a box leans into the bends and, within less time than a bank takes, leans and turns as on one axle.
+
+    lean, slip (K,) rad; driving (K,); unsure, rad^2: of lean. What turns about a column does both in one ratio,
+    whatever the kart does. A frame twists and slides by the push to the side: what that explains is left out.
+    """
+    interval = float(keyframes.t[1] - keyframes.t[0])
+    push, memory = _push(keyframes), max(1, round(MEMORY / interval))
+    design = np.stack([push, np.ones(len(push))], axis=1)[driving]
+    inwards, sigma = _first_of_line(design, -lean[driving], memory)
+    if not max(LEAN_IN, SURE * sigma) < inwards < -LEAST_LEAN or inwards**2 * np.mean(design[:, 0] ** 2) < 2.0 * unsure:
+        return False
+    width = 0.5 * HAND_SPAN / interval
+    quick = np.stack([values - gaussian_mean(values, width) for values in (slip, push, lean)], axis=1)[driving]
+    quick = quick[np.abs(quick[:, 0]) < WILD * np.median(np.abs(quick[:, 0]))]
+    ratio, sigma = _first_of_line(quick[:, :2], quick[:, 2], memory)
+    return COLUMNS[0] < ratio < COLUMNS[1] and ratio > SURE * sigma
+
+
+def _push(keyframes: Keyframes) -> Array:
+    """Acceleration to the left of the path (K,), in g."""
+    velocity = keyframes.velocity_n[:, :2]
+    change = np.gradient(velocity, keyframes.t, axis=0)
+    across = to_left(velocity, change)
+    return np.asarray(across / np.maximum(np.hypot(*velocity.T), MIN_SPEED) / STANDARD_GRAVITY)
+
+
+def _first_of_line(design: Array, angle: Array, memory: int) -> tuple[float, float]:
+    """First coefficient of a line with Cauchy weights, and its sigma. design (N, 2), angle (N,).
+
+    memory: number of samples beyond which errors are taken for independent. Source of the sigma: the sandwich of
+    M-estimation (Huber 1981, 7.6) with the autocovariances summed up to the first that is not positive (Geyer 1992).
+    """
+    line, residual, weight = _robust_line(design, angle)
+    slope = weight * (2.0 * weight - 1.0)  # of weight times residual
+    bread = np.linalg.inv((design * slope[:, None]).T @ design)
+    pull = (design * (weight * residual)[:, None]) @ bread[0]
+    return float(line[0]), float(np.sqrt(_variance_of_sum(pull, memory)))
+
+
+def _robust_line(design: Array, angle: Array) -> tuple[Array, Array, Array]:
+    """Coefficients (c,) of a line with Cauchy weights, residuals (N,) and weights (N,). design (N, c), angle (N,)."""
+    weight = np.ones(len(angle))
+    for _ in range(8):
+        normal = (design * weight[:, None]).T @ design
+        line = np.linalg.solve(normal, (design * weight[:, None]).T @ angle)
+        residual = angle - design @ line
+        scale = MAD_TO_SIGMA * np.median(np.abs(residual)) + 1e-9
+        weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
+    return np.asarray(line), residual, weight
+
+
+def _variance_of_sum(pull: Array, memory: int) -> float:
+    """Variance of the sum of N correlated values (N,) of mean zero."""
+    total = float(pull @ pull)
+    for lag in range(1, min(memory, len(pull) - 1) + 1):
+        together = float(pull[lag:] @ pull[:-lag])
+        if together <= 0.0:
+            break
+        total += 2.0 * together
+    return total

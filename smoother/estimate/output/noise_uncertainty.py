@@ -1,0 +1,124 @@
+"""How well a session determines its noise: by the residuals that were left of it, see `smoother.fit.noise_spread`."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.factors.graph import WHEELS_BELOW
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.factors.wheels import MEMORY, slip_of
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.state import OFFSET
+from smoother.estimate.noise_of_fixes import hidden_wander
+from smoother.estimate.solvers.identify import Solution
+from smoother.estimate.solvers.variance_components import SLIP_COUNT, RowComponent, SampleComponent
+from smoother.fit.noise_spread import Residuals, of_force, of_positions, of_rate, of_velocities
+from smoother.units import DEG
+
+# Of the sigma of the sideslip: by how much corners differ, and rad. 90 simulated karts with as much as nobody has seen,
+# drawn at random, had rms 0.7 of that
+SLIP_DIFFERS, SLIP_LATE = 0.5, 5e-3
+ANY_SLIP = 2.0 * DEG  # how much it differs from corner to corner, beforehand
+DIFFERENT = 12.0  # corners of a track, each of which has a sideslip of its own
+ROUND_IT, OUT_OF_IT = 0.6, 0.3  # of a hard corner's lateral acceleration, between which one corner becomes another
+FIT_SIGMA = 1.0 * DEG  # of a keyframe's sideslip about its constants
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseUncertainty:
+    """Sigmas of the logarithms of densities of force and rate, and (3,) of the sigmas of position and velocity.
+
+    wandered (3,) m^2: what the slow error of the fixes adds to their white noise between keyframes, beside the straight
+    line that is taken for it there. hidden (3,) m: how far it may go unseen beneath that noise. slip rad: sigma of the
+    sigma of the sideslip; wheels_heading rad^2: variance of the heading by what its constants miss in the same way in
+    every lap; None without wheels.
+    """
+
+    accel: float
+    gyro: float
+    position: Array
+    velocity: Array
+    wandered: Array
+    hidden: Array
+    slip: float | None = None
+    wheels_heading: float | None = None
+
+
+def noise_uncertainty(solution: Solution, slip_prior: Array) -> NoiseUncertainty:
+    """Return how well the noise of a solution is known by its residuals; slip_prior (4,): sigmas of the constants."""
+    found, noise, state = solution.components, solution.noise, solution.state
+    rows, lasts = solution.step.rows["gps_position"], float(state.t[-1] - state.t[0])
+    return NoiseUncertainty(
+        of_force(_in_time(found.force), has_doppler=_have_doppler(found.position, found.velocity)),
+        of_rate(_in_time(found.rate)),
+        _per_axis(found.position, of_positions),
+        _per_axis(found.velocity, of_velocities),
+        _wandered(rows, noise, state.interval),
+        hidden_wander(noise.position, noise.velocity, lasts / max(len(rows.residual), 1), lasts, noise.offset_tau),
+        *_of_slip(solution, slip_prior),
+    )
+
+
+def _in_time(component: SampleComponent) -> Residuals:
+    return Residuals(component.squares_of, component.redundancy_of, 3.0 * len(component.squares_of))
+
+
+def _per_axis(component: RowComponent, spread: Callable[[Residuals], float]) -> Array:
+    """Sigma (3,) of the logarithm of the sigma of rows per axis, horizontal ones in common."""
+    level, up = (_of_axes(component, axes) for axes in (slice(0, 2), slice(2, 3)))
+    return np.array([spread(level)] * 2 + [spread(up)])
+
+
+def _of_axes(component: RowComponent, axes: slice) -> Residuals:
+    squares, expected = component.squares[:, axes], component.expected[:, axes]
+    return Residuals(squares.sum(axis=1), expected.sum(axis=1), float(np.count_nonzero(expected)))
+
+
+def _have_doppler(positions: RowComponent, velocities: RowComponent) -> bool:
+    """Whether most fixes have a velocity."""
+    counts = (np.count_nonzero(component.expected[:, 0]) for component in (velocities, positions))
+    return bool(next(counts) > 0.5 * next(counts))
+
+
+def _wandered(positions: Rows, noise: Noise, interval: float) -> Array:
+    """Variance (3,) m^2, in the mean over `positions`, of the slow error about the line from keyframe to keyframe.
+
+    A Gauss-Markov process is a random walk over an `interval`, s, that is much shorter than its time: between both ends
+    it is away from the line between them by walk * interval * share * (1 - share), share being the part gone by.
+    Source: the bridge of a Wiener process.
+    """
+    between = np.mean(positions.left[:, 0, OFFSET.start] * positions.right[:, 0, OFFSET.start])
+    return np.asarray(2.0 * noise.offset_sigma**2 / noise.offset_tau * interval * between)
+
+
+def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | None]:
+    """Sigma, rad, of the sigma of the sideslip, and variance, rad^2, of the heading that its constants show.
+
+    The process of the slip forgets in seconds, and a hundred laps would show the heading ten times as well as one. But
+    tyres are not linear: what the constants miss comes back lap after lap. How far the mean of all slip has the heading
+    from where its process has it is in here as well.
+    """
+    sigma, rolls = solution.noise.slip, solution.graph.measured.rolls
+    if sigma is None or rolls is None:
+        return None, None
+    k = np.flatnonzero(rolls)
+    slip = slip_of(solution.state, LowPassedMotion(solution.state, WHEELS_BELOW))
+    by = slip.by_constants[k]
+    apart = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
+    different = min(DIFFERENT, len(k) * solution.state.interval / (2.0 * MEMORY), corners(by[:, 1] / by[:, 0]))
+    information = different * by.T @ by / len(k) / sigma**2 + np.diag(prior**-2.0)
+    guessed = SLIP_COUNT / (SLIP_COUNT + len(k)) * ANY_SLIP
+    of_heading = float(np.linalg.inv(information)[0, 0] + apart**2)
+    return math.hypot(SLIP_DIFFERS * sigma, SLIP_LATE, guessed), of_heading
+
+
+def corners(lateral: Array) -> int:
+    """How often a kart went into a corner, by its lateral accelerations (N,) m/s^2; a steady circle is one."""
+    part = lateral / max(float(np.percentile(np.abs(lateral), 90)), 1e-9)
+    turns = np.where(np.abs(part) > ROUND_IT, np.sign(part), 0.0)
+    turns = turns[(turns != 0.0) | (np.abs(part) < OUT_OF_IT)]
+    return max(1, int(np.count_nonzero((np.diff(turns, prepend=0.0) != 0.0) & (turns != 0.0))))

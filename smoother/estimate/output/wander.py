@@ -1,0 +1,126 @@
+"""Which part of what fixes do slowly beside the path is their own, and which is that of the Doppler it follows.
+
+A graph takes Doppler velocities for independent of one another, so that the path follows them, and whatever fixes do
+beside it over half a minute and more passes for their offset. Where fixes hardly wander, a part of it is Doppler: its
+slow error, added up (`slow_doppler.DOPPLER`), is 0.1 m after 30 s. Neither samples nor fixes object to a path that
+moves by that way, with the offset less by as much; so it has no unknown of its own in the graph. What the graph calls
+the offset y is shared out afterwards, per level axis,
+
+    y = o + w,   o: first-order Gauss-Markov, of the fixes;   w' = b,   b: first-order Gauss-Markov, of Doppler
+
+with the sigma of o that is likeliest, by the most probable o, w and b of a chain of nodes. The path moves by w.
+Where fixes wander by a metre, that is next to nothing, where they hardly do, it is most of y.
+
+Sources: Gelb 1974, 3.8 (both processes); Schweppe 1965 (the likelihood); Rauch, Tung and Striebel 1965 (that the most
+probable states are those of least squares, here of a banded system).
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.disc import roomy
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.gnss_chains import factor_chain, substituted
+from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
+from smoother.estimate.model.state import State
+from smoother.estimate.resample import bracket, hermite, hermite_slope
+from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+
+WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
+SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'
+UNKNOWNS = 3  # of a node: o, w, b
+
+
+def share_wander(state: State, fixes: Rows, tau: float) -> State:
+    """Return the state with what is Doppler's of the level offset moved into positions and velocities.
+
+    fixes: their rows, one per fix; tau s: over which their own offset is forgotten. As it was where fixes are too few.
+    """
+    seen = _offset_at_fixes(state, fixes)
+    if len(seen.t) < FEWEST:
+        return state
+    moved_n, faster_n = moved(seen, tau, state.t)
+    return replace(
+        state,
+        position_n=_sum(state.position_n, moved_n),
+        velocity_n=_sum(state.velocity_n, faster_n),
+        offset_n=_sum(state.offset_n, -moved_n),
+    )
+
+
+def _sum(values: Array, more: Array) -> Array:
+    """The sum of two (K, 3), of a day on the disc."""
+    out: Array = roomy(values.shape)
+    np.add(values, more, out=out)
+    return out
+
+
+def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array]:
+    """Way w m and velocity b m/s (N, 3) at t (N,) s of the part of the offset `seen` that is Doppler's; none upwards.
+
+    Before the first and after the last node the way stays what it is there.
+    """
+    _, w, b = most_probable(seen, likeliest_sigma(seen, tau, slow), tau, slow)
+    place = bracket(seen.t, t)
+    inside = (t >= seen.t[0]) & (t <= seen.t[-1])
+    moved_n, faster_n = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    moved_n[:, :2] = hermite(w, b, place)
+    faster_n[:, :2] = np.where(inside[:, None], hermite_slope(w, b, place), 0.0)
+    return moved_n, faster_n
+
+
+def likeliest_sigma(seen: Drift, tau: float, slow: SlowVelocity = DOPPLER) -> float:
+    """Sigma of o, m, of the highest likelihood: of SIGMAS, and between them by a parabola."""
+    logs = np.log(SIGMAS)
+    walks = math.log(2.0 / tau) + 2.0 * logs
+    found = log_likelihood(seen, np.stack([np.full(len(logs), math.log(tau)), walks, np.zeros(len(logs))]), slow)
+    best = int(np.argmax(found))
+    if best in (0, len(logs) - 1):
+        return float(SIGMAS[best])
+    before, at, after = found[best - 1 : best + 2]
+    beside = 0.5 * (before - after) / (before - 2.0 * at + after)
+    return float(np.exp(logs[best] + beside * (logs[1] - logs[0])))
+
+
+def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array, Array]:
+    """Own offset o m, way w m and velocity b m/s of Doppler's slow error, each (B, 2), of the offset `seen`.
+
+    sigma m and tau s are those of o. Least squares over all nodes, a chain of blocks of UNKNOWNS.
+    """
+    F, W = _steps(np.diff(seen.t), sigma, tau, slow)
+    back = F.transpose(0, 2, 1) @ W
+    on = np.zeros((len(seen.t), UNKNOWNS, UNKNOWNS))
+    on[:, :2, :2] += (1.0 / seen.white)[:, None, None]
+    on[0] += np.diag([1.0 / sigma**2, 1.0 / ANYWHERE**2, 1.0 / slow.sigma**2])
+    on[:-1] += back @ F
+    on[1:] += W
+    wanted = np.zeros((len(seen.t), UNKNOWNS, 2))
+    wanted[:, :2] = (seen.drift / seen.white[:, None])[:, None]
+    found = substituted(factor_chain(on, -back), wanted)
+    own, way, velocity = found.transpose(1, 0, 2)
+    return own, way, velocity
+
+
+def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Array, Array]:
+    """Transitions and weights (S, 3, 3) of (o, w, b) over steps h (S,) s."""
+    F, Q = np.zeros((2, len(h), UNKNOWNS, UNKNOWNS))
+    F[:, 0, 0], F[:, 1, 1] = np.exp(-h / tau), 1.0
+    F[:, 1, 2], F[:, 2, 2] = ([part(float(step)) for step in h] for part in (slow.gone, slow.kept))
+    Q[:, 0, 0] = sigma**2 * -np.expm1(-2.0 * h / tau)
+    Q[:, 1, 1], Q[:, 1, 2], Q[:, 2, 2] = np.reshape([slow.noise(float(step)) for step in h], (-1, 3)).T
+    Q[:, 2, 1] = Q[:, 1, 2]
+    return F, np.asarray(np.linalg.inv(Q), dtype=np.float64)
+
+
+def _offset_at_fixes(state: State, fixes: Rows) -> Drift:
+    """The level offset of the graph where fixes hold it, in means of BIN; white: variance of the fixes that do."""
+    use = np.flatnonzero(np.isfinite(fixes.sigma[:, 0]) & (fixes.weight > WEIGHTY))
+    at = fixes.interval[use]
+    _, row = np.unique(np.floor((state.t[at] - state.t[0]) / BIN), return_inverse=True)
+    count = np.bincount(row)
+    t, north, west = (np.bincount(row, values) / count for values in (state.t[at], *state.offset_n[at, :2].T))
+    white = 1.0 / np.bincount(row, fixes.weight[use] / fixes.sigma[use, 0] ** 2)
+    return Drift(t, np.stack([north, west], axis=1), np.zeros(len(t)), white)

@@ -1,0 +1,84 @@
+"""Solving a session: constants and noise of its busiest part, then all of it, in one graph or in windows."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.estimate.initial.compass import Compass
+from smoother.estimate.initial.guess import Start, informed, problem_of
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.initial.parts import busiest_part, is_partly_sampled, longest_sampled
+from smoother.estimate.model.heading import Heading
+from smoother.estimate.model.noise import Noise
+from smoother.estimate.model.sampled import HOLE
+from smoother.estimate.output.estimated import Estimated, estimated, known_from
+from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
+from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_rectification
+from smoother.estimate.solvers.incremental import solve_as_stream
+from smoother.samples import Problem as SessionProblem
+from smoother.samples import Session
+
+Say = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved session: the start it was solved from, what was found, and the headings that were used."""
+
+    start: Start
+    found: Estimated
+    heading: Heading | None
+    problems: tuple[SessionProblem, ...]
+
+
+def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> Solved:
+    """Identify constants and noise on the busiest part, then solve all of the session."""
+    busiest = problem_of(longest_sampled(start))
+    first = identify(busiest, busiest.usual, lambda share: say(0.5 * share))
+    start, noise = informed(session, start, options, first.state), replace(first.noise, slip=None)
+    if is_partly_sampled(start) or is_long(start):
+        return _solve_in_windows(session, start, noise, options, say)
+    whole, compass = with_rectification(problem_of(start), first), Compass(session, start)
+    sigmas = Sigmas.of(first.covariances)
+    solution = _identified(whole, noise, compass, options, lambda share: say(0.5 + 0.5 * share), sigmas)
+    if options.solver == "isam2":
+        held = replace(whole, state=replace(whole.state, constants=solution.state.constants))
+        solution = solve_as_stream(held, solution.noise, solution.covariances.constants, compass.heading)
+    known = known_from(solution, whole.priors, start, session.config)
+    return Solved(start, estimated(solution, known), compass.found, compass.problems)
+
+
+def _identified(
+    problem: Problem, noise: Noise, compass: Compass, options: GraphOptions, say: Say, sigmas: Sigmas | None = None
+) -> Solution:
+    wheels = options.wheels and compass.start.wheels
+    return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
+
+
+def _solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solved:
+    """Solve all of a session with the constants and the noise of its busiest part that has samples throughout."""
+    busiest = longest_sampled(busiest_part(start, WINDOW))
+    problem, compass = problem_of(busiest), Compass(session, busiest)
+    main = _identified(problem, noise, compass, options, lambda share: say(0.3 * share))
+    known = known_from(main, problem.priors, busiest, session.config)
+    if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
+        known = replace(known, common_attitude=np.zeros((3, 3)))
+    constants, heading, problems = main.state.constants, compass.found, compass.problems
+    del main, problem, compass, busiest  # the windows need the room
+    start = replace(start, state=replace(start.state, constants=constants))
+    solver = solve_as_stream if options.solver == "isam2" else solve_held
+
+    def solve_window(part: Start) -> Solution:
+        heading = Compass(session, part, is_level=True).heading
+        return solver(problem_of(part), known.noise, known.constants_covariance, heading)
+
+    found = solve_in_windows(start, solve_window, known, lambda share: say(0.3 + 0.7 * share))
+    return Solved(start, found, heading, problems)
+
+
+def _is_whole(part: Start, start: Start) -> bool:
+    """Whether a part of a start is all of it that has samples."""
+    t, whole = part.state.t, start.state.t
+    first, last = max(start.spans[0, 0], whole[0]), min(start.spans[-1, 1], whole[-1])
+    return bool(t[0] - first <= HOLE and last - t[-1] <= HOLE)
