@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.factors.graph import WHEELS_BELOW, Measurements, Priors
+from smoother.estimate.factors.graph import WHEELS_BELOW, Measurements, Priors, table_without
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.heading import heading_rows
 from smoother.estimate.factors.motion_prior import unsampled
@@ -64,7 +64,7 @@ DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
 
 def solve_part(session: Session, part: Start, noise: inputs.Noise, options: GraphOptions, say: Say) -> OldSolution:
     """Identify constants and noise of a part of a session that has samples throughout, from `noise`."""
-    problem, _ = problem_of(part)
+    problem, _ = problem_of(part, options)
     field = _Field(session, part)
     wheels = options.wheels and part.wheels
     solved = identify(problem, noise_before(noise), say, 1, wheels=wheels, heading=field.heading)
@@ -72,9 +72,11 @@ def solve_part(session: Session, part: Start, noise: inputs.Noise, options: Grap
     return OldSolution(theirs, noise_of(solved, theirs, part.noise), field.priors, field.problems, field.data.heading)
 
 
-def solve_window(session: Session, part: Start, noise: inputs.Noise, held: Array) -> old_batch.Solved:
+def solve_window(
+    session: Session, part: Start, noise: inputs.Noise, held: Array, options: GraphOptions
+) -> old_batch.Solved:
     """Solve a window with constants and noise that are known; held (31, 31): covariance of the constants."""
-    problem, _ = problem_of(part)
+    problem, _ = problem_of(part, options)
     covariance = np.zeros((CONSTANTS_SIZE, CONSTANTS_SIZE))
     covariance[np.ix_(OURS, OURS)] = held[np.ix_(THEIRS, THEIRS)]
     slip = None if noise.slip is None else noise.slip.sigma
@@ -87,7 +89,7 @@ def solve_with_gtsam(
 ) -> tuple[Start, Estimated, OldSolution | WindowsSolution]:
     """Identify constants and noise on the busiest part, then solve all of the session, with the graph of GTSAM."""
     wheels = options.wheels and start.wheels
-    problem, noise = problem_of(start)
+    problem, noise = problem_of(start, options)
     part = identify(problem, noise, lambda share: say(0.5 * share))
     state = part.state
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
@@ -96,7 +98,7 @@ def solve_with_gtsam(
     if is_partly_sampled(start) or is_long(start):
         in_windows = solve_in_windows(session, start, noise_of(part, solved_of(part), first), options, say)
         return start, in_windows.found, in_windows
-    whole, _ = problem_of(start)
+    whole, _ = problem_of(start, options)
     whole = with_rectification(replace(whole, state=replace(whole.state, constants=state.constants)), part)
     field = _Field(session, start)
     noise = replace(part.noise, slip=None)
@@ -145,7 +147,7 @@ class _LevelField(_Field):
         return replace(known, field_yaw=known.field_yaw + float(np.median(rows.residual)))
 
 
-def problem_of(start: Start) -> tuple[Problem, Noise]:
+def problem_of(start: Start, options: GraphOptions) -> tuple[Problem, Noise]:
     """Return a start as a problem of the graph, and the noise to begin with."""
     d, p, noise = start.data, start.priors, noise_before(start.noise)
     state = state_of(start.state)
@@ -171,8 +173,8 @@ def problem_of(start: Start) -> tuple[Problem, Noise]:
     priors = Priors(p.accel_bias, p.gyro_bias, p.gyro_bias_mean, constants, held_s)
     scatter = scatter_of(start.binned)
     stated = frozenset(name for name in DENSITIES if getattr(start.stated, name))
-    problem = Problem(start.binned, measured, priors, state, noise, Scatter(scatter.accel, scatter.gyro), stated)
-    return problem, noise
+    found, table = Scatter(scatter.accel, scatter.gyro), table_without(options.without)
+    return Problem(start.binned, measured, priors, state, noise, found, stated, table), noise
 
 
 def state_of(s: old.ChainState) -> State:

@@ -153,7 +153,7 @@ def _solve_piece(
     if options.solver == "gtsam":
         from smoother.estimate.bridge import solve_window  # likewise
 
-        return _cut_out(session, start, window, noise, solve_window(session, part, noise, held))
+        return _cut_out(session, start, window, noise, solve_window(session, part, noise, held, options))
     state = near_solution(part, replace(noise, slip=None), options.approaches)
     data = _with_level_heading(session, part, state)
     batch = Batch(data, part.binned, start.priors)

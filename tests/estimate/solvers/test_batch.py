@@ -33,7 +33,7 @@ def _session() -> Session:
 
 @pytest.fixture(name="problem", scope="module")
 def _problem(session: Session) -> Problem:
-    return problem_of(make_start(session, GraphOptions()))[0]
+    return problem_of(make_start(session, ENGINE), ENGINE)[0]
 
 
 def no_progress(_: float) -> None:
