@@ -85,7 +85,7 @@ def test_benchmarks_import_stable_modules_and_the_parts_that_they_measure(path: 
 
 @pytest.mark.parametrize(
     "source",
-    ["import smoother.estimate.graph", "from smoother import estimate", "from smoother.session.load import load_raw"],
+    ["import smoother.estimate.solvers", "from smoother import estimate", "from smoother.session.load import load_raw"],
 )
 def test_an_import_of_the_inside_is_found(source: str) -> None:
     assert len(beyond(source, (*PLAIN, *PARTS))) == 1
