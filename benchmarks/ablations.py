@@ -20,11 +20,11 @@ import numpy as np
 
 from smoother import api
 from smoother.arrays import Array
+from smoother.estimate.factors.graph import TABLE
 from thinning import DATA, read_estimate, scored, thin
 
 SOLVER = "gtsam"
-FACTORS = ("gps_position", "gps_velocity", "gps_offset", "heading", "wheels", "standstill", "ground")
-WITHOUT = ((), *((name,) for name in FACTORS), ("imu",))
+WITHOUT = ((), *((factor.name,) for factor in TABLE), ("imu",))
 
 
 def error(case: tuple[Path, float, float, tuple[str, ...]]) -> float:

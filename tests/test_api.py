@@ -30,6 +30,7 @@ EXCEPTIONS = {  # of benchmarks
     "scoring": ("estimate.bound",),  # the information bound, which is to move to benchmarks
     "lap_times": ("estimate.bound",),
     "live": ("estimate.bound",),
+    "ablations": ("estimate.factors",),  # whose table has what can be left out
     "calibration_honesty": ("fit.allan",),  # the fit of calib that its sigmas are tested of
 }
 
