@@ -1,6 +1,6 @@
-"""Every document: its links lead somewhere, files that it names exist, and tables of figures have their command.
+"""Every document: its links resolve, files that it names exist, scripts have its options, and figures a command.
 
-What the README says of the quality gate is compared with the limits of the gate.
+The README's account of the quality gate is compared with the limits of the gate.
 """
 
 import re
