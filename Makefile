@@ -23,7 +23,7 @@ EMULATED_SECONDS ?= 180
 CONTAINER ?= docker
 # what make test-fast runs, without tests that are marked slow; CONTRIBUTING.md has the rule
 FAST_TESTS := tests/contracts tests/session $(filter-out tests/test_readme.py tests/test_wheel.py,$(wildcard tests/test_*.py)) \
-	tests/estimate/factors $(addprefix tests/estimate/graph/test_,inertial.py preintegration.py state.py)
+	tests/estimate/factors $(wildcard tests/estimate/model)
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # tests start the command over and over: what a process has compiled the next ones need not

@@ -18,7 +18,7 @@ Heavy imports happen inside the functions, so that `smooth --help` does not wait
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,17 +142,19 @@ def smooth(
     *,
     wheels: bool = True,
     imu: bool = True,
+    without: Collection[str] = (),
     progress: Progress | None = None,
 ) -> Trajectory:
     """Return the smoothed trajectory of the antenna in `n`, with sigmas and all that was identified.
 
     rate: rows a second, Hz; laps need 25 or more. solver: "batch" or "isam2". wheels: the kart points nearly along its
     path. imu: use the motion sensor; without it, as for a session that has none, attitude is NaN and `report.mode` is
-    "gps-only".
+    "gps-only". without: names of factors to leave out (docs/estimation.md lists them), to see what they are worth.
     """
     from smoother.estimate.smoother import GraphOptions, GraphSmoother
 
-    smoother = GraphSmoother(GraphOptions(rate=rate, solver=solver, wheels=wheels), progress=progress)
+    options = GraphOptions(rate=rate, solver=solver, wheels=wheels, without=frozenset(without))
+    smoother = GraphSmoother(options, progress=progress)
     return smoother.estimate(session if imu else replace(session, imu=None))
 
 

@@ -30,6 +30,7 @@ EXCEPTIONS = {  # of benchmarks
     "scoring": ("estimate.bound",),  # the information bound, which is to move to benchmarks
     "lap_times": ("estimate.bound",),
     "live": ("estimate.bound",),
+    "ablations": ("estimate.factors",),  # whose table has what can be left out
     "calibration_honesty": ("fit.allan",),  # the fit of calib that its sigmas are tested of
 }
 
@@ -85,7 +86,7 @@ def test_benchmarks_import_stable_modules_and_the_parts_that_they_measure(path: 
 
 @pytest.mark.parametrize(
     "source",
-    ["import smoother.estimate.graph", "from smoother import estimate", "from smoother.session.load import load_raw"],
+    ["import smoother.estimate.solvers", "from smoother import estimate", "from smoother.session.load import load_raw"],
 )
 def test_an_import_of_the_inside_is_found(source: str) -> None:
     assert len(beyond(source, (*PLAIN, *PARTS))) == 1
@@ -179,6 +180,27 @@ def test_options_reach_the_smoother(both: Both) -> None:
     stages: list[str] = []
     api.smooth(short, rate=10.0, solver="isam2", progress=lambda stage, share: stages.append(stage))
     assert stages
+
+
+def test_factors_that_are_left_out_do_not_count(both: Both) -> None:
+    short = replace(both.session, gnss=both.session.gnss.select(np.arange(200)))
+
+    def found(*without: str) -> Trajectory:
+        out = api.smooth(short, rate=10.0, without=without)
+        assert out.report.mode == "full" and out.report.keyframes is not None
+        return out
+
+    with_all = found()
+    for name, rows in (("gps_velocity", "gps_velocity"), ("wheels", "slip"), ("standstill", "standstill")):
+        less = found(name)
+        assert with_all.report.residuals[rows].count > 10 and less.report.residuals[rows].count == 0, name
+        assert np.abs(less.velocity_n - with_all.velocity_n).max() > 1e-3, name
+    offsets = [np.abs(one.report.keyframes.gps_offset_n).max() for one in (with_all, found("gps_offset"))]
+    assert offsets[0] > 0.3 and offsets[1] < 0.01
+    with pytest.raises(UsageError, match="no factor is called 'gps'; there are gps_position, "):
+        found("gps")
+    with pytest.raises(UsageError, match="'isam2' leaves no factor out"):
+        api.smooth(short, solver="isam2", without=("wheels",))
 
 
 def test_a_given_line_is_where_laps_begin(both: Both) -> None:

@@ -20,9 +20,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 import emulation
 from emulation import build
+from smoother import api
 from smoother.arrays import Array
 from smoother.cli.pipeline import calibrated, read
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import geodetic_to_nwu
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import GivenLines
@@ -98,7 +98,7 @@ def count_equal(wanted: LogRecords, got: LogRecords) -> int:
 def lap_times(folder: Path, simulation: Simulation, offset_s: float) -> dict[int, tuple[float, float]]:
     """Lap time and true time, s, by the number of the true crossing that begins the lap, on the track's own line."""
     session = calibrated(read(folder), folder)
-    estimate = GraphSmoother(GraphOptions()).estimate(session)
+    estimate = api.smooth(session)
     ends = simulation.track.start_line_deg
     origin = session.origin
     plan = geodetic_to_nwu(ends[:, 0], ends[:, 1], np.full(2, origin.alt_m), origin)[:, :2]

@@ -6,9 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from smoother import api
 from smoother.arrays import Array
 from smoother.cli.pipeline import calibrated, read
-from smoother.estimate.gnss_only import GnssSmoother
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.results import Lap, LapAnalysis
 from smoother.laps.stage import Stated, fix_path, options_on
@@ -23,7 +23,7 @@ MASSA = line_from_text("44.831659,11.223826;44.831816383,11.223441617")
 
 def smoothed(directory: Path) -> tuple[Session, Trajectory]:
     session = calibrated(read(directory), directory)
-    return session, GnssSmoother().estimate(session)
+    return session, api.smooth(session, imu=False)
 
 
 def stored(directory: Path, name: str) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import C, O, V, X
 
-from smoother import so3
+from smoother import api, so3
 from smoother.arrays import Array
 from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.live.engine import Engine, Snapshot
@@ -23,7 +23,6 @@ from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
 from smoother.samples import ImuSamples
 from smoother.units import DEG
-from tests.live.same_noise import batch_with_noise_of
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 TICK = 300  # bytes at once, a fifteenth of a second
@@ -106,10 +105,10 @@ def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots:
 def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fewer(
     drive, navigating: Aboard, snapshots: list[Snapshot], comparing: ModuleType
 ) -> None:
-    """In attitude, velocity and position, each over sqrt(P_lag - P_batch)."""
+    """In attitude, velocity and position, each over sqrt(P_lag - P_batch) (Hausman 1978)."""
     session = prepare(drive.simulation.raw)
-    assert session.imu is not None and navigating.start is not None
-    batch = batch_with_noise_of(session, navigating.start)
+    assert session.imu is not None
+    batch = api.smooth(session)
     last = [s.lag for s in snapshots if s.lag is not None and batch.t[-1] - 1.0 < s.lag.t <= batch.t[-1]]
     assert len(last) > 10
     apart = np.array([comparing.apart_from(batch, state, session.imu.t[-1]) for state in last])

@@ -4,7 +4,7 @@ The inertial factors and the priors are GTSAM's own. Everything else is one vect
 which of them a session has and whether outliers lose weight.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -12,6 +12,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.errors import UsageError
 from smoother.estimate.factors.doppler import velocity_rows
 from smoother.estimate.factors.ground import ground_rows
 from smoother.estimate.factors.heading import heading_rows
@@ -19,7 +20,7 @@ from smoother.estimate.factors.imu import imu_factors
 from smoother.estimate.factors.motion_prior import motion_prior_rows
 from smoother.estimate.factors.offset import offset_rows, offset_start_rows
 from smoother.estimate.factors.position import position_rows
-from smoother.estimate.factors.rows import Rows, robust
+from smoother.estimate.factors.rows import Rows, robust, with_sigma
 from smoother.estimate.factors.standstill import standstill_rows
 from smoother.estimate.factors.wheels import slip_of, slip_rows
 from smoother.estimate.model.heading import Heading
@@ -117,6 +118,7 @@ class Priors:
 
 
 HELD = 1e-4  # m, sigma of what is held
+ABSENT = 1e-5  # m from interval to interval, sigma of a slow error that is left out
 WHEELS_BELOW = 1.5  # Hz; turns into corners are quicker than the motion that shows latencies
 
 
@@ -133,11 +135,20 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Factor:
-    """A line of the table: its rows for given inputs, and whether outliers lose weight."""
+    """A line of the table: its rows for given inputs, and whether outliers lose weight.
+
+    left_out: sigma of all rows where the factor is left out. A measurement then has no weight; a process, the only
+    factor of an unknown, holds it at zero.
+    """
 
     name: str
     rows: Callable[[Inputs], Iterable[Rows]]
     is_robust: bool = False
+    left_out: float = np.inf
+
+    def as_left_out(self) -> "Factor":
+        """The factor with the sigma that it has where it is left out."""
+        return replace(self, rows=lambda x: (with_sigma(rows, self.left_out) for rows in self.rows(x)))
 
 
 def _position(x: Inputs) -> Iterable[Rows]:
@@ -194,12 +205,20 @@ TABLE = (
     Factor("motion_prior", _motion_prior),
     Factor("gps_position", _position, is_robust=True),
     Factor("gps_velocity", _velocity, is_robust=True),
-    Factor("gps_offset", _offset),
+    Factor("gps_offset", _offset, left_out=ABSENT),
     Factor("heading", _heading),
     Factor("wheels", _wheels, is_robust=True),
     Factor("standstill", _standstill),
     Factor("ground", _ground),
 )
+
+
+def table_without(names: Collection[str]) -> tuple[Factor, ...]:
+    """The table with some factors left out. Raises UsageError for a name that it does not have."""
+    known = [factor.name for factor in TABLE]
+    for name in sorted(set(names) - set(known)):
+        raise UsageError(f"no factor is called {name!r}; there are {', '.join(known)}")
+    return tuple(factor.as_left_out() if factor.name in names else factor for factor in TABLE)
 
 
 @dataclass(frozen=True, eq=False)

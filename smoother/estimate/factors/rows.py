@@ -90,6 +90,12 @@ def no_jacobian(n: int, r: int) -> tuple[Array, Array]:
     return np.zeros((n, r, KEYFRAME_SIZE)), np.zeros((n, r, KEYFRAME_SIZE))
 
 
+def with_sigma(rows: Rows, sigma: float) -> Rows:
+    """Return the rows with another sigma of all that was measured; an infinite one leaves nothing measured."""
+    known = np.isfinite(rows.sigma) & np.isfinite(sigma)
+    return replace(rows, sigma=np.where(known, sigma, np.inf), residual=np.where(known, rows.residual, 0.0))
+
+
 def robust(rows: Rows) -> Rows:
     """Return the rows with robust weights: min(1, limit / mean squared normalised residual), which redescends."""
     known = np.isfinite(rows.sigma)

@@ -8,7 +8,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
-from smoother.estimate.factors.graph import MAX_LATENCY, Measurements, Priors
+from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, table_without
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.motion_prior import unsampled
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
@@ -48,7 +48,7 @@ class Start:
 
     receiver: how the reported accuracy compares with the population's, at most 1. stated: densities of the settings,
     which are not estimated. spans (S, 2) s: from when to when there are samples, see model/sampled.py. wheels: whether
-    the factor of the wheels joins where they roll. pauses: where time is cut out of the session.
+    the factor of the wheels joins where they roll. table: of factors. pauses: where time is cut out of the session.
     """
 
     path: GnssPath
@@ -64,6 +64,7 @@ class Start:
     stated: ImuNoise
     spans: Array
     wheels: bool
+    table: tuple[Factor, ...]
     pauses: Pauses = NO_PAUSES
 
 
@@ -112,6 +113,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         session.config.imu,
         spans,
         options.wheels and priors.drives,
+        table_without(options.without),
         pauses,
     )
 
@@ -119,7 +121,9 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
 def problem_of(start: Start) -> Problem:
     """The graph's problem that a start is."""
     stated = frozenset(name for name in DENSITIES if getattr(start.stated, name))
-    return Problem(start.binned, start.data, start.priors, start.state, start.noise, scatter_of(start.binned), stated)
+    return Problem(
+        start.binned, start.data, start.priors, start.state, start.noise, scatter_of(start.binned), stated, start.table
+    )
 
 
 def _on_wheel_and_delay(session: Session, driven: PathMotion, alignment: Alignment) -> tuple[bool, SizeDelay]:

@@ -32,6 +32,7 @@ class GraphOptions:
     rate Hz: rows of the trajectory a second. solver: "batch", or "isam2", which goes through the session as a stream.
     in_step: a force that is late behind the rate is taken to its time.
     wheels: the kart is asked to point nearly along its path.
+    without: names of factors of the table (factors/graph.py) that are left out.
     keyframe_interval s: 0.2 is one keyframe to a fix of a 5 Hz receiver; less beyond 10 Hz (:meth:`for_fixes`).
     bin_interval s: of the averaged inertial samples.
     accel_bias_sigma, gyro_bias_sigma: priors; zero-g tolerance of the MPU9250, 0.6-0.8 m/s^2, and what the alignment
@@ -50,6 +51,7 @@ class GraphOptions:
     solver: str = "batch"
     in_step: bool = True
     wheels: bool = True
+    without: frozenset[str] = frozenset()
     keyframe_interval: float = 0.2
     bin_interval: float = 0.02
     accel_bias_sigma: float = 0.5
