@@ -22,6 +22,7 @@ from smoother.estimate.model.state import (
     keyframe_keys,
 )
 
+AT_ONCE = 128  # intervals
 CONSTANTS_BLOCK = gtsam.symbol("c", len(CONSTANTS))
 
 
@@ -31,26 +32,25 @@ def block(k: int) -> int:
 
 
 def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str]) -> gtsam.GaussianFactorGraph:
-    """One linear factor of GTSAM an interval, of all its rows. unknown: names of the constants that are solved for.
+    """One linear factor of GTSAM an interval, of all rows of it, which are in the order of the intervals.
 
-    (In Python a GaussianConditional is the cheapest way to hand GTSAM a Jacobian: one array that is copied once.)
+    unknown: names of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
+    GTSAM a Jacobian: one array that is copied once. A few intervals at a time stay in the processor's cache.)
     """
-    interval = np.concatenate([np.repeat(r.interval, r.residual.shape[1]) for r in rows])
-    order = np.argsort(interval, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
     starts, size = places(unknown)
-    starts = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}
-    A, begin = np.empty((len(order), 2 * KEYFRAME_SIZE + size + 1)), 0
-    for r in rows:
-        A[place[begin : begin + r.residual.size]] = r.whitened(starts, A.shape[1])
-        begin += r.residual.size
-    bounds = np.searchsorted(interval[order], np.arange(intervals + 1)).tolist()
+    starts, width = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}, 2 * KEYFRAME_SIZE + size + 1
     graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, size, 1]
     blocks = [block(k) for k in range(intervals + 1)]
-    for one, two, begin, end in zip(blocks[:-1], blocks[1:], bounds[:-1], bounds[1:], strict=True):
-        keys = [one, two, CONSTANTS_BLOCK]
-        graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
+    for first in range(0, intervals, AT_ONCE):
+        last = min(first + AT_ONCE, intervals)
+        some = [r.take(slice(*np.searchsorted(r.interval, (first, last)))) for r in rows]
+        interval = np.concatenate([np.repeat(r.interval, r.residual.shape[1]) for r in some])
+        order = np.argsort(interval, kind="stable")
+        A = np.concatenate([r.whitened(starts, width) for r in some])[order]
+        bounds = np.searchsorted(interval[order], np.arange(first, last + 1)).tolist()
+        for k, begin, end in zip(range(first, last), bounds[:-1], bounds[1:], strict=True):
+            keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK]
+            graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
 
 

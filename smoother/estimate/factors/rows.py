@@ -50,7 +50,7 @@ class Rows:
             by_constants[:, :, COLUMNS[name]] = block
         return J
 
-    def take(self, at: IntArray) -> "Rows":
+    def take(self, at: IntArray | slice) -> "Rows":
         """Some of the measurements."""
         parts = {name: getattr(self, name)[at] for name in ("interval", "residual", "sigma", "left", "right", "weight")}
         return replace(self, **parts, constants={name: block[at] for name, block in self.constants.items()})

@@ -7,6 +7,7 @@ frequency that drivers reach and the noise does not fill, the state is the motio
 derivatives of the residual: they are those of the low-passed motion. This is the one place where that is so.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,58 +42,46 @@ def cutoff_for(accel: float) -> float:
     return float(np.clip(CUTOFF * (accel / AT_DENSITY) ** (-2.0 / POWER), SLOWEST, QUICKEST))
 
 
-class LowPassed:
-    """Values (K, c) at the keyframes of a state below `cutoff` Hz, and linear filters of them.
+class LowPassedMotion:
+    """The velocities and the heading of the keyframes of a state below `cutoff` Hz, and linear filters of them.
 
     Made of their spectrum: exact between keyframes too, up to the linear interpolation of a FINER grid.
     """
-
-    def __init__(self, state: State, values: Array, cutoff: float) -> None:
-        n = len(values)
-        beyond = min(n - 1, round(BEYOND / state.interval))
-        values = np.pad(values, ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
-        self._slope = (values[-1] - values[0]) / (len(values) - 1)
-        line = values[0] + np.arange(len(values))[:, None] * self._slope  # what is left of the values can be periodic
-        frequency = np.fft.rfftfreq(len(values), state.interval)[:, None]
-        self._spectrum = np.fft.rfft(values - line, axis=0) / (1.0 + (frequency / cutoff) ** (2 * ORDER))
-        self._count, self._inside = len(values), slice(beyond * FINER, (beyond + n - 1) * FINER + 1)
-        self._first, self._start, self._interval = line[0], float(state.t[0]), state.interval
-        self.s: Spectrum = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
-
-    def passed(self, transfer: Spectrum | float, columns: int | None = None) -> Array:
-        """The first columns behind a filter that lets nothing constant or even pass, on the grid; transfer: at `s`."""
-        of = self._spectrum[:, :columns] * transfer
-        return np.asarray(FINER * np.fft.irfft(of, FINER * self._count, axis=0)[self._inside])
-
-    def values(self) -> Array:
-        """The values themselves, on the grid."""
-        grid = np.arange(self._inside.start, self._inside.stop)[:, None] / FINER
-        return np.asarray(self.passed(1.0) + self._first + grid * self._slope)
-
-    def derivative(self) -> Array:
-        """Their derivative, on the grid."""
-        return np.asarray(self.passed(self.s) + self._slope / self._interval)
-
-    def at(self, of_grid: Array, t: Array) -> Array:
-        """What is given on the grid at t (N,) s, beyond the ends that at the ends."""
-        u = np.clip((t - self._start) * FINER / self._interval, 0.0, len(of_grid) - 1)
-        k = np.minimum(u.astype(np.int64), len(of_grid) - 2)
-        share = (u - k)[:, None]
-        return np.asarray((1.0 - share) * of_grid[k] + share * of_grid[k + 1])
-
-
-class LowPassedMotion:
-    """The velocities and the heading of the keyframes of a state below `cutoff` Hz, and their derivatives."""
 
     def __init__(self, state: State, cutoff: float) -> None:
         turn = so3.log(state.R_ns[:-1].transpose(0, 2, 1) @ state.R_ns[1:])
         about_up = np.einsum("kj,kj->k", state.R_ns[:-1, 2, :], turn)
         values = np.column_stack([state.velocity_n, np.concatenate([[0.0], np.cumsum(about_up)])])
-        self._motion, self.state, self.cutoff = LowPassed(state, values, cutoff), state, cutoff
-        jerk = self._motion.passed(self._motion.s * self._motion.s)
-        self._values = np.column_stack([self._motion.values(), self._motion.derivative(), jerk])
+        n = len(values)
+        beyond = min(n - 1, round(BEYOND / state.interval))
+        values = np.pad(values, ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
+        slope = (values[-1] - values[0]) / (len(values) - 1)
+        line = values[0] + np.arange(len(values))[:, None] * slope  # what is left of the values can be periodic
+        frequency = np.fft.rfftfreq(len(values), state.interval)[:, None]
+        self._spectrum = np.fft.rfft(values - line, axis=0) / (1.0 + (frequency / cutoff) ** (2 * ORDER))
+        self._s: Spectrum = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
+        self._count, self._inside = len(values), slice(beyond * FINER, (beyond + n - 1) * FINER + 1)
+        self._start, self._step = float(state.t[0]), state.interval / FINER
+        even = line[0] + np.arange(self._inside.start, self._inside.stop)[:, None] / FINER * slope
+        self._values = np.column_stack(
+            [self._passed(1.0) + even, self._passed(self._s) + slope / state.interval, self._passed(self._s**2)]
+        )
 
     def at(self, t: Array) -> Motion:
         """Motion at t (N,) s, beyond the ends that at the ends."""
-        x = self._motion.at(self._values, t)
+        x = self._at(self._values, t)
         return Motion(x[:, :3], x[:, 4:7], x[:, 8:11], x[:, 7])
+
+    def filtered(self, transfers: Callable[[Spectrum], Sequence[Spectrum]], t: Array) -> list[Array]:
+        """The velocity behind filters that pass nothing constant, at t (N,) s, each (N, 3). transfers: by 2 pi i Hz."""
+        return [self._at(self._passed(transfer)[:, :3], t) for transfer in transfers(self._s)]
+
+    def _passed(self, transfer: Spectrum | float) -> Array:
+        of = self._spectrum * transfer
+        return np.asarray(FINER * np.fft.irfft(of, FINER * self._count, axis=0)[self._inside])
+
+    def _at(self, of_grid: Array, t: Array) -> Array:
+        u = np.clip((t - self._start) / self._step, 0.0, len(of_grid) - 1)
+        k = np.minimum(u.astype(np.int64), len(of_grid) - 2)
+        share = (u - k)[:, None]
+        return np.asarray((1.0 - share) * of_grid[k] + share * of_grid[k + 1])
