@@ -24,7 +24,8 @@ def row_statistics(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
 
 def inertial_statistics(rows: Rows, intervals: slice) -> dict[str, ResidualStatistics]:
     """Return what is left of the IMU factors of some intervals, whitened rows of 15, by the names of INERTIAL."""
-    return {name: _whitened(rows.residual[intervals, part]) for name, part in INERTIAL.items()}
+    inside = (rows.interval >= (intervals.start or 0)) & (rows.interval < (intervals.stop or np.inf))
+    return {name: _whitened(rows.residual[inside, part]) for name, part in INERTIAL.items()}
 
 
 def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, ResidualStatistics]:
