@@ -251,37 +251,6 @@ def with_late_course(simulation: Simulation, session: Session, late: float) -> S
     return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
 
 
-@pytest.mark.parametrize(("late", "seed"), [(0.1, 6), (-0.1, 7), (0.06, 8)])
-def test_a_course_that_is_later_than_the_speed_is_found_and_draws_nothing(late: float, seed: int) -> None:
-    """Taken for one velocity, its arm is a metre off at 20 sigmas, and speed twice and three times as far."""
-    simulation = simulate_preset("kart", seed, duration=200.0)
-    session = prepare(simulation.raw)
-    plain, odd = smoothed(simulation, session), smoothed(simulation, with_late_course(simulation, session, late))
-    report = odd.trajectory.report
-    found, scenario = report.identified, simulation.scenario
-    course = found["gps_course_delay"]
-    assert course.observable
-    assert abs(course.value - late) < 3.0 * course.sigma
-    speed_latency = scenario.gnss.velocity_latency + max(-late, 0.0)
-    for name, true in (
-        ("gps_position_latency", scenario.gnss.position_latency),
-        ("gps_velocity_latency", speed_latency),
-    ):
-        assert abs(found[name].value - true) < 3.0 * found[name].sigma
-    arm = (np.array(found["lever_arm_b"].value) - scenario.lever_arm_b) / np.array(found["lever_arm_b"].sigma)
-    assert np.all(np.abs(arm[:2]) < 3.0)
-    assert any(problem.code == "gps_course_delay" for problem in report.problems)
-    driven = plain.trajectory.t > 20.0
-    rms = [float(np.sqrt(np.mean(s.velocity_error_n[driven, :2] ** 2))) for s in (odd, plain)]
-    assert rms[0] < 1.3 * rms[1]
-
-
-def test_where_course_and_speed_are_one_velocity_nothing_is_said_of_either() -> None:
-    report = kart().trajectory.report
-    assert not report.identified["gps_course_delay"].observable
-    assert not any(problem.code == "gps_course_delay" for problem in report.problems)
-
-
 def test_a_receiver_far_slower_than_others_is_no_worse() -> None:
     """Its response is 35 sigmas of what receivers have; held near that, speed would be 1 m/s off."""
     tau = 0.6
