@@ -9,6 +9,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.factors.graph import Measurements, Priors
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.heading import heading_rows
+from smoother.estimate.factors.motion_prior import unsampled
 from smoother.estimate.graph import inputs
 from smoother.estimate.graph import state as old
 from smoother.estimate.graph.first_noise import scatter_of
@@ -152,6 +153,7 @@ def problem_of(start: Start) -> tuple[Problem, Noise]:
         d.still,
         d.doubted,
         ground=ground if ground is not None and len(ground[0]) else None,
+        unsampled=unsampled(start.binned.missing),
         offset_share=share,
         offset_renewed=renewed,
     )

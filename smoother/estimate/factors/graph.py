@@ -16,6 +16,7 @@ from smoother.estimate.factors.doppler import velocity_rows
 from smoother.estimate.factors.ground import ground_rows
 from smoother.estimate.factors.heading import heading_rows
 from smoother.estimate.factors.imu import imu_factors
+from smoother.estimate.factors.motion_prior import motion_prior_rows
 from smoother.estimate.factors.offset import offset_rows, offset_start_rows
 from smoother.estimate.factors.position import position_rows
 from smoother.estimate.factors.rows import Rows, robust
@@ -43,6 +44,7 @@ class Measurements:
     heading: of the magnetometer.
     rolls (K,): keyframes at which wheels roll, None asks nothing of them.
     ground: keyframes far from any fix with a height, and the nearest height, m.
+    unsampled (M,): intervals without inertial samples.
     offset_share, offset_renewed (K-1,): slow error of the fixes in parts of its sigma, and where it is another one.
     """
 
@@ -56,6 +58,7 @@ class Measurements:
     heading: Heading | None = None
     rolls: BoolArray | None = None
     ground: tuple[IntArray, Array] | None = None
+    unsampled: IntArray | None = None
     offset_share: Array | None = None
     offset_renewed: BoolArray | None = None
 
@@ -141,7 +144,14 @@ def _ground(x: Inputs) -> Iterable[Rows]:
         yield ground_rows(x.state, *x.measured.ground)
 
 
+def _motion_prior(x: Inputs) -> Iterable[Rows]:
+    if x.measured.unsampled is not None and len(x.measured.unsampled):
+        walks = x.noise.inertial
+        yield motion_prior_rows(x.state, x.measured.unsampled, walks.accel_bias_walk, walks.gyro_bias_walk)
+
+
 TABLE = (
+    Factor("motion_prior", _motion_prior),
     Factor("gps_position", _position, is_robust=True),
     Factor("gps_velocity", _velocity, is_robust=True),
     Factor("gps_offset", _offset),
@@ -154,13 +164,14 @@ TABLE = (
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """The graph of a session for one noise: GTSAM's own factors, of the samples of all intervals in `imu` and of what
-    is known beforehand in `prior`, and all others by :meth:`rows`. state: times and geometry.
+    """The graph of a session for one noise: GTSAM's own factors, of the samples of the intervals `sampled` in `imu` and
+    of what is known beforehand in `prior`, and all others by :meth:`rows`. state: times and geometry.
     rectified: whether the rectification is unknown.
     """
 
     imu: gtsam.NonlinearFactorGraph
     prior: gtsam.NonlinearFactorGraph
+    sampled: IntArray
     preintegrated: list[gtsam.PreintegratedCombinedMeasurements]
     measured: Measurements
     noise: Noise
@@ -197,8 +208,11 @@ def build_graph(
     """
     biases = state.accel_bias_s.mean(axis=0), state.gyro_bias_s.mean(axis=0)
     preintegrated = preintegrate(binned, noise.inertial, *biases)
-    imu, prior = imu_factors(preintegrated), _prior_factors(priors, noise, state)
-    return Graph(imu, prior, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
+    sampled = np.arange(len(state.t) - 1)
+    if measured.unsampled is not None:
+        sampled = np.delete(sampled, measured.unsampled)
+    imu, prior = imu_factors(preintegrated, sampled), _prior_factors(priors, noise, state)
+    return Graph(imu, prior, sampled, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
 
 
 def with_same_samples(graph: Graph, measured: Measurements, noise: Noise, priors: Priors, state: State) -> Graph:

@@ -12,7 +12,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from smoother import so3
-from smoother.arrays import Array
+from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.model.state import State
 from smoother.frames import GRAVITY_N
@@ -26,30 +26,30 @@ SIZE = 15  # residuals: rotation, position, velocity, bias of force, bias of rat
 
 
 def imu_factors(
-    preintegrated: Sequence[gtsam.PreintegratedCombinedMeasurements], first: int = 0
+    preintegrated: Sequence[gtsam.PreintegratedCombinedMeasurements], at: IntArray
 ) -> gtsam.NonlinearFactorGraph:
-    """Return a CombinedImuFactor for each interval between keyframes first, first + 1, .."""
+    """Return a CombinedImuFactor for each interval `at` (M,), between keyframes k and k + 1."""
     graph = gtsam.NonlinearFactorGraph()
-    for k, measured in enumerate(preintegrated, first):
-        graph.add(gtsam.CombinedImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), B(k + 1), measured))
+    for k in at.tolist():
+        graph.add(gtsam.CombinedImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), B(k + 1), preintegrated[k]))
     return graph
 
 
-def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, rectified: bool) -> Rows:
-    """The IMU factors of all intervals as rows of 15, whitened: rotation, position, velocity, biases.
+def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State, shaken: Array, *, rectified: bool) -> Rows:
+    """The IMU factors of the intervals `at` (M,) as rows of 15, whitened: rotation, position, velocity, biases.
 
-    linear: factors as GTSAM linearised them at `state`, those of the intervals first. shaken (K-1, 2): power of the
+    linear: factors as GTSAM linearised them at `state`. shaken (K-1, 2): power of the
     vibration of force and of rate beyond the session's mean, over it; it pushes an accelerometer (rectification).
     rectified: whether the rectification is unknown; it is subtracted in either case.
     """
-    n = len(state.t) - 1
+    n = len(at)
     read = [linear.at(k).jacobian() for k in range(n)]
     A, b = np.array([a for a, _ in read]), np.array([b for _, b in read])
     left, right = (
         np.concatenate([A[:, :, part] for part in side] + [np.zeros((n, SIZE, 3))], axis=2) for side in _SIDES
     )
     by_bias = left[:, :, 9:15] + right[:, :, 9:15]  # of both biases alike: their walk has no part in it
-    force, rate = _force_and_rate(state)
+    force, rate, shaken = *(values[at] for values in _force_and_rate(state)), shaken[at]
     scale, bent = (state.constants[name].reshape(3, 2) for name in ("accel_scale", "rectification"))
     error = np.hstack([force @ scale.T + shaken @ bent.T, rate[:, None] * state.constants["gyro_scale"]])
     residual = (by_bias @ error[:, :, None])[:, :, 0] - b
@@ -60,7 +60,7 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, state: State, shaken: Array, *, 
     if rectified:
         constants["rectification"] = (by_bias[:, :, :3, None] * shaken[:, None, None, :]).reshape(n, SIZE, 6)
     full = np.ones((n, SIZE))
-    return Rows("imu", np.arange(n), residual, full, left, right, constants, full[:, 0])
+    return Rows("imu", at, residual, full, left, right, constants, full[:, 0])
 
 
 def _force_and_rate(state: State) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from smoother.estimate.model.state import KEYFRAME_SIZE, ROTATION, VELOCITY, Sta
 from smoother.frames import UP_N, wrap_angle
 
 SLIDING, AROUND = np.radians(20.0), 1.0  # rad beside the usual slip, of a slide or a spin, and s around it
+SURE = 3.0  # sigmas
 MOST_SLIDING = 0.2  # of the time at speed; a box that points elsewhere more often is not fixed to a chassis
 MOST = np.radians(4.0)  # scatter of the slip of anything that is fixed to a chassis on wheels
 UNSURE = np.radians(1.0)  # error of a slip that leaves it a quarter of its weight
@@ -69,14 +70,13 @@ def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> B
 
     That is where the IMU turns against the path, as on a steering wheel, or slips more than a chassis does.
 
-    moves (K,): keyframes at speed whose attitude the samples tell; variance (K,): of slip.value, by the errors of that
-    solution. interval s.
+    moves (K,): keyframes at speed; variance (K,): of slip.value, by the errors of that solution. interval s.
     """
     if np.count_nonzero(moves) < ENOUGH:
         return None
     angle = slip.value * slip.level
     angle = wrap_angle(angle - np.median(angle[moves]))
-    sliding = moves & (np.abs(angle) > SLIDING)
+    sliding = moves & (np.abs(angle) > SLIDING + SURE * slip.level * np.sqrt(variance))
     around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
     rolls = moves & ~around
     if np.count_nonzero(rolls) < (1.0 - MOST_SLIDING) * np.count_nonzero(moves):

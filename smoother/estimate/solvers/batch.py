@@ -46,7 +46,7 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
     n = len(state.t)
     try:
         rows = [
-            imu_rows(graph.imu.linearize(values), state, graph.shaken, rectified=graph.rectified),
+            imu_rows(graph.imu.linearize(values), graph.sampled, state, graph.shaken, rectified=graph.rectified),
             *graph.rows(state),
         ]
         unknown = tuple(name for name in KEYS if any(name in r.constants for r in rows))

@@ -127,7 +127,7 @@ def sample_components(
     by_motion = force.T @ root[:, :, 3:9].reshape(-1, 15, 2, 3).transpose(0, 2, 3, 1)
     turn = np.linalg.solve(root.transpose(0, 2, 1), np.linalg.solve(rate, np.eye(15)[ROTATION]).T)
     of = np.concatenate([by_motion.reshape(-1, 6, 15), turn.transpose(0, 2, 1)], axis=1)
-    rows = after_step(step.rows["imu"].take(at), step.keyframes, step.constants)
+    rows = after_step(step.rows["imu"].take(np.searchsorted(graph.sampled, at)), step.keyframes, step.constants)
     left, residual = posterior_covariance(of @ rows.jacobian(), at, covariances), rows.residual
     weighed = np.einsum("nri,ni->nr", of, residual)
     moved, turned = weighed[:, :6].reshape(-1, 2, 3), weighed[:, 6:] / (density[1] * math.sqrt(T))[:, None]

@@ -57,6 +57,7 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
         heading=heading,
         rolls=np.ones(K, dtype=np.bool_),
         ground=(np.array([7, 30]), np.array([0.5, 1.0])),
+        unsampled=np.array([20, 21, 35]),
     )
     noise = Noise(
         InertialNoise(0.2, 0.01, 0.003, 1e-4),
