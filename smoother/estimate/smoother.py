@@ -20,7 +20,6 @@ from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
-from smoother.estimate.graph.chain import NotPositiveDefiniteError
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.begin import Begun, begin
@@ -137,7 +136,7 @@ class GraphSmoother:
             return self._from_fixes(session, (problem,))
         watch = Stopwatch(self.progress)
         found = self._unless_it_fails(session, watch, pauses_of)
-        if isinstance(found, NotPositiveDefiniteError) and len(pauses_of(session)):
+        if isinstance(found, IndeterminateError) and len(pauses_of(session)):
             # seconds between two pauses may not tell what those beside them would: through the pauses they do
             found = self._unless_it_fails(session, watch, lambda _: NO_PAUSES)
         if isinstance(found, Trajectory):
@@ -302,7 +301,7 @@ def _overlap(imu: ImuSamples, fixes: GnssFixes) -> float:
     return float(np.max(last - first))
 
 
-FAILURES = (_FixesAlone, NotPositiveDefiniteError, IndeterminateError, np.linalg.LinAlgError)
+FAILURES = (_FixesAlone, ArithmeticError, np.linalg.LinAlgError)  # an indeterminate system is an arithmetic one
 
 
 class Stopwatch:

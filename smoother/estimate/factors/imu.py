@@ -44,7 +44,8 @@ def imu_rows(linear: gtsam.GaussianFactorGraph, at: IntArray, state: State, shak
     """
     n = len(at)
     read = [linear.at(k).jacobian() for k in range(n)]
-    A, b = np.array([a for a, _ in read]), np.array([b for _, b in read])
+    A = np.array([a for a, _ in read]).reshape(n, SIZE, 2 * SIZE)  # a window may have no samples
+    b = np.array([b for _, b in read]).reshape(n, SIZE)
     left, right = (
         np.concatenate([A[:, :, part] for part in side] + [np.zeros((n, SIZE, 3))], axis=2) for side in _SIDES
     )

@@ -22,7 +22,8 @@ def without_noise(values: Array, noise: Array, dt: float, falling: BoolArray) ->
     """
     n = len(values)
     beyond = min(n - 1, round(BEYOND / dt))
-    mirrored = np.pad(values, ((beyond, beyond), (0, 0)), "reflect")
+    unit = 1 << max((n + 2 * beyond).bit_length() - 5, 0)  # a length of few factors is quick to transform
+    mirrored = np.pad(values, ((beyond, beyond + -(n + 2 * beyond) % unit), (0, 0)), "reflect")
     spectrum = np.fft.rfft(mirrored, axis=0)
     width = 2 * max(1, round(0.5 * SMOOTHED * dt * len(mirrored)))
     power = running_mean(np.abs(spectrum) ** 2 / len(mirrored), width)

@@ -109,9 +109,10 @@ def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | No
     slip = slip_of(solution.state, LowPassedMotion(solution.state, WHEELS_BELOW))
     by = slip.by_constants[k]
     apart = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
-    different = min(DIFFERENT, len(k) * solution.state.interval / (2.0 * MEMORY), corners(by[:, 1] / by[:, 0]))
+    independent = len(k) * solution.state.interval / (2.0 * MEMORY)
+    different = min(DIFFERENT, independent, corners(by[:, 1] / by[:, 0]))
     information = different * by.T @ by / len(k) / sigma**2 + np.diag(prior**-2.0)
-    guessed = SLIP_COUNT / (SLIP_COUNT + len(k)) * ANY_SLIP
+    guessed = SLIP_COUNT / (SLIP_COUNT + independent) * ANY_SLIP
     of_heading = float(np.linalg.inv(information)[0, 0] + apart**2)
     return math.hypot(SLIP_DIFFERS * sigma, SLIP_LATE, guessed), of_heading
 

@@ -24,7 +24,9 @@ def row_statistics(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
 
 def inertial_statistics(rows: Rows, intervals: slice) -> dict[str, ResidualStatistics]:
     """Return what is left of the IMU factors of some intervals, whitened rows of 15, by the names of INERTIAL."""
-    return {name: _whitened(rows.residual[intervals, part]) for name, part in INERTIAL.items()}
+    first, end = intervals.start or 0, np.inf if intervals.stop is None else intervals.stop
+    use = (rows.interval >= first) & (rows.interval < end)
+    return {name: _whitened(rows.residual[use, part]) for name, part in INERTIAL.items()}
 
 
 def joined(parts: Sequence[Mapping[str, ResidualStatistics]]) -> dict[str, ResidualStatistics]:

@@ -236,6 +236,21 @@ def test_at_even_speed_a_filter_draws_neither_delay_nor_arm(seed: int, track: st
     assert found["gps_velocity_noise"].value[0] > 0.1  # 0.03 taken for white
 
 
+def with_late_course(simulation: Simulation, session: Session, late: float) -> Session:
+    """The session with the course of its Doppler `late` s later than its speed; less than nothing: the speed."""
+    timing, truth = simulation.gnss.velocity_time, simulation.truth
+    arm_b = simulation.scenario.lever_arm_b
+    then_n, course_n, speed_n = (
+        truth.antenna_velocity_n(np.maximum(timing - each, truth.first), arm_b)
+        for each in (0.0, max(late, 0.0), max(-late, 0.0))
+    )
+    size, of_course = (np.hypot(*each[:, :2].T)[:, None] for each in (speed_n, course_n))
+    seen_n = course_n[:, :2] * size / np.maximum(of_course, 0.01)
+    velocity_n = session.gnss.velocity_n.copy()
+    velocity_n[:, :2] += seen_n - then_n[:, :2]
+    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
+
+
 def test_a_receiver_far_slower_than_others_is_no_worse() -> None:
     """Its response is 35 sigmas of what receivers have; held near that, speed would be 1 m/s off."""
     tau = 0.6
