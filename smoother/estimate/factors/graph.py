@@ -17,7 +17,7 @@ from smoother.estimate.factors.doppler import velocity_rows
 from smoother.estimate.factors.ground import ground_rows
 from smoother.estimate.factors.heading import heading_rows
 from smoother.estimate.factors.imu import imu_factors
-from smoother.estimate.factors.motion_prior import motion_prior_rows
+from smoother.estimate.factors.motion_prior import Unsampled, motion_prior_rows
 from smoother.estimate.factors.offset import offset_rows, offset_start_rows
 from smoother.estimate.factors.position import position_rows
 from smoother.estimate.factors.rows import Rows, robust, with_sigma
@@ -46,7 +46,7 @@ class Measurements:
     heading: of the magnetometer.
     rolls (K,): keyframes at which wheels roll, None asks nothing of them.
     ground: keyframes far from any fix with a height, and the nearest height, m.
-    unsampled (M,): intervals without inertial samples.
+    unsampled: intervals without inertial samples.
     offset_share, offset_renewed (K-1,): slow error of the fixes in parts of its sigma, and where it is another one.
     """
 
@@ -60,7 +60,7 @@ class Measurements:
     heading: Heading | None = None
     rolls: BoolArray | None = None
     ground: tuple[IntArray, Array] | None = None
-    unsampled: IntArray | None = None
+    unsampled: Unsampled | None = None
     offset_share: Array | None = None
     offset_renewed: BoolArray | None = None
 
@@ -83,16 +83,13 @@ class Measurements:
         Without heading and wheels, which join where attitudes are known.
         """
         share, renewed, ground = self.offset_share, self.offset_renewed, self.ground
-        unsampled = self.unsampled
-        if unsampled is not None:
-            unsampled = unsampled[(unsampled >= first) & (unsampled < last - 1)] - first
         if ground is not None:
             inside = (ground[0] >= first) & (ground[0] < last - 1)
             ground = (ground[0][inside] - first, ground[1][inside]) if np.any(inside) else None
         return replace(
             self.of(self.are_between(t, first, last)),
             still=self.still[(self.still >= first) & (self.still < last - 1)] - first,
-            unsampled=unsampled,
+            unsampled=None if self.unsampled is None else self.unsampled.between(first, last),
             heading=None,
             rolls=None,
             ground=ground,
@@ -196,7 +193,7 @@ def _ground(x: Inputs) -> Iterable[Rows]:
 
 
 def _motion_prior(x: Inputs) -> Iterable[Rows]:
-    if x.measured.unsampled is not None and len(x.measured.unsampled):
+    if x.measured.unsampled is not None and len(x.measured.unsampled.at):
         walks = x.noise.inertial
         yield motion_prior_rows(x.state, x.measured.unsampled, walks.accel_bias_walk, walks.gyro_bias_walk)
 
@@ -269,7 +266,7 @@ def build_graph(
     preintegrated = preintegrate(binned, noise.inertial, *biases)
     sampled = np.arange(len(state.t) - 1)
     if measured.unsampled is not None:
-        sampled = np.delete(sampled, measured.unsampled)
+        sampled = np.delete(sampled, measured.unsampled.at)
     imu, prior = imu_factors(preintegrated, sampled), _prior_factors(priors, noise, state)
     return Graph(imu, prior, sampled, preintegrated, measured, noise, priors, state, shaken(binned), rectified, table)
 

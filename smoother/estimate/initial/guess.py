@@ -10,7 +10,7 @@ from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
 from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, table_without
 from smoother.estimate.factors.ground import far_from_heights
-from smoother.estimate.factors.motion_prior import unsampled
+from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
@@ -19,11 +19,9 @@ from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.at_rest import scale_at_rest
 from smoother.estimate.initial.claims import claims_of
 from smoother.estimate.initial.first_noise import first_noise, receiver_share, scatter_of
-from smoother.estimate.initial.missing_samples import MissingSamples
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.left_out import tell_motion
 from smoother.estimate.model.imu import BinnedImu, bin_imu, halved
-from smoother.estimate.model.inertial_noise import hole_lengths
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.sampled import are_sampled, has_hole, sampled_spans
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
@@ -97,7 +95,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         (np.zeros(3), alignment.gyro_bias_s),
         Geometry(alignment.R_bs, is_steered),
     )
-    fine, binned = _bins(session, state, path, alignment, options)
+    fine, binned = _bins(session, state, alignment, options)
     noise = first_noise(session, path, alignment, binned, options)
     return Start(
         path,
@@ -147,7 +145,7 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
     t = keyframe_times(gnss.t[0], gnss.t[-1], options.keyframe_interval)
     known = start.path, start.driven, start.alignment
     state = _first_guess(session, *known, t, found.constants, biases, found.geometry)
-    fine, binned = _bins(session, state, start.path, start.alignment, options)
+    fine, binned = _bins(session, state, start.alignment, options)
     return replace(
         start, state=state, fine=fine, binned=binned, data=_measurements(session, start.path, state, binned, biases[1])
     )
@@ -189,16 +187,11 @@ def _late(path: GnssPath, constants: Mapping[str, Array]) -> float:
     return float(constants["position_latency"][0]) - path.position_latency
 
 
-def _bins(
-    session: Session, state: State, path: GnssPath, alignment: Alignment, options: GraphOptions
-) -> tuple[BinnedImu, BinnedImu]:
+def _bins(session: Session, state: State, alignment: Alignment, options: GraphOptions) -> tuple[BinnedImu, BinnedImu]:
     """Inertial samples between the keyframes of `state`, in fine bins and in those to solve with."""
     assert session.imu is not None
     t, n_bins = state.t, max(1, round(options.keyframe_interval / options.bin_interval))
-    missing = MissingSamples(session.imu, path, alignment, _late(path, state.constants), session.gnss)
-    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s, missing.at)
-    if np.any(fine.missing):
-        fine = replace(fine, blind=missing.blind(t, hole_lengths(fine.missing, np.diff(t))))
+    fine = bin_imu(session.imu, t, n_bins, np.zeros(3), alignment.gyro_bias_s)
     return fine, halved(fine, alignment.gyro_bias_s) if n_bins % 2 == 0 else fine
 
 
@@ -218,6 +211,7 @@ def _measurements(
     share, renewed = (None, None)
     if len(claims.renewed):
         share, renewed = claims.between(t, state.constant("position_latency"))
+    with_velocity = gnss.t[np.isfinite(gnss.velocity_n[:, 0])]
     return Measurements(
         gnss.t,
         session.fix_position_n,
@@ -226,7 +220,7 @@ def _measurements(
         scale,
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
         ground=ground if len(ground[0]) else None,
-        unsampled=unsampled(binned.missing),
+        unsampled=Unsampled.of(binned.missing, state, with_velocity if len(with_velocity) > 1 else gnss.t),
         offset_share=share,
         offset_renewed=renewed,
     )

@@ -7,7 +7,6 @@ makes GTSAM's first-order step, which rotates the force with the attitude at the
 order. Axes are s throughout: the graph estimates the attitude of the sensor, R_ns.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,8 +35,7 @@ class BinnedImu:
 
     t (K,) s of the keyframes; dt, s, of a bin; specific_force_s, angular_rate_s (K-1, n_bins, 3), force in the axes of
     its bin's start; missing (K-1,), fraction of the interval without samples; rough (K-1, 2), power of the vibration of
-    force and rate in the interval over its mean in the session, None where it is not known; blind (K-1, 2) s, how long
-    nothing tells of force and rate around an interval with missing samples, None: as long as the hole is.
+    force and rate in the interval over its mean in the session, None where it is not known.
     """
 
     t: Array
@@ -46,7 +44,6 @@ class BinnedImu:
     angular_rate_s: Array
     missing: Array
     rough: Array | None = None
-    blind: Array | None = None
 
     @property
     def n_bins(self) -> int:
@@ -68,7 +65,6 @@ class BinnedImu:
             self.angular_rate_s[intervals],
             self.missing[intervals],
             None if self.rough is None else self.rough[intervals],
-            None if self.blind is None else self.blind[intervals],
         )
 
 
@@ -123,17 +119,11 @@ def shaken(binned: BinnedImu) -> Array:
     return np.asarray(np.minimum(binned.rough, ROUGHEST) - 1.0)
 
 
-MakeUp = Callable[[Array], tuple[Array, Array]]  # force and rate (M, 3) at times (M,) s without samples
-
-
-def bin_imu(
-    imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array, make_up: MakeUp | None = None
-) -> BinnedImu:
+def bin_imu(imu: ImuSamples, t: Array, n_bins: int, accel_bias: Array, gyro_bias: Array) -> BinnedImu:
     """Average `imu` into n_bins equal bins per interval of the equally spaced keyframe times t (K,).
 
     The biases (3,), m/s^2 and rad/s, are taken off for the rotations inside a bin and put back, so that the bins are
-    measurements like the samples. Where samples are missing they are made up, of their neighbours if nobody says
-    otherwise, and `missing` says so.
+    measurements like the samples. Where samples are missing they are interpolated, and `missing` says so.
     Source: Savage 1998, coning and sculling, second order.
     """
     n_intervals = len(t) - 1
@@ -152,7 +142,7 @@ def bin_imu(
             here = slice(part.start + few.start, part.start + few.stop)
             edges = t[0] + dt * np.arange(here.start * n_bins, here.stop * n_bins + 1)
             some = _samples_around(imu, edges[0], edges[-1])
-            force, rate, missing = _bin_some(some, edges, dt, nominal, (accel_bias, gyro_bias), make_up)
+            force, rate, missing = _bin_some(some, edges, dt, nominal, (accel_bias, gyro_bias))
             shape = (here.stop - here.start, n_bins)
             out.specific_force_s[here], out.angular_rate_s[here] = force.reshape(*shape, 3), rate.reshape(*shape, 3)
             out.missing[here] = missing.reshape(shape).sum(axis=1) / (n_bins * dt)
@@ -214,7 +204,6 @@ def _bin_some(
     dt: float,
     nominal: float,
     biases: tuple[Array, Array],
-    make_up: MakeUp | None,
 ) -> tuple[Array, Array, Array]:
     """Mean force and rate (B, 3) of the bins between edges (B + 1,), and the time (B,) s without samples in them.
 
@@ -226,7 +215,7 @@ def _bin_some(
     knots = np.union1d(inside, edges)
     duration = np.diff(knots)
     middle = knots[:-1] + 0.5 * duration
-    force, rate, missing = _piecewise_constant(imu, middle, nominal, make_up)
+    force, rate, missing = _piecewise_constant(imu, middle, nominal)
     bin_of = np.minimum(((middle - edges[0]) / dt).astype(np.int64), n_bins - 1)
 
     # from here on in rows of x, y and z, which lie in one piece each
@@ -250,9 +239,7 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _piecewise_constant(
-    imu: ImuSamples, t: Array, nominal: float, make_up: MakeUp | None
-) -> tuple[Array, Array, BoolArray]:
+def _piecewise_constant(imu: ImuSamples, t: Array, nominal: float) -> tuple[Array, Array, BoolArray]:
     """Force and rate (M, 3) at t, and which of them (M,) were not measured."""
     after = np.clip(np.searchsorted(imu.t, t), 0, len(imu.t) - 1)
     before = np.maximum(after - 1, 0)
@@ -261,9 +248,7 @@ def _piecewise_constant(
     missing = (span > GAP_FACTOR * local) & (t < imu.t[after] - local)
     missing |= (t > imu.t[-1]) | (t < imu.t[0] - nominal)
     force, rate = np.take(imu.specific_force_s, after, axis=0), np.take(imu.angular_rate_s, after, axis=0)
-    if np.any(missing) and make_up is not None:
-        force[missing], rate[missing] = make_up(t[missing])
-    elif np.any(missing):
+    if np.any(missing):
         share = np.clip((t - imu.t[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[missing, None]
         a, b = before[missing], after[missing]
         force[missing] = (1.0 - share) * imu.specific_force_s[a] + share * imu.specific_force_s[b]

@@ -6,6 +6,7 @@ from scipy.integrate import cumulative_simpson
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.factors.graph import Inputs, Measurements, Priors
+from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
@@ -57,7 +58,7 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
         heading=heading,
         rolls=np.ones(K, dtype=np.bool_),
         ground=(np.array([7, 30]), np.array([0.5, 1.0])),
-        unsampled=np.array([20, 21, 35]),
+        unsampled=Unsampled.of(np.isin(np.arange(K - 1), [20, 21, 35]).astype(np.float64), state, t),
     )
     noise = Noise(
         InertialNoise(0.2, 0.01, 0.003, 1e-4),

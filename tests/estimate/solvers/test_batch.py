@@ -8,6 +8,7 @@ import pytest
 
 from smoother.estimate.factors.gaussian import custom_factors
 from smoother.estimate.factors.graph import TABLE, Inputs, build_graph
+from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.initial.guess import make_start, problem_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.motion import LowPassedMotion
@@ -70,7 +71,9 @@ def test_the_trajectory_is_that_of_the_final_values(problem: Problem) -> None:
 )
 def test_each_row_of_the_table_counts(name: str, problem: Problem) -> None:
     """The session has neither a usable heading without a solution, nor wheels or ground before one."""
-    problem = replace(problem, measured=replace(problem.measured, unsampled=np.array([100, 101])))
+    hole = np.isin(np.arange(len(problem.state.t) - 1), [100, 101]).astype(np.float64)
+    unsampled = Unsampled.of(hole, problem.state, problem.measured.t)
+    problem = replace(problem, measured=replace(problem.measured, unsampled=unsampled))
     without = replace(problem, table=tuple(factor for factor in TABLE if factor.name != name))
     values = problem.state.values()
 
