@@ -57,7 +57,7 @@ class TestOutput:
         assert fixes[-1] - 0.02 < t[-1] <= fixes[-1] + 1e-9
         np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        other = GraphSmoother(GraphOptions(rate=10.0, rounds=1)).estimate(session)
+        other = GraphSmoother(GraphOptions(rate=10.0)).estimate(session)
         np.testing.assert_allclose(np.diff(other.t), 0.1, atol=1e-9)
 
     def test_every_row_is_finite_and_has_a_sigma(self) -> None:
@@ -147,7 +147,7 @@ class TestOutput:
     def test_progress_and_timings_tell_the_stages_in_order(self) -> None:
         told: list[tuple[str, float]] = []
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        trajectory = GraphSmoother(GraphOptions(rounds=2), lambda *step: told.append(step)).estimate(session)
+        trajectory = GraphSmoother(GraphOptions(), lambda *step: told.append(step)).estimate(session)
         stages = list(dict.fromkeys(stage for stage, _ in told))
         assert stages == ["align", "solve", "output"]
         assert list(trajectory.report.timings) == stages
@@ -158,7 +158,7 @@ class TestOutput:
 
     def test_the_same_session_gives_the_same_result(self) -> None:
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        one, two = (GraphSmoother(GraphOptions(rounds=2)).estimate(session) for _ in range(2))
+        one, two = (GraphSmoother(GraphOptions()).estimate(session) for _ in range(2))
         np.testing.assert_array_equal(one.position_n, two.position_n)
 
 
