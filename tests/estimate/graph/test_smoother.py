@@ -57,7 +57,7 @@ class TestOutput:
         assert fixes[-1] - 0.02 < t[-1] <= fixes[-1] + 1e-9
         np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        other = GraphSmoother(GraphOptions(rate=10.0, rounds=1)).estimate(session)
+        other = GraphSmoother(GraphOptions(rate=10.0)).estimate(session)
         np.testing.assert_allclose(np.diff(other.t), 0.1, atol=1e-9)
 
     def test_every_row_is_finite_and_has_a_sigma(self) -> None:
@@ -147,7 +147,7 @@ class TestOutput:
     def test_progress_and_timings_tell_the_stages_in_order(self) -> None:
         told: list[tuple[str, float]] = []
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        trajectory = GraphSmoother(GraphOptions(rounds=2), lambda *step: told.append(step)).estimate(session)
+        trajectory = GraphSmoother(GraphOptions(), lambda *step: told.append(step)).estimate(session)
         stages = list(dict.fromkeys(stage for stage, _ in told))
         assert stages == ["align", "solve", "output"]
         assert list(trajectory.report.timings) == stages
@@ -158,7 +158,7 @@ class TestOutput:
 
     def test_the_same_session_gives_the_same_result(self) -> None:
         session = prepare(simulate_preset("white", 5, duration=40.0, motion_standstill=5.0).raw)
-        one, two = (GraphSmoother(GraphOptions(rounds=2)).estimate(session) for _ in range(2))
+        one, two = (GraphSmoother(GraphOptions()).estimate(session) for _ in range(2))
         np.testing.assert_array_equal(one.position_n, two.position_n)
 
 
@@ -181,15 +181,6 @@ class TestKart:
         normalised = (error / getattr(sigmas, name))[driving]
         # a session of two minutes holds some twenty independent errors: its rms is known to a fifth
         assert 0.6 < np.sqrt(np.mean(normalised**2)) < 1.6
-
-    def test_keyframes_lie_where_the_receiver_felt_its_velocities(self) -> None:
-        s, felt = kart(), kart().simulation.gnss.velocity_time
-        keyframes = s.trajectory.report.keyframes
-        assert keyframes is not None
-        away = np.min(np.abs(felt[:, None] - keyframes.t), axis=1)
-        assert np.ptp(away) < 1e-4  # none drifts away from them
-        # the latency is found from a part of the session, to 4 ms; keyframes are 200 ms apart
-        assert np.max(away) < 0.01
 
     def test_velocity_is_known_as_well_as_its_sigma_says_where_a_noisy_gyro_swings_a_long_arm(self) -> None:
         changes = {"gnss_rate": 10.0, "gnss_velocity_sigma": 0.05, "imu_gyro_noise": 0.04, "imu_accel_noise": 0.08}

@@ -7,7 +7,7 @@ import pytest
 
 from smoother import so3
 from smoother.config import GnssTiming, ImuNoise, Mounting, SessionConfig
-from smoother.estimate.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.motion import Stop
@@ -54,7 +54,7 @@ class TestIdentified:
             imu=ImuNoise(accel_noise=0.3, gyro_noise=0.02),
             gps=GnssTiming(scenario.gnss.position_latency, scenario.gnss.velocity_latency),
         )
-        s = smoothed(simulation, replace(prepare(simulation.raw), config=config), GraphOptions(rounds=2))
+        s = smoothed(simulation, replace(prepare(simulation.raw), config=config))
         found = s.trajectory.report.identified
         for name in (
             "gps_position_latency",
