@@ -25,7 +25,7 @@ from smoother.estimate.factors.standstill import standstill_rows
 from smoother.estimate.factors.wheels import slip_of, slip_rows
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu, shaken
-from smoother.estimate.model.motion import LowPassedMotion, cutoff_for
+from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.preintegration import preintegrate
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
@@ -116,7 +116,6 @@ class Priors:
 
 HELD = 1e-4  # m, sigma of what is held
 ABSENT = 1e-5  # m from interval to interval, sigma of a slow error that is left out
-WHEELS_BELOW = 1.5  # Hz; turns into corners are quicker than the motion that shows latencies
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +176,7 @@ def _heading(x: Inputs) -> Iterable[Rows]:
 
 def _wheels(x: Inputs) -> Iterable[Rows]:
     if x.measured.rolls is not None and x.noise.slip is not None:
-        yield from slip_rows(
-            slip_of(x.state, LowPassedMotion(x.state, WHEELS_BELOW)), x.measured.rolls, x.noise.slip, x.state.interval
-        )
+        yield from slip_rows(slip_of(x.state, x.motion), x.measured.rolls, x.noise.slip, x.state.interval)
 
 
 def _standstill(x: Inputs) -> Iterable[Rows]:
@@ -243,7 +240,7 @@ class Graph:
 
     def rows(self, state: State) -> list[Rows]:
         """All rows of the table, linearised at `state`, with robust weights."""
-        motion = LowPassedMotion(state, cutoff_for(self.noise.inertial.accel))
+        motion = LowPassedMotion(state, self.noise.inertial.accel, self.noise.inertial.gyro)
         inputs = Inputs(self.measured, self.noise, self.priors, state, motion)
         return [robust(r) if f.is_robust else r for f in self.table for r in f.rows(inputs) if len(r.interval)]
 

@@ -1,10 +1,11 @@
-"""The motion that slopes by constants are made of: the keyframes' velocity and heading, low-passed.
+"""The motion that slopes by constants are made of: the keyframes' velocity and heading, without the samples' noise.
 
 A latency, a lever arm and a receiver's response multiply the acceleration and the turn rate of the kart. Taken from the
-state as it is, these hold the noise of the samples, which is in the residuals too: the fit makes the constant small to
-make the noise small, by several of its sigmas (errors in variables; Fuller 1987, Measurement Error Models). Below a
-frequency that drivers reach and the noise does not fill, the state is the motion. So Jacobians by constants are no
-derivatives of the residual: they are those of the low-passed motion. This is the one place where that is so.
+state as it is, these hold the noise of the samples, which is in the residual too: the fit makes the constant small to
+make the noise small, by several of its sigmas (errors in variables). Behind a Wiener filter, which keeps of each
+frequency the share that is motion, a slope is what can be expected of the true one, and the fit is unbiased (regression
+calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, 4). So Jacobians by constants are no
+derivatives of the residual: they are those of the filtered motion. This is the one place where that is so.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,13 +17,12 @@ import numpy.typing as npt
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.model.state import State
+from smoother.fit.running import running_mean
 
 Spectrum = npt.NDArray[np.complex128]
 
-ORDER = 2  # of the low-pass, that of a Butterworth filter without its phase
-# Hz, of samples as noisy as m/s^2/sqrt(Hz): what a kart does above it is weaker than the noise. Its accelerations fall
-# with about the fifth power of the frequency; real karts' samples have 0.5 to 0.9, and are served best by 1 to 1.2 Hz
-CUTOFF, AT_DENSITY, SLOWEST, QUICKEST, POWER = 1.5, 0.3, 1.0, 1.5, 5.0
+DRIVEN = 1.5  # Hz that a driver reaches; what is quicker is vibration, as a Butterworth filter without phase has it
+SMOOTHED = 0.4  # Hz over which power is averaged
 BEYOND = 10.0  # s by which both ends are mirrored
 FINER = 4  # times the rate of the keyframes
 
@@ -37,18 +37,15 @@ class Motion:
     turn_rate: Array
 
 
-def cutoff_for(accel: float) -> float:
-    """Frequency, Hz, below which the motion of a session is more than the noise of its force, m/s^2/sqrt(Hz)."""
-    return float(np.clip(CUTOFF * (accel / AT_DENSITY) ** (-2.0 / POWER), SLOWEST, QUICKEST))
-
-
 class LowPassedMotion:
-    """The velocities and the heading of the keyframes of a state below `cutoff` Hz, and linear filters of them.
+    """The velocities and the heading of the keyframes of a state without the noise of the samples, and linear filters
+    of them.
 
-    Made of their spectrum: exact between keyframes too, up to the linear interpolation of a FINER grid.
+    accel m/s^2/sqrt(Hz), gyro rad/s/sqrt(Hz): densities of that noise. Made of spectra: exact between keyframes too, up
+    to the linear interpolation of a FINER grid.
     """
 
-    def __init__(self, state: State, cutoff: float) -> None:
+    def __init__(self, state: State, accel: float, gyro: float) -> None:
         turn = so3.log(state.R_ns[:-1].transpose(0, 2, 1) @ state.R_ns[1:])
         about_up = np.einsum("kj,kj->k", state.R_ns[:-1, 2, :], turn)
         values = np.column_stack([state.velocity_n, np.concatenate([[0.0], np.cumsum(about_up)])])
@@ -58,8 +55,14 @@ class LowPassedMotion:
         slope = (values[-1] - values[0]) / (len(values) - 1)
         line = values[0] + np.arange(len(values))[:, None] * slope  # what is left of the values can be periodic
         frequency = np.fft.rfftfreq(len(values), state.interval)[:, None]
-        self._spectrum = np.fft.rfft(values - line, axis=0) / (1.0 + (frequency / cutoff) ** (2 * ORDER))
         self._s: Spectrum = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
+        spectrum = np.fft.rfft(values - line, axis=0)
+        width = 2 * max(1, round(0.5 * SMOOTHED * state.interval * len(values)))
+        power = running_mean(np.abs(spectrum * self._s) ** 2 / len(values), width)
+        level = _share(power[:, :2].mean(axis=1), accel**2 / state.interval)
+        turning = _share(power[:, 3], gyro**2 / state.interval)
+        driven = 1.0 / (1.0 + (frequency / DRIVEN) ** 4)
+        self._spectrum = spectrum * driven * np.column_stack([level, level, level, turning])
         self._count, self._inside = len(values), slice(beyond * FINER, (beyond + n - 1) * FINER + 1)
         self._start, self._step = float(state.t[0]), state.interval / FINER
         even = line[0] + np.arange(self._inside.start, self._inside.stop)[:, None] / FINER * slope
@@ -85,3 +88,12 @@ class LowPassedMotion:
         k = np.minimum(u.astype(np.int64), len(of_grid) - 2)
         share = (u - k)[:, None]
         return np.asarray((1.0 - share) * of_grid[k] + share * of_grid[k + 1])
+
+
+def _share(power: Array, noise: float) -> Array:
+    """Share of a signal's power (F,) that is motion: from where it is strongest on the less, the quicker it is."""
+    share = np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0)
+    peak = int(np.argmax(power))
+    share[:peak] = 1.0
+    share[peak:] = np.minimum.accumulate(share[peak:])
+    return np.asarray(share)

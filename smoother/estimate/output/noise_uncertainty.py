@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.factors.graph import WHEELS_BELOW
 from smoother.estimate.factors.rows import Rows
 from smoother.estimate.factors.wheels import MEMORY, slip_of
 from smoother.estimate.model.motion import LowPassedMotion
@@ -106,7 +105,9 @@ def _of_slip(solution: Solution, prior: Array) -> tuple[float | None, float | No
     if sigma is None or rolls is None:
         return None, None
     k = np.flatnonzero(rolls)
-    slip = slip_of(solution.state, LowPassedMotion(solution.state, WHEELS_BELOW))
+    slip = slip_of(
+        solution.state, LowPassedMotion(solution.state, solution.noise.inertial.accel, solution.noise.inertial.gyro)
+    )
     by = slip.by_constants[k]
     apart = np.linalg.solve(by.T @ by + np.diag((FIT_SIGMA / prior) ** 2), by.T @ slip.value[k])[0]
     independent = len(k) * solution.state.interval / (2.0 * MEMORY)

@@ -11,7 +11,6 @@ from smoother.arrays import Array, BoolArray
 from smoother.estimate.factors.gaussian import columns_of
 from smoother.estimate.factors.graph import (
     TABLE,
-    WHEELS_BELOW,
     Factor,
     Graph,
     Measurements,
@@ -22,6 +21,7 @@ from smoother.estimate.factors.graph import (
 from smoother.estimate.factors.wheels import MOVING, rolling, slip_of
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, ROTATION, VELOCITY, State
@@ -131,7 +131,7 @@ def identify(
             field, heading = heading(taken.after), None
             problem, joined = _with_heading(problem, field), field is not None
         if wheels and move < NEAR and is_settled:
-            wheels, rolls = False, _rolling(taken, covariances)
+            wheels, rolls = False, _rolling(taken, covariances, graph.noise.inertial)
             if rolls is not None:
                 graph = _renewed(problem, graph, taken.after, better)
                 return _with_wheels(problem, rolls, graph, values, covariances, found)
@@ -237,7 +237,7 @@ def solve_held(
             field, heading = heading(taken.after), None
             problem = replace(problem, measured=replace(problem.measured, heading=field))
         if joins and slip is not None:
-            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances())
+            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), graph.noise.inertial)
             if rolls is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
@@ -259,10 +259,10 @@ def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Probl
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Covariances) -> BoolArray | None:
+def _rolling(step: Step, covariances: Covariances, inertial: InertialNoise) -> BoolArray | None:
     """Whether and where wheels roll, by a step without them."""
     state = step.after
-    slip = slip_of(state, LowPassedMotion(state, WHEELS_BELOW))
+    slip = slip_of(state, LowPassedMotion(state, inertial.accel, inertial.gyro))
     speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
     variance = np.einsum("ki,kij,kj->k", slip.by_keyframe, covariances.keyframes, slip.by_keyframe)
     return rolling(slip, speed > MOVING, variance, state.interval)

@@ -68,7 +68,7 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
         60.0,
         slip=0.01,
     )
-    return Inputs(measured, noise, priors(), state, LowPassedMotion(state, 1.0))
+    return Inputs(measured, noise, priors(), state, LowPassedMotion(state, 1e-3, 1e-4))
 
 
 def priors() -> Priors:

@@ -97,7 +97,7 @@ def test_a_small_graph_ends_where_the_optimizer_of_gtsam_ends(problem: Problem) 
     some = replace(some, priors=replace(some.priors, constants=some.priors.constants | held))
     table = tuple(factor for factor in TABLE if factor.name in SMALL)
     graph = build_graph(some.binned, some.measured, some.usual, some.priors, some.state, table)
-    motion = LowPassedMotion(some.state, 10.0)
+    motion = LowPassedMotion(some.state, 1e-3, 1e-4)
     whole = gtsam.NonlinearFactorGraph(graph.imu)
     whole.push_back(graph.prior)
     for factor in table:
