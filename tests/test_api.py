@@ -197,7 +197,7 @@ def test_factors_that_are_left_out_do_not_count(both: Both) -> None:
         assert np.abs(less.velocity_n - with_all.velocity_n).max() > 1e-3, name
     offsets = [np.abs(one.report.keyframes.gps_offset_n).max() for one in (with_all, found("gps_offset"))]
     assert offsets[0] > 0.3 and offsets[1] < 0.01
-    with pytest.raises(UsageError, match="no factor is called 'gps'; there are gps_position, "):
+    with pytest.raises(UsageError, match=r"no factor is called 'gps'; there are .*gps_position, "):
         found("gps")
     with pytest.raises(UsageError, match="'isam2' leaves no factor out"):
         api.smooth(short, solver="isam2", without=("wheels",))
