@@ -17,7 +17,7 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.graph.chain import ChainSolution, ChainSystem, solve_chain
+from smoother.estimate.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.frames import GRAVITY_N, euler_jacobian
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.graph.chain import ChainSolution, NotPositiveDefiniteError
+from smoother.estimate.chain import ChainSolution, NotPositiveDefiniteError
 from smoother.estimate.lapack import lapack_routines
 
 lapack = lapack_routines()

@@ -9,7 +9,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate import gnss_system as system
-from smoother.estimate.graph.chain import ChainSolution
+from smoother.estimate.chain import ChainSolution
 from smoother.fit.noise_spread import ANY_NOISE, BY_JERK, Residuals, of_positions, of_velocities
 from smoother.samples import GnssFixes
 

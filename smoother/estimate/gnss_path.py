@@ -17,8 +17,8 @@ import numpy as np
 from smoother.arrays import Array, IntArray
 from smoother.estimate import gnss_noise as noise
 from smoother.estimate import gnss_system as system
+from smoother.estimate.chain import ChainSolution, NotPositiveDefiniteError
 from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
-from smoother.estimate.graph.chain import ChainSolution, NotPositiveDefiniteError
 from smoother.estimate.motion_prior import MotionPrior, quintic_basis
 from smoother.samples import Session
 

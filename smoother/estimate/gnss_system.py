@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.estimate.chain import ChainSolution
 from smoother.estimate.gnss_chains import Chains, solve_chains
-from smoother.estimate.graph.chain import ChainSolution
 from smoother.estimate.motion_prior import N_MOTION, MotionPrior, quintic_basis
 
 N_STATE = 4  # position, velocity, acceleration, offset

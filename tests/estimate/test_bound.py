@@ -8,7 +8,7 @@ import pytest
 from smoother import so3
 from smoother.estimate import bound as bound_module
 from smoother.estimate.bound import BoundOptions, information_bound, scored_span
-from smoother.estimate.graph.chain import ChainSystem, solve_chain
+from smoother.estimate.chain import ChainSystem, solve_chain
 from smoother.frames import GRAVITY_N
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation, simulate_preset

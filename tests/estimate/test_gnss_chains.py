@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
+from smoother.estimate.chain import ChainSystem, NotPositiveDefiniteError, solve_chain
 from smoother.estimate.gnss_chains import Chains, solve_chains
-from smoother.estimate.graph.chain import ChainSystem, NotPositiveDefiniteError, solve_chain
 
 K, N = 9, 4
 

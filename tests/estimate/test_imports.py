@@ -21,7 +21,7 @@ def importers(module: str) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("module", ["smoother.estimate.graph.chain", "smoother.estimate.lapack"])
+@pytest.mark.parametrize("module", ["smoother.estimate.chain", "smoother.estimate.lapack"])
 def test_only_paths_through_fixes_and_the_bound_solve_chains_themselves(module: str) -> None:
     names = {Path(name).stem for name in importers(module)}
     assert names
