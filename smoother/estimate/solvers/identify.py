@@ -39,7 +39,7 @@ from smoother.estimate.solvers.variance_components import (
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
 MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
-NEAR = 1.0  # of a sigma, likewise: the attitudes are good enough to judge the wheels by
+NEAR, NEARER = 1.0, 0.3  # of a sigma, likewise: good enough for residuals and headings; to hold the constants at
 FREE = ("slip", "heading_offset")  # constants that what joins may still move
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
 NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
@@ -130,7 +130,7 @@ def identify(
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
             problem, joined = _with_heading(problem, field), field is not None
-        if wheels and move < NEAR and is_settled:
+        if wheels and move < NEARER and is_settled:
             wheels, rolls = False, _rolling(taken, covariances, graph.noise.inertial)
             if rolls is not None:
                 graph = _renewed(problem, graph, taken.after, better)
@@ -158,11 +158,11 @@ def _with_wheels(
     state = graph.state
     held = held_at(replace(problem, measured=replace(problem.measured, rolls=rolls)), state, FREE)
     noise, sigmas = replace(graph.noise, slip=USUAL_SLIP), None
-    for _ in range(MOST_TURNS):
+    for turn in range(MOST_TURNS):
         graph = with_same_samples(graph, held.measured, noise, held.priors, state)
         taken = step(graph, values)
         values = taken.moved
-        if sigmas is not None and moved(taken, sigmas) > MOVED:
+        if sigmas is not None and moved(taken, sigmas) > MOVED and turn + 1 < MOST_TURNS:
             continue
         chain = taken.chain().with_constants(before.constants, columns_of(FREE))
         covariances = chain.covariances()
