@@ -10,7 +10,7 @@ from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 from smoother.units import DEG, STANDARD_GRAVITY
 
-from ..roads import country_road
+from .roads import country_road
 from .smoothed import smoothed
 
 

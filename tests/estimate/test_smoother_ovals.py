@@ -5,7 +5,7 @@ import pytest
 
 from smoother.estimate.smoother import GraphSmoother
 
-from ..roads import FORCE_NOISE, LATENCY, RATE, hilly_oval
+from .roads import FORCE_NOISE, LATENCY, RATE, hilly_oval
 
 
 @pytest.mark.parametrize(("hills", "height"), [(0.0, 0.35), (0.7, 0.35), (1.0, 0.5)])

@@ -7,7 +7,7 @@ import numpy as np
 from smoother.estimate.smoother import GraphSmoother
 from smoother.units import DEG
 
-from ..roads import unlevel_track
+from .roads import unlevel_track
 
 
 def test_roll_holds_where_a_track_is_not_level_across() -> None:

@@ -10,7 +10,7 @@ from smoother.estimate.initial.at_rest import LASTS, USUAL_SHARE, scale_at_rest
 from smoother.prepare import prepare
 from smoother.sim.simulation import simulate_preset
 
-from ..graph.smoothed import horizontal_rms, smoothed
+from ..smoothed import horizontal_rms, smoothed
 
 T = 0.1 * np.arange(6000)
 AT_REST = (T % 200.0) < 60.0

@@ -10,7 +10,7 @@ from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Session
 from smoother.sim.simulation import Simulation, simulate_preset
 
-from ..graph.smoothed import horizontal_rms, smoothed
+from ..smoothed import horizontal_rms, smoothed
 
 CENTIMETRES, METRES = 0.02, 1.5
 LOST = 80.0  # s
