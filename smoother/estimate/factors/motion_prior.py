@@ -1,8 +1,8 @@
 """Motion prior: what a kart may do in an interval without inertial samples; it stands where the IMU factor would.
 
 It goes on along the path of the fixes, give or take white noise of acceleration and of turn rate: the less, the closer
-fixes are around it. The kart is level but for a tilt that is a Gauss-Markov process, it turns with its course, and the
-biases walk on. Source: Barfoot 2017, State Estimation for Robotics, 3.4.
+fixes are around it. The kart is level and points along its course but for Gauss-Markov processes, and the biases walk
+on. Source: Barfoot 2017, State Estimation for Robotics, 3.4.
 """
 
 import math
@@ -15,44 +15,52 @@ from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.factors.antenna import course_of
 from smoother.estimate.factors.rows import Rows, no_jacobian, rows_of
 from smoother.estimate.model.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, State
+from smoother.frames import UP_N, wrap_angle
 
 MOSTLY = 0.5  # share without samples from which on an interval counts as one without
 # densities per axis of n: a kart brakes and corners with 5 m/s^2 rms for about a second, and turns with 0.5 rad/s
 ACCELERATION = np.array([6.0, 6.0, 1.0])  # m/s^2/sqrt(Hz)
 TURN_RATE = 0.5  # rad/s/sqrt(Hz), about up
 LASTING = 1.0  # s for which it does so, and is tilted alike
+MOVING = 4.0  # m/s from which on a course has a direction to speak of
+SLIP = 0.05  # rad between the kart and its course
 TILT = 0.06  # rad: slopes, lean in bends, and how well an alignment knows level
 
 
 @dataclass(frozen=True, eq=False)
 class Unsampled:
-    """Intervals `at` (M,) without samples, and how they pass along the path of the fixes: turn (M,) rad about up and
-    gain_n (M, 3) m/s of velocity; loose (M,): how uncertain that is, 1 where no fix is
-    near: what acceleration changes by between fixes, in proportion to the time, lasts for the root of it.
+    """Intervals `at` (M,) without samples, and how they pass along the path of the fixes.
+
+    turn (M,) rad about up; gain_n (M, 3) m/s of velocity; loose (M,): how uncertain both are, 1 where no fix is near:
+    what a line misses of a smooth path goes with the square of the time. follows: whether the first level axis points
+    along the course.
     """
 
     at: IntArray
     turn: Array
     gain_n: Array
     loose: Array
+    follows: bool
 
     @staticmethod
-    def of(missing: Array, path: State, fixes: Array) -> "Unsampled":
+    def of(missing: Array, path: State, fixes: Array, *, follows: bool) -> "Unsampled":
         """missing (K-1,): shares without samples; path: keyframes along the fixes; fixes (N,) s: times of these."""
         at = np.flatnonzero(missing >= MOSTLY)
         gain_n, turn = np.diff(path.velocity_n, axis=0)[at], np.diff(course_of(path))[at]
         beyond = np.concatenate([[-np.inf], fixes, [np.inf]])
         after = np.searchsorted(beyond, 0.5 * (path.t[at] + path.t[at + 1]))
-        return Unsampled(at, turn, gain_n, np.minimum(((beyond[after] - beyond[after - 1]) / LASTING) ** 1.5, 1.0))
+        return Unsampled(
+            at, turn, gain_n, np.minimum(((beyond[after] - beyond[after - 1]) / LASTING) ** 2, 1.0), follows
+        )
 
     def between(self, first: int, last: int) -> "Unsampled":
         """Of the keyframes first to last, exclusive, counted from the first."""
         use: BoolArray = (self.at >= first) & (self.at < last - 1)
-        return Unsampled(self.at[use] - first, self.turn[use], self.gain_n[use], self.loose[use])
+        return Unsampled(self.at[use] - first, self.turn[use], self.gain_n[use], self.loose[use], self.follows)
 
 
 def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyro_walk: float) -> Rows:
-    """Rows of 15 for intervals without samples: tilt beyond what is left of the last one, two, and turn about up, rad;
+    """Rows of 15 for intervals without samples: tilt beyond what is left of the last one, two, and slip likewise, rad;
     change of position beyond that of the mean velocity, m, of velocity, m/s, of both biases. accel_walk
     m/s^2/sqrt(s), gyro_walk rad/s/sqrt(s): densities of the biases' walks.
     """
@@ -64,18 +72,24 @@ def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyr
     walk = [getattr(state, name)[two] - getattr(state, name)[one] for name in ("accel_bias_s", "gyro_bias_s")]
     up_s, phi = state.geometry.level_axes_s[2], math.exp(-T / LASTING)
     tilt = [R_ns[:, :2] @ up_s for R_ns in (R, state.R_ns[two])]
-    turned = np.einsum("kj,kj->k", R[:, 2], turn)[:, None] - unsampled.turn[:, None]
-    residual = np.hstack([tilt[1] - phi * tilt[0], turned, sway, gain, *walk])
-    own = np.concatenate(
-        [[math.sqrt(T) * TURN_RATE], math.sqrt(T**3 / 12.0) * ACCELERATION, math.sqrt(T) * ACCELERATION]
-    )
-    tilts = np.full((len(at), 2), TILT * math.sqrt(1.0 - phi**2))
+    course, by_rotation, by_velocity = _course(state)
+    slips = wrap_angle(course[two] - phi * wrap_angle(course[one]))
+    follows = unsampled.follows & (np.minimum(_speed(state)[one], _speed(state)[two]) > MOVING)
+    turned = np.where(follows, slips, np.einsum("kj,kj->k", R[:, 2], turn) - unsampled.turn)
+    residual = np.hstack([tilt[1] - phi * tilt[0], turned[:, None], sway, gain, *walk])
+    loose, new = unsampled.loose[:, None], math.sqrt(1.0 - phi**2)
+    tilts = np.full((len(at), 2), TILT * new)
+    turns = np.where(follows, SLIP * new, unsampled.loose * math.sqrt(T) * TURN_RATE)[:, None]
     walks = np.broadcast_to(np.repeat(math.sqrt(T) * np.array([accel_walk, gyro_walk]), 3), (len(at), 6))
-    sigma = np.hstack([tilts, unsampled.loose[:, None] * own, walks])
+    sway_sigma, gain_sigma = math.sqrt(T**3 / 12.0) * ACCELERATION, math.sqrt(T) * ACCELERATION
+    sigma = np.hstack([tilts, turns, loose * sway_sigma, loose * gain_sigma, walks])
     left, right = no_jacobian(len(at), 15)
     half, square = 0.5 * so3.skew(turn), so3.skew(turn) @ so3.skew(turn) / 12.0  # inverse Jacobians of SO(3), in series
-    left[:, 2, ROTATION] = np.einsum("kj,kji->ki", R[:, 2], -(eye + half + square))
-    right[:, 2, ROTATION] = np.einsum("kj,kji->ki", R[:, 2], eye + half + square)
+    inverse = np.einsum("kj,kji->ki", R[:, 2], eye + half + square)
+    left[:, 2, ROTATION] = np.where(follows[:, None], -phi * by_rotation[one], -inverse)
+    right[:, 2, ROTATION] = np.where(follows[:, None], by_rotation[two], inverse)
+    left[:, 2, VELOCITY], right[:, 2, VELOCITY] = -phi * by_velocity[one], by_velocity[two]
+    left[~follows, 2, VELOCITY] = right[~follows, 2, VELOCITY] = 0.0
     across = so3.skew(up_s)
     left[:, 0:2, ROTATION], right[:, 0:2, ROTATION] = phi * R[:, :2] @ across, -state.R_ns[two][:, :2] @ across
     left[:, 3:6, TRANSLATION], right[:, 3:6, TRANSLATION] = -R, state.R_ns[two]
@@ -83,3 +97,19 @@ def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyr
     for rows, columns in ((slice(6, 9), VELOCITY), (slice(9, 12), ACCEL_BIAS), (slice(12, 15), GYRO_BIAS)):
         left[:, rows, columns], right[:, rows, columns] = -eye, eye
     return rows_of("motion_prior", at, residual, sigma, left, right)
+
+
+def _speed(state: State) -> Array:
+    return np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
+
+
+def _course(state: State) -> tuple[Array, Array, Array]:
+    """Angle (K,) rad from the first level axis to the course, and its slopes by rotation and velocity, (K, 3) each."""
+    v, ahead_s = state.velocity_n, state.geometry.level_axes_s[0]
+    ahead_n, turned_n = state.R_ns @ ahead_s, -state.R_ns @ so3.skew(ahead_s)
+    yaw = (ahead_n[:, 0, None] * turned_n[:, 1] - ahead_n[:, 1, None] * turned_n[:, 0]) / np.sum(
+        ahead_n[:, :2] ** 2, axis=1, keepdims=True
+    )
+    angle = np.arctan2(v[:, 1], v[:, 0]) - np.arctan2(ahead_n[:, 1], ahead_n[:, 0])
+    across_n = np.cross(UP_N, v) / np.maximum(_speed(state), MOVING)[:, None] ** 2
+    return wrap_angle(angle), -yaw, across_n

@@ -105,7 +105,9 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         fine,
         binned,
         noise,
-        _measurements(session, path, state, binned, alignment.gyro_bias_s).of((driven.t >= begin) & (driven.t <= end)),
+        _measurements(session, path, state, binned, alignment.gyro_bias_s, alignment).of(
+            (driven.t >= begin) & (driven.t <= end)
+        ),
         priors,
         min(receiver_share(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
         session.config.imu,
@@ -146,8 +148,13 @@ def informed(session: Session, start: Start, options: GraphOptions, found: State
     known = start.path, start.driven, start.alignment
     state = _first_guess(session, *known, t, found.constants, biases, found.geometry)
     fine, binned = _bins(session, state, start.alignment, options)
+    data = _measurements(session, start.path, state, binned, biases[1], start.alignment)
     return replace(
-        start, state=state, fine=fine, binned=binned, data=_measurements(session, start.path, state, binned, biases[1])
+        start,
+        state=state,
+        fine=fine,
+        binned=binned,
+        data=data,
     )
 
 
@@ -196,7 +203,7 @@ def _bins(session: Session, state: State, alignment: Alignment, options: GraphOp
 
 
 def _measurements(
-    session: Session, path: GnssPath, state: State, binned: BinnedImu, gyro_bias_s: Array
+    session: Session, path: GnssPath, state: State, binned: BinnedImu, gyro_bias_s: Array, alignment: Alignment
 ) -> Measurements:
     """Measurements for the keyframes of `state`; gyro_bias_s (3,) rad/s, to know rest by."""
     gnss, t = session.gnss, state.t
@@ -211,7 +218,9 @@ def _measurements(
     share, renewed = (None, None)
     if len(claims.renewed):
         share, renewed = claims.between(t, state.constant("position_latency"))
+    follows = not (alignment.is_level_only or state.geometry.is_steered)
     with_velocity = gnss.t[np.isfinite(gnss.velocity_n[:, 0])]
+    fixes = with_velocity if len(with_velocity) > 1 else gnss.t
     return Measurements(
         gnss.t,
         session.fix_position_n,
@@ -220,7 +229,7 @@ def _measurements(
         scale,
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
         ground=ground if len(ground[0]) else None,
-        unsampled=Unsampled.of(binned.missing, state, with_velocity if len(with_velocity) > 1 else gnss.t),
+        unsampled=Unsampled.of(binned.missing, state, fixes, follows=follows),
         offset_share=share,
         offset_renewed=renewed,
     )

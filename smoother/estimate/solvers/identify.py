@@ -21,7 +21,6 @@ from smoother.estimate.factors.graph import (
 from smoother.estimate.factors.wheels import MOVING, rolling, slip_of
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu
-from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import COLUMNS, ROTATION, VELOCITY, State
@@ -131,7 +130,7 @@ def identify(
             field, heading = heading(taken.after), None
             problem, joined = _with_heading(problem, field), field is not None
         if wheels and move < NEARER and is_settled:
-            wheels, rolls = False, _rolling(taken, covariances, graph.noise.inertial)
+            wheels, rolls = False, _rolling(taken, covariances, graph)
             if rolls is not None:
                 graph = _renewed(problem, graph, taken.after, better)
                 return _with_wheels(problem, rolls, graph, values, covariances, found)
@@ -237,7 +236,7 @@ def solve_held(
             field, heading = heading(taken.after), None
             problem = replace(problem, measured=replace(problem.measured, heading=field))
         if joins and slip is not None:
-            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), graph.noise.inertial)
+            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), graph)
             if rolls is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
@@ -259,13 +258,15 @@ def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Probl
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Covariances, inertial: InertialNoise) -> BoolArray | None:
+def _rolling(step: Step, covariances: Covariances, graph: Graph) -> BoolArray | None:
     """Whether and where wheels roll, by a step without them."""
-    state = step.after
+    state, inertial = step.after, graph.noise.inertial
     slip = slip_of(state, LowPassedMotion(state, inertial.accel, inertial.gyro))
+    sampled = np.zeros(len(state.t), dtype=np.bool_)
+    sampled[graph.sampled] = sampled[graph.sampled + 1] = True
     speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
     variance = np.einsum("ki,kij,kj->k", slip.by_keyframe, covariances.keyframes, slip.by_keyframe)
-    return rolling(slip, speed > MOVING, variance, state.interval)
+    return rolling(slip, (speed > MOVING) & sampled, variance, state.interval)
 
 
 class Damping:

@@ -58,7 +58,7 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
         heading=heading,
         rolls=np.ones(K, dtype=np.bool_),
         ground=(np.array([7, 30]), np.array([0.5, 1.0])),
-        unsampled=Unsampled.of(np.isin(np.arange(K - 1), [20, 21, 35]).astype(np.float64), state, t),
+        unsampled=Unsampled.of(np.isin(np.arange(K - 1), [20, 21, 35]).astype(np.float64), state, t, follows=True),
     )
     noise = Noise(
         InertialNoise(0.2, 0.01, 0.003, 1e-4),

@@ -72,7 +72,7 @@ def test_the_trajectory_is_that_of_the_final_values(problem: Problem) -> None:
 def test_each_row_of_the_table_counts(name: str, problem: Problem) -> None:
     """The session has neither a usable heading without a solution, nor wheels or ground before one."""
     hole = np.isin(np.arange(len(problem.state.t) - 1), [100, 101]).astype(np.float64)
-    unsampled = Unsampled.of(hole, problem.state, problem.measured.t)
+    unsampled = Unsampled.of(hole, problem.state, problem.measured.t, follows=True)
     problem = replace(problem, measured=replace(problem.measured, unsampled=unsampled))
     without = replace(problem, table=tuple(factor for factor in TABLE if factor.name != name))
     values = problem.state.values()
