@@ -199,8 +199,6 @@ def test_factors_that_are_left_out_do_not_count(both: Both) -> None:
     assert offsets[0] > 0.3 and offsets[1] < 0.01
     with pytest.raises(UsageError, match=r"no factor is called 'gps'; there are .*gps_position, "):
         found("gps")
-    with pytest.raises(UsageError, match="'isam2' leaves no factor out"):
-        api.smooth(short, solver="isam2", without=("wheels",))
 
 
 def test_a_given_line_is_where_laps_begin(both: Both) -> None:

@@ -4,9 +4,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Between
-from smoother.estimate.model.state import State
-
-HEADED = 2.0  # m/s; below, the course is that between the times at which the kart last and next was faster
+from smoother.estimate.model.motion import course_of
 
 
 def arm_axes(between: Between) -> Array:
@@ -25,13 +23,3 @@ def arm_axes(between: Between) -> Array:
     R_nb[:, 0, 1] = -R_nb[:, 1, 0]
     R_nb[:, 2, 2] = 1.0
     return np.asarray(R_nb @ geometry.level_axes_s)
-
-
-def course_of(state: State) -> Array:
-    """Course (K,) rad of the keyframes, anticlockwise from north, continuous."""
-    velocity_n = state.velocity_n
-    fast = np.flatnonzero(np.hypot(velocity_n[:, 0], velocity_n[:, 1]) > HEADED)
-    if not len(fast):
-        return np.zeros(len(velocity_n))
-    course = np.unwrap(np.arctan2(velocity_n[fast, 1], velocity_n[fast, 0]))
-    return np.asarray(np.interp(np.arange(len(velocity_n)), fast, course))

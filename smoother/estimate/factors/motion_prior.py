@@ -12,8 +12,8 @@ import numpy as np
 
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.factors.antenna import course_of
 from smoother.estimate.factors.rows import Rows, no_jacobian, rows_of
+from smoother.estimate.model.motion import course_of
 from smoother.estimate.model.state import ACCEL_BIAS, GYRO_BIAS, ROTATION, TRANSLATION, VELOCITY, State
 from smoother.frames import UP_N, wrap_angle
 

@@ -25,6 +25,7 @@ DRIVEN = 1.5  # Hz that a driver reaches; what is quicker is vibration, as a But
 SMOOTHED = 0.4  # Hz over which power is averaged
 BEYOND = 10.0  # s by which both ends are mirrored
 FINER = 4  # times the rate of the keyframes
+HEADED = 2.0  # m/s; below, the course is that between the times at which the kart last and next was faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +47,7 @@ class LowPassedMotion:
     """
 
     def __init__(self, state: State, accel: float, gyro: float) -> None:
-        turn = so3.log(state.R_ns[:-1].transpose(0, 2, 1) @ state.R_ns[1:])
-        about_up = np.einsum("kj,kj->k", state.R_ns[:-1, 2, :], turn)
-        values = np.column_stack([state.velocity_n, np.concatenate([[0.0], np.cumsum(about_up)])])
+        values = np.column_stack([state.velocity_n, course_of(state) if state.geometry.is_steered else _heading(state)])
         n = len(values)
         beyond = min(n - 1, round(BEYOND / state.interval))
         values = np.pad(values, ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
@@ -88,6 +87,22 @@ class LowPassedMotion:
         k = np.minimum(u.astype(np.int64), len(of_grid) - 2)
         share = (u - k)[:, None]
         return np.asarray((1.0 - share) * of_grid[k] + share * of_grid[k + 1])
+
+
+def _heading(state: State) -> Array:
+    """Heading (K,) rad beyond that of the first keyframe."""
+    turn = so3.log(state.R_ns[:-1].transpose(0, 2, 1) @ state.R_ns[1:])
+    return np.concatenate([[0.0], np.cumsum(np.einsum("kj,kj->k", state.R_ns[:-1, 2, :], turn))])
+
+
+def course_of(state: State) -> Array:
+    """Course (K,) rad of the keyframes, anticlockwise from north, continuous."""
+    velocity_n = state.velocity_n
+    fast = np.flatnonzero(np.hypot(velocity_n[:, 0], velocity_n[:, 1]) > HEADED)
+    if not len(fast):
+        return np.zeros(len(velocity_n))
+    course = np.unwrap(np.arctan2(velocity_n[fast, 1], velocity_n[fast, 0]))
+    return np.asarray(np.interp(np.arange(len(velocity_n)), fast, course))
 
 
 def _share(power: Array, noise: float) -> Array:

@@ -8,10 +8,11 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.disc import even_pieces, roomy
-from smoother.estimate.factors.antenna import arm_axes, course_of
+from smoother.estimate.factors.antenna import arm_axes
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.imu import BinnedImu, DensePath, at_times, corrected, dense_path, motion_at
 from smoother.estimate.model.inertial_noise import InertialNoise, interval_noise
+from smoother.estimate.model.motion import course_of
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import State
 from smoother.estimate.output.estimated import Estimated

@@ -120,7 +120,7 @@ def sample_components(
     tr(W (1 - C)) is expected, C being what the solution leaves. Only white rate turns: its part is the rotation.
     """
     T = step.state.interval
-    covariance = np.array([graph.preintegrated[k].preintMeasCov() for k in at])
+    covariance = np.array([graph.preintegrated[k].preintMeasCov() for k in at]).reshape(-1, 15, 15)
     root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
     noise = graph.noise.inertial
     force, rate = (np.linalg.cholesky(np.array(shape)) for shape in (noise.accel_shape, noise.gyro_shape))
