@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from smoother.estimate.initial import guess
-from smoother.estimate.quality import assess
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
@@ -318,21 +316,6 @@ def test_fixes_that_report_a_sigma_of_nothing_count_as_those_that_report_none(na
         for value in (0.0, np.nan)
     )
     np.testing.assert_array_equal(nothing.position_n, unknown.position_n)
-
-
-def test_positions_that_a_receiver_averages_over_seconds_fail_the_gate_and_are_named() -> None:
-    """Their delay is fitted by half, and velocities take the other half with the other sign."""
-    raw = simulate_preset("kart", 502, duration=150.0).raw
-    kept = float(np.exp(-0.2 / 1.4))
-    averaged = {
-        name: getattr(raw.gnss, name)[0]
-        + lfilter([1.0 - kept], [1.0, -kept], getattr(raw.gnss, name) - getattr(raw.gnss, name)[0])
-        for name in ("lat_deg", "lon_deg")
-    }
-    session = prepare(replace(raw, gnss=replace(raw.gnss, **averaged)))
-    trajectory = GraphSmoother().estimate(session)
-    (text,) = [p.text for p in trajectory.report.problems if p.code == "gps_velocity_early"]
-    assert text.partition(": ")[0] in assess(session, trajectory).reasons
 
 
 def test_fixes_that_scatter_without_doppler_may_wander_unseen() -> None:

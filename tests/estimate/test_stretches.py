@@ -165,7 +165,7 @@ def test_what_is_too_short_or_too_slow_tells_nothing(session: Session) -> None:
         assert told(swinging(replace(session, gnss=gnss))) == []
 
 
-@pytest.mark.parametrize("top_speed", [4.0, 8.0])
+@pytest.mark.parametrize("top_speed", [6.0, 8.0])
 def test_a_kart_whose_speed_is_limited_drives(top_speed: float) -> None:
     """At an even speed the force ahead is noise in most stretches, and at a slow one what bends pull is little."""
     simulation = simulate_preset("kart", 2, duration=300.0, motion_top_speed=top_speed)

@@ -183,7 +183,9 @@ def _noise(found: Estimated, config: SessionConfig) -> dict[str, Identified]:
     noise, known, stated = found.known.noise, found.known.noise_uncertainty, config.imu
     out: dict[str, Identified] = {}
     if noise.slip is not None and known.slip is not None:
-        out["slip_sigma"] = _value(noise.slip, known.slip, "rad", known.slip < OBSERVABLE * ANY_SLIP, False)
+        out["slip_sigma"] = _value(
+            noise.slip, known.slip, "rad", known.slip < min(OBSERVABLE * ANY_SLIP, noise.slip), False
+        )
     for name, value, spread, unit, given in (
         ("accel_noise", noise.inertial.accel, known.accel, "m/s^2/sqrt(Hz)", stated.accel_noise),
         ("gyro_noise", noise.inertial.gyro, known.gyro, "rad/s/sqrt(Hz)", stated.gyro_noise),

@@ -37,6 +37,8 @@ def solve_as_stream(
 
     covariance (C, C): of the constants. heading: as for :func:`identify`, asked after the stream.
     """
+    if problem.measured.unsampled is not None and len(problem.measured.unsampled.at):
+        return solve_held(problem, noise, covariance, heading)  # what a stream predicts across a hole is no beginning
     state = Stream(problem, replace(noise, slip=None)).solve()
     return solve_held(replace(problem, state=state), noise, covariance, heading)
 

@@ -41,16 +41,6 @@ def test_a_turn_unseen_adds_up_with_the_time_and_in_long_holes_with_its_root(len
     assert np.sqrt(np.sum(gyro**2 * 0.2)) == pytest.approx(turned, rel=0.02)
 
 
-def test_what_fixes_tell_in_between_bounds_it() -> None:
-    no = np.zeros((10, 4, 3))
-    told = np.tile([0.2, 0.4], (10, 1))
-    binned = BinnedImu(0.2 * np.arange(11), 0.05, no, no, np.ones(10))
-    accel, gyro = interval_noise(replace(binned, blind=told), NOISE)
-    alone = interval_noise(binned, NOISE)
-    assert np.all(accel < 0.2 * alone[0])
-    assert np.all(gyro < 0.3 * alone[1])
-
-
 def test_holes_are_as_long_as_the_intervals_in_a_row_that_miss_samples() -> None:
     missing = np.array([0.5, 1.0, 0.0, 0.0, 0.25, 0.0, 1.0])
     np.testing.assert_allclose(hole_lengths(missing, np.full(7, 0.2)), [0.3, 0.3, 0.0, 0.0, 0.05, 0.0, 0.2])
