@@ -45,7 +45,7 @@ def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> So
     if options.solver == "isam2":
         held = replace(whole, state=replace(whole.state, constants=solution.state.constants))
         solution = solve_as_stream(held, solution.noise, solution.covariances.constants, compass.heading)
-    known = known_from(solution, whole.priors, start, session.config)
+    known = known_from(solution, start.priors, start, session.config)
     return Solved(start, estimated(solution, known), compass.found, compass.problems)
 
 
