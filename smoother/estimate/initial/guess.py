@@ -38,6 +38,7 @@ DENSITIES = ("accel_noise", "gyro_noise", "accel_bias_walk", "gyro_bias_walk")
 # rad/s/sqrt(Hz) that the path leaves of the rates, from which on they may be a wheel's, or folded vibration: simulated
 # karts with boxes on frames have 1.2 deg/s, harsh ones 3.5, those on shaken wheels 2.4 to 9
 DOUBTED_RATES = 2.0 * DEG
+ARM_ON_WHEEL = 0.02  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
     if is_steered:
         alignment = replace(alignment, problems=without_the_wheels(alignment.problems))
     priors = _priors(session, alignment, path, options, by_size)
+    priors = with_short_arm(priors) if is_steered else priors
     spans = sampled_spans(session.imu.t)
     begin, end = busiest_span(driven, spans, span)
     state = _first_guess(
@@ -162,7 +164,14 @@ def on_the_wheel(start: Start) -> Start:
     """Return `start` of a box that turns with the steering wheel."""
     geometry = replace(start.state.geometry, is_steered=True)
     alignment = replace(start.alignment, problems=without_the_wheels(start.alignment.problems))
-    return replace(start, state=replace(start.state, geometry=geometry), alignment=alignment)
+    state, priors = replace(start.state, geometry=geometry), with_short_arm(start.priors)
+    return replace(start, state=state, alignment=alignment, priors=priors)
+
+
+def with_short_arm(priors: Priors) -> Priors:
+    """Priors where the box is on the steering wheel: its antenna is in it, and no drive shows how far from the IMU."""
+    mean, sigma = priors.constants["lever_arm"]
+    return replace(priors, constants=priors.constants | {"lever_arm": (mean, np.minimum(sigma, ARM_ON_WHEEL))})
 
 
 def keyframe_times(begin: float, end: float, interval: float) -> Array:

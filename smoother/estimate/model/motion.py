@@ -1,11 +1,11 @@
 """The motion that slopes by constants are made of: the keyframes' velocity and heading, without the samples' noise.
 
 A latency, a lever arm and a receiver's response multiply the acceleration and the turn rate of the kart. Taken from the
-state as it is, these hold the noise of the samples, which is in the residual too: the fit makes the constant small to
-make the noise small, by several of its sigmas (errors in variables). Behind a Wiener filter, which keeps of each
-frequency the share that is motion, a slope is what can be expected of the true one, and the fit is unbiased (regression
-calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, 4). So Jacobians by constants are no
-derivatives of the residual: they are those of the filtered motion. This is the one place where that is so.
+state as it is, these hold the noise of the samples, which is in the residuals too: the fit makes the constant small to
+make the noise small, by several of its sigmas (errors in variables; Carroll et al. 2006, Measurement Error in Nonlinear
+Models). Below a frequency that drivers reach and the noise of the force does not fill, the state is the motion; of the
+turn rate a Wiener filter keeps at each frequency the share that is not the gyroscope's noise. So Jacobians by constants
+are no derivatives of the residual: they are those of the filtered motion. This is the one place where that is so.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,9 @@ from smoother.fit.running import running_mean
 
 Spectrum = npt.NDArray[np.complex128]
 
-DRIVEN = 1.5  # Hz that a driver reaches; what is quicker is vibration, as a Butterworth filter without phase has it
+# Hz, of samples as noisy as m/s^2/sqrt(Hz): what a kart does above it is weaker than the noise. Its accelerations fall
+# with about the fifth power of the frequency; real karts' samples have 0.5 to 0.9, and are served best by 1 to 1.2 Hz
+CUTOFF, AT_DENSITY, SLOWEST, QUICKEST, POWER = 1.5, 0.3, 1.0, 1.5, 5.0
 SMOOTHED = 0.4  # Hz over which power is averaged
 BEYOND = 10.0  # s by which both ends are mirrored
 FINER = 4  # times the rate of the keyframes
@@ -57,11 +59,10 @@ class LowPassedMotion:
         self._s: Spectrum = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
         spectrum = np.fft.rfft(values - line, axis=0)
         width = 2 * max(1, round(0.5 * SMOOTHED * state.interval * len(values)))
-        power = running_mean(np.abs(spectrum * self._s) ** 2 / len(values), width)
-        level = _share(power[:, :2].mean(axis=1), accel**2 / state.interval)
-        turning = _share(power[:, 3], gyro**2 / state.interval)
-        driven = 1.0 / (1.0 + (frequency / DRIVEN) ** 4)
-        self._spectrum = spectrum * driven * np.column_stack([level, level, level, turning])
+        power = running_mean(np.abs(spectrum[:, 3:] * self._s) ** 2 / len(values), width)[:, 0]
+        level = 1.0 / (1.0 + (frequency[:, 0] / _cutoff(accel)) ** 4)  # a Butterworth filter without phase
+        turning = level * _share(power, gyro**2 / state.interval)
+        self._spectrum = spectrum * np.column_stack([level, level, level, turning])
         self._count, self._inside = len(values), slice(beyond * FINER, (beyond + n - 1) * FINER + 1)
         self._start, self._step = float(state.t[0]), state.interval / FINER
         even = line[0] + np.arange(self._inside.start, self._inside.stop)[:, None] / FINER * slope
@@ -103,6 +104,11 @@ def course_of(state: State) -> Array:
         return np.zeros(len(velocity_n))
     course = np.unwrap(np.arctan2(velocity_n[fast, 1], velocity_n[fast, 0]))
     return np.asarray(np.interp(np.arange(len(velocity_n)), fast, course))
+
+
+def _cutoff(accel: float) -> float:
+    """Frequency, Hz, below which the motion of a session is more than the noise of its force, m/s^2/sqrt(Hz)."""
+    return float(np.clip(CUTOFF * (accel / AT_DENSITY) ** (-2.0 / POWER), SLOWEST, QUICKEST))
 
 
 def _share(power: Array, noise: float) -> Array:
