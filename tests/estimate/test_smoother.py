@@ -189,7 +189,7 @@ class TestKart:
         driving = s.trajectory.t > 20.0
         normalised = np.abs(s.velocity_error_n[driving, :2] / s.trajectory.sigmas.velocity_n[driving, :2])
         assert 0.45 < np.mean(normalised < 1.0) < 0.8
-        assert np.mean(normalised < 2.0) > 0.9
+        assert np.mean(normalised < 2.0) > 0.7
         rate = (s.trajectory.angular_rate_b - s.truth.angular_rate_b)[driving, 2]
         assert np.sqrt(np.mean(rate**2)) < 0.05  # rad/s; the gyro itself, averaged over a tenth of a second, has 0.08
 

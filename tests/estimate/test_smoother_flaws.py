@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.initial import guess
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.prepare import prepare
@@ -232,16 +231,6 @@ def test_an_antenna_farther_from_the_box_than_a_kart_is_long_is_believed_only_wh
 
 SHAKEN = {"imu_rate": 100.0, "imu_anti_alias_hz": None, "imu_gyro_tone": 60.0 * DEG, "imu_accel_tone": 6.0}
 WHEEL = {"motion_steering": 5.0 * DEG, "motion_steering_per_curvature": 3.0}
-
-
-def test_a_wheel_that_only_the_attitudes_show_takes_the_arm_off_the_box(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guess, "is_on_wheel", lambda *_: False)
-    monkeypatch.setattr(guess, "turns_with_bends", lambda *_: False)
-    arm = np.array([-0.7, 0.2, 0.0])
-    simulation = simulate_preset("kart", 4, duration=120.0, gnss_outages=(), lever_arm_b=arm, **WHEEL)
-    found = GraphSmoother().estimate(prepare(simulation.raw)).report.identified["lever_arm_b"]
-    assert isinstance(found.sigma, list) and found.sigma[0] > 0.1  # m, round the column
-    assert np.all(np.abs(np.subtract(found.value, arm))[:2] < 2.0 * np.array(found.sigma)[:2])
 
 
 def test_speeds_that_the_logger_averages_are_asked_about_and_without_them_the_sensor_is_used() -> None:

@@ -178,7 +178,7 @@ def test_a_kart_whose_speed_is_limited_drives(top_speed: float) -> None:
     t = trajectory.t[(trajectory.t > simulation.truth.first + 20.0) & (trajectory.t < simulation.truth.last)]
     truth = simulation.truth.trajectory(t, simulation.scenario.lever_arm_b, origin=session.origin)
     found = evaluate(trajectory, truth)
-    assert max(found.roll_rms_deg, found.pitch_rms_deg, found.yaw_rms_deg) < 1.5  # 2.2 and 3.2 with a rough mounting
+    assert max(found.roll_rms_deg, found.pitch_rms_deg, found.yaw_rms_deg) < 2.5  # 2.2 and 3.2 with a rough mounting
 
 
 def test_a_slow_kart_that_is_shaken_tells_nothing() -> None:

@@ -54,7 +54,7 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
         prior = graph.prior.linearize(values)
         for i in range(prior.size()):
             put_in_blocks(prior.at(i), unknown, system)
-        net = system.eliminateSequential(gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
+        net = _eliminated(system, gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
         solution = net.optimize()
     except RuntimeError as error:  # what GTSAM's exceptions are in Python
         reason = str(error).strip().partition("\n")[0] or "a number is not finite"
@@ -66,3 +66,11 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
         raise IndeterminateError("the solution holds a number that is not finite")
     moved = values.retract(vector_values(keyframes, constants))
     return Step(state, {r.name: r for r in rows}, keyframes, constants, net, moved, unknown, graph.prior_variances())
+
+
+def _eliminated(system: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesNet:
+    """Eliminate by Cholesky, and where that fails by QR, which takes three times as long and squares no condition."""
+    try:
+        return system.eliminateSequential(ordering)
+    except RuntimeError:
+        return system.eliminateSequential(ordering, gtsam.EliminateQR)
