@@ -48,8 +48,8 @@ class Compass:
 def _readings_beside_samples(mag: MagSamples, binned: BinnedImu) -> MagSamples:
     """The readings of the intervals that have inertial samples.
 
-    In a hole nobody knows how the kart leans to some degrees, by which a steep field turns its heading two or three
-    times as far. A heading factor turns the kart alone; where it can lean as well, the two chase one another.
+    In a hole the tilt of the kart is uncertain by some degrees, which a steep field turns into two or three times as
+    large an error of heading. The heading factor corrects yaw alone, so that the iterations would not converge.
     """
     if not np.any(binned.missing):
         return mag

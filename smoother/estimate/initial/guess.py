@@ -199,7 +199,7 @@ def _first_guess(
 
 
 def _late(path: GnssPath, constants: Mapping[str, Array]) -> float:
-    """How much later than the sensor, s, the path is where a place is the same: a stated latency is taken out of it."""
+    """Time, s, by which the path is behind the IMU at the same position; a stated latency is subtracted from it."""
     return float(constants["position_latency"][0]) - path.position_latency
 
 

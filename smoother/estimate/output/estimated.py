@@ -66,7 +66,7 @@ class Estimated:
 
 
 def known_from(solution: Solution, priors: Priors, start: Start, config: SessionConfig) -> Known:
-    """Return what the solution of a start says of all of its session; priors: before anything was held."""
+    """Return what the solution of a start shows of all of its session. priors: those before any constant was held."""
     covariance, slip, first = solution.covariances.constants, priors.constants["slip"][1], COLUMNS["slip"].start
     uncertainty = noise_uncertainty(solution, slip)
     is_known = config.mounting.R_bs is None and covariance[first, first] < (0.5 * slip[0]) ** 2
