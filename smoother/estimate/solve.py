@@ -10,7 +10,6 @@ from smoother.estimate.initial.guess import Start, informed, problem_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.initial.parts import busiest_part, is_partly_sampled, longest_sampled
 from smoother.estimate.model.heading import Heading
-from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.sampled import HOLE
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
@@ -36,31 +35,32 @@ def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> So
     """Identify constants and noise on the busiest part, then solve all of the session."""
     busiest = problem_of(longest_sampled(start))
     first = identify(busiest, busiest.usual, lambda share: say(0.5 * share))
-    start, noise = informed(session, start, options, first.state), replace(first.noise, slip=None)
+    start = informed(session, start, options, first.state)
     if is_partly_sampled(start) or is_long(start):
-        return _solve_in_windows(session, start, noise, options, say)
-    whole, compass = with_rectification(problem_of(start), first), Compass(session, start)
-    sigmas = Sigmas.of(first.covariances)
-    solution = _identified(whole, noise, compass, options, lambda share: say(0.5 + 0.5 * share), sigmas)
+        return _solve_in_windows(session, start, first, options, say)
+    compass = Compass(session, start)
+    whole, solution = _identified(start, first, compass, options, lambda share: say(0.5 + 0.5 * share))
+    known = known_from(solution, start.priors, start, session.config)
     if options.solver == "isam2":
         held = replace(whole, state=replace(whole.state, constants=solution.state.constants))
-        solution = solve_as_stream(held, solution.noise, solution.covariances.constants, compass.heading)
-    known = known_from(solution, start.priors, start, session.config)
+        solution = solve_as_stream(held, known.noise, known.constants_covariance, compass.heading)
     return Solved(start, estimated(solution, known), compass.found, compass.problems)
 
 
 def _identified(
-    problem: Problem, noise: Noise, compass: Compass, options: GraphOptions, say: Say, sigmas: Sigmas | None = None
-) -> Solution:
-    wheels = options.wheels and compass.start.wheels
-    return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
+    start: Start, part: Solution, compass: Compass, options: GraphOptions, say: Say
+) -> tuple[Problem, Solution]:
+    """The problem of a start and its solution, from what a part of it has found."""
+    problem, noise = with_rectification(problem_of(start), part), replace(part.noise, slip=None)
+    wheels, sigmas = options.wheels and start.wheels, Sigmas.of(part.covariances)
+    return problem, identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
 
 
-def _solve_in_windows(session: Session, start: Start, noise: Noise, options: GraphOptions, say: Say) -> Solved:
+def _solve_in_windows(session: Session, start: Start, first: Solution, options: GraphOptions, say: Say) -> Solved:
     """Solve all of a session with the constants and the noise of its busiest part that has samples throughout."""
     busiest = longest_sampled(busiest_part(start, WINDOW))
-    problem, compass = problem_of(busiest), Compass(session, busiest)
-    main = _identified(problem, noise, compass, options, lambda share: say(0.3 * share))
+    compass = Compass(session, busiest)
+    problem, main = _identified(busiest, first, compass, options, lambda share: say(0.3 * share))
     known = known_from(main, problem.priors, busiest, session.config)
     if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
         known = replace(known, common_attitude=np.zeros((3, 3)))

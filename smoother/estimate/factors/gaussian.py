@@ -39,7 +39,7 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
     """
     starts, size = places(unknown)
     starts, width = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}, 2 * KEYFRAME_SIZE + size + 1
-    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, size, 1]
+    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, *([size] if size else []), 1]
     blocks = [block(k) for k in range(intervals + 1)]
     for first in range(0, intervals, AT_ONCE):
         last = min(first + AT_ONCE, intervals)
@@ -49,7 +49,7 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
         A = np.concatenate([r.whitened(starts, width) for r in some])[order]
         bounds = np.searchsorted(interval[order], np.arange(first, last + 1)).tolist()
         for k, begin, end in zip(range(first, last), bounds[:-1], bounds[1:], strict=True):
-            keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK]
+            keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK][: len(sizes) - 1]
             graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
     return graph
 
@@ -62,7 +62,7 @@ def places(unknown: Sequence[str]) -> tuple[dict[str, int], int]:
 
 def columns_of(unknown: Sequence[str]) -> IntArray:
     """Columns of constants among those of all, in the order of their block."""
-    return np.concatenate([np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in unknown])
+    return np.concatenate([np.arange(0), *(np.arange(COLUMNS[name].start, COLUMNS[name].stop) for name in unknown)])
 
 
 def put_in_blocks(factor: gtsam.GaussianFactor, unknown: Sequence[str], system: gtsam.GaussianFactorGraph) -> None:

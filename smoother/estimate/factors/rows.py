@@ -62,7 +62,8 @@ class Rows:
         """
         out = np.zeros((*self.residual.shape, width))
         out[:, :, :KEYFRAME_SIZE], out[:, :, KEYFRAME_SIZE : 2 * KEYFRAME_SIZE] = self.left, self.right
-        for name, J in self.constants.items():
+        for name in self.constants.keys() & starts.keys():
+            J = self.constants[name]
             out[:, :, starts[name] : starts[name] + J.shape[2]] = J
         out[:, :, -1] = -self.residual
         out *= (np.sqrt(self.weight)[:, None] / self.sigma)[:, :, None]

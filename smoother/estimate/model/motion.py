@@ -26,6 +26,7 @@ Spectrum = npt.NDArray[np.complex128]
 CUTOFF, AT_DENSITY, SLOWEST, QUICKEST, POWER = 1.5, 0.3, 1.0, 1.5, 5.0
 SMOOTHED = 0.4  # Hz over which power is averaged
 BEYOND = 10.0  # s by which both ends are mirrored
+EVEN = 64  # keyframes, whose multiples are long: Fourier transforms of other lengths can take ten times as long
 FINER = 4  # times the rate of the keyframes
 HEADED = 2.0  # m/s; below, the course is that between the times at which the kart last and next was faster
 
@@ -52,7 +53,8 @@ class LowPassedMotion:
         values = np.column_stack([state.velocity_n, course_of(state) if state.geometry.is_steered else _heading(state)])
         n = len(values)
         beyond = min(n - 1, round(BEYOND / state.interval))
-        values = np.pad(values, ((beyond, beyond), (0, 0)), "reflect", reflect_type="odd")
+        behind = beyond + -(n + 2 * beyond) % EVEN
+        values = np.pad(values, ((beyond, behind), (0, 0)), "reflect", reflect_type="odd")
         slope = (values[-1] - values[0]) / (len(values) - 1)
         line = values[0] + np.arange(len(values))[:, None] * slope  # what is left of the values can be periodic
         frequency = np.fft.rfftfreq(len(values), state.interval)[:, None]

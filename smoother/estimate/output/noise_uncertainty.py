@@ -50,6 +50,8 @@ class NoiseUncertainty:
 def noise_uncertainty(solution: Solution, slip_prior: Array) -> NoiseUncertainty:
     """Return how well the noise of a solution is known by its residuals; slip_prior (4,): sigmas of the constants."""
     found, noise, state = solution.components, solution.noise, solution.state
+    if found is None:
+        raise ValueError("the noise was known, not found")
     rows, lasts = solution.step.rows["gps_position"], float(state.t[-1] - state.t[0])
     return NoiseUncertainty(
         of_force(_in_time(found.force), has_doppler=_have_doppler(found.position, found.velocity)),

@@ -1,5 +1,6 @@
 """Gauss-Newton on a graph of GTSAM: linearise, eliminate, move, until a step no longer matters."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,8 +41,11 @@ class Step:
         return Chain.of(self.net, columns_of(self.unknown), self.priors)
 
 
-def step(graph: Graph, values: gtsam.Values) -> Step:
-    """Linearise `graph` at `values` and eliminate. Raises IndeterminateError where an unknown is not determined."""
+def step(graph: Graph, values: gtsam.Values, free: Collection[str] = KEYS) -> Step:
+    """Linearise `graph` at `values` and eliminate. Raises IndeterminateError where an unknown is not determined.
+
+    free: names of the constants that may move; the others are held, and cost nothing.
+    """
     state = graph.state.with_values(values)
     n = len(state.t)
     try:
@@ -49,19 +53,21 @@ def step(graph: Graph, values: gtsam.Values) -> Step:
             imu_rows(graph.imu.linearize(values), graph.sampled, state, graph.shaken, rectified=graph.rectified),
             *graph.rows(state),
         ]
-        unknown = tuple(name for name in KEYS if any(name in r.constants for r in rows))
+        unknown = tuple(name for name in KEYS if name in free and any(name in r.constants for r in rows))
         system = linear_factors(rows, n - 1, unknown)
         prior = graph.prior.linearize(values)
         for i in range(prior.size()):
             put_in_blocks(prior.at(i), unknown, system)
-        net = _eliminated(system, gtsam.Ordering([*map(block, range(n)), CONSTANTS_BLOCK]))
+        constants_last = [CONSTANTS_BLOCK] if unknown else []
+        net = _eliminated(system, gtsam.Ordering([*map(block, range(n)), *constants_last]))
         solution = net.optimize()
     except RuntimeError as error:  # what GTSAM's exceptions are in Python
         reason = str(error).strip().partition("\n")[0] or "a number is not finite"
         raise IndeterminateError(reason) from error
     keyframes = solution.vector([block(k) for k in range(n)]).reshape(n, KEYFRAME_SIZE)
     constants = np.zeros(CONSTANTS_SIZE)
-    constants[columns_of(unknown)] = solution.at(CONSTANTS_BLOCK)
+    if unknown:
+        constants[columns_of(unknown)] = solution.at(CONSTANTS_BLOCK)
     if not (np.isfinite(np.sum(keyframes)) and np.isfinite(np.sum(constants))):
         raise IndeterminateError("the solution holds a number that is not finite")
     moved = values.retract(vector_values(keyframes, constants))

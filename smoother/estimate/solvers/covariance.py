@@ -52,21 +52,25 @@ class Chain:
 
         columns (m,): those of the constants that were solved for; priors (C,): variances of all others.
         """
-        m, size, n = len(columns), KEYFRAME_SIZE, net.size() - 1
+        m, size = len(columns), KEYFRAME_SIZE
+        n = net.size() - bool(m)
         conditionals = [net.at(k) for k in range(n)]
-        root = np.linalg.inv(np.array([c.R() for c in conditionals]))
-        separator = np.array([c.S() for c in conditionals[:-1]])
-        order = _columns(conditionals[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
-        by_others = -root[:-1] @ separator[:, :, order]
-        gain, influence = by_others[:, :, :size], np.concatenate([by_others[:, :, size:], np.empty((1, size, m))])
-        influence[-1] = -root[-1] @ conditionals[-1].S()
+        root: Array = np.asarray(np.linalg.inv(np.array([c.R() for c in conditionals])))
+        of_next, of_constants = _columns(conditionals[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
+        gain, influence = np.empty((n - 1, size, size)), np.empty((n, size, m))
+        for k, conditional in enumerate(conditionals[:-1]):
+            separator = conditional.S()
+            gain[k], influence[k] = separator[:, of_next], separator[:, of_constants]
+        influence[-1] = conditionals[-1].S().reshape(size, m)
+        gain, influence = np.negative(root[:-1] @ gain), np.negative(root @ influence)
         for k in range(n - 2, -1, -1):
             influence[k] += gain[k] @ influence[k + 1]
-        of_constants = np.linalg.inv(net.at(n).R())
         constants, of_all = np.diag(priors), np.zeros((n, size, CONSTANTS_SIZE))
-        constants[np.ix_(columns, columns)] = of_constants @ of_constants.T
         of_all[:, :, columns] = influence
-        return Chain(np.ascontiguousarray(gain), of_all, root, constants)
+        if m:
+            of_free: Array = np.asarray(np.linalg.inv(net.at(n).R()))
+            constants[np.ix_(columns, columns)] = _squared(of_free)
+        return Chain(gain, of_all, root, constants)
 
     @cached_property
     def given_constants(self) -> Array:
@@ -160,7 +164,7 @@ def _squared(root: Array) -> Array:
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
-def _columns(keys: list[int], sizes: dict[int, int]) -> IntArray:
-    """Where the columns of `sizes`, in its order, are among those of `keys`."""
-    starts = dict(zip(keys, np.cumsum([0, *(sizes[key] for key in keys)]), strict=False))
-    return np.concatenate([starts[key] + np.arange(size) for key, size in sizes.items() if key in starts])
+def _columns(keys: list[int], sizes: dict[int, int]) -> list[slice]:
+    """Where the columns of each of `sizes`, in its order, are among those of `keys`."""
+    starts = dict(zip(keys, np.cumsum([0, *(sizes[key] for key in keys)]).tolist(), strict=False))
+    return [slice(starts.get(key, 0), starts.get(key, 0) + size) for key, size in sizes.items()]

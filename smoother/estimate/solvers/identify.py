@@ -23,14 +23,13 @@ from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.state import COLUMNS, ROTATION, VELOCITY, State
+from smoother.estimate.model.state import COLUMNS, KEYS, ROTATION, VELOCITY, State
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.covariance import Chain, Covariances
 from smoother.estimate.solvers.variance_components import (
     USUAL_SLIP,
     Components,
     Scatter,
-    components_of,
     slip_sigma,
     update_noise,
 )
@@ -40,8 +39,9 @@ MOST_TURNS = 12
 MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
 NEAR, NEARER = 1.0, 0.3  # of a sigma, likewise: good enough for residuals and headings; to hold the constants at
 FREE = ("slip", "heading_offset")  # constants that what joins may still move
+HELD: tuple[str, ...] = ()  # constants that move in a step that holds all
 FIXED = 1e-7  # sigma of constants that are held, in their units: they do not move by a digit
-NEAR_ANGLE, STILL_ANGLE = 0.02, 5e-4  # rad, rms, of a step: near enough to judge by, and at rest
+NEAR_ANGLE, STILL_ANGLE = 0.02, 3e-3  # rad, rms, of a step: near enough to judge by, and at rest
 ALIKE = 0.05  # logarithm of a density up to which samples need not be preintegrated again
 
 Progress = Callable[[float], None]
@@ -68,13 +68,15 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solved graph: the last step, its chain and covariances, the noise it was solved with, and what that is from."""
+    """A solved graph: the last step, its chain and covariances, the noise it was solved with, and what that is from:
+    None where it was known.
+    """
 
     graph: Graph
     step: Step
     chain: Chain
     covariances: Covariances
-    components: Components
+    components: Components | None = None
 
     @property
     def state(self) -> State:
@@ -109,13 +111,15 @@ def identify(
     wheels = wheels and not state.geometry.is_steered
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
-        values = step(graph, values).moved
-    damping, is_settled = Damping(), False
-    for turn in range(MOST_TURNS):
+        values = step(graph, values, KEYS if sigmas is None else HELD).moved
+    damping, is_settled, rolls, turn = Damping(), False, None, 0
+    while True:
         taken = step(graph, values)
-        values, is_last = taken.moved, turn + 1 == MOST_TURNS
-        progress((turn + 1) / MOST_TURNS)
-        if sigmas is not None and moved(taken, sigmas) > (MOVED if is_settled else NEAR) and not is_last:
+        values, turn = taken.moved, turn + 1
+        is_last = turn == MOST_TURNS
+        progress(turn / MOST_TURNS)
+        at_rest = NEARER if wheels else MOVED
+        if sigmas is not None and moved(taken, sigmas) > (at_rest if is_settled else NEAR) and not is_last:
             continue  # covariances cost as much as a step, and say little of a state that is on its way
         chain = taken.chain()
         covariances = chain.covariances()
@@ -130,14 +134,13 @@ def identify(
             field, heading = heading(taken.after), None
             problem, joined = _with_heading(problem, field), field is not None
         if wheels and move < NEARER and is_settled:
-            wheels, rolls = False, _rolling(taken, covariances, graph)
-            if rolls is not None:
-                graph = _renewed(problem, graph, taken.after, better)
-                return _with_wheels(problem, rolls, graph, values, covariances, found)
-        if (move < MOVED and is_settled and not joined) or is_last:
-            break
-        graph = _renewed(problem, graph, taken.after, better)
-    return Solution(graph, taken, chain, covariances, found)
+            wheels, rolls = False, _rolling(taken, covariances.keyframes, graph)
+        if rolls is None and ((move < MOVED and is_settled and not joined) or is_last):
+            return Solution(graph, taken, chain, covariances, found)
+        graph, constants = _renewed(problem, graph, taken.after, better), covariances.constants
+        del taken, chain, covariances  # the next step needs the room
+        if rolls is not None:
+            return _with_wheels(problem, rolls, graph, values, constants, found)
 
 
 def _with_heading(problem: Problem, field: Heading | None) -> Problem:
@@ -149,25 +152,28 @@ def _with_heading(problem: Problem, field: Heading | None) -> Problem:
 
 
 def _with_wheels(
-    problem: Problem, rolls: BoolArray, graph: Graph, values: gtsam.Values, before: Covariances, found: Components
+    problem: Problem, rolls: BoolArray, graph: Graph, values: gtsam.Values, constants: Array, found: Components
 ) -> Solution:
     """Solve with wheels that roll at the keyframes `rolls` (K,), after a solution without them: once to find how much
     they slip, then until the state is at rest. Constants stay, but those that the wheels and the heading decide.
+
+    constants (C, C): covariance of the constants, and found: of the noise, without wheels.
     """
     state = graph.state
     held = held_at(replace(problem, measured=replace(problem.measured, rolls=rolls)), state, FREE)
     noise, sigmas = replace(graph.noise, slip=USUAL_SLIP), None
     for turn in range(MOST_TURNS):
         graph = with_same_samples(graph, held.measured, noise, held.priors, state)
-        taken = step(graph, values)
+        taken = step(graph, values, FREE if sigmas is None else KEYS)
         values = taken.moved
         if sigmas is not None and moved(taken, sigmas) > MOVED and turn + 1 < MOST_TURNS:
             continue
-        chain = taken.chain().with_constants(before.constants, columns_of(FREE))
+        chain = taken.chain().with_constants(constants, columns_of(FREE))
         covariances = chain.covariances()
         if sigmas is not None:
             break
         sigmas, noise = Sigmas.of(covariances), replace(noise, slip=slip_sigma(taken, covariances, USUAL_SLIP))
+        del taken, chain, covariances
     return Solution(graph, taken, chain, covariances, found)
 
 
@@ -226,27 +232,26 @@ def solve_held(
     slip = None if problem.state.geometry.is_steered else noise.slip
     noise = replace(noise, slip=None, constants={})
     graph, values = _graph(problem, problem.state, noise), problem.state.values()
-    for turn in range(MOST_TURNS):
-        taken = step(graph, values)
+    for _ in range(MOST_TURNS):
+        taken = step(graph, values, HELD)
         values, is_near = taken.moved, attitude_moved(taken) < NEAR_ANGLE
         joins = is_near and (heading is not None or slip is not None)
-        if turn + 1 == MOST_TURNS or (attitude_moved(taken) < STILL_ANGLE and not joins):
+        if attitude_moved(taken) < STILL_ANGLE and not joins:
             break
         if joins and heading is not None:
             field, heading = heading(taken.after), None
             problem = replace(problem, measured=replace(problem.measured, heading=field))
         if joins and slip is not None:
-            rolls = _rolling(taken, taken.chain().with_constants(covariance).covariances(), graph)
+            rolls = _rolling(taken, taken.chain().given_constants, graph)
             if rolls is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
             slip = None
         if joins:
             graph = with_same_samples(graph, problem.measured, noise, problem.priors, taken.after)
+    taken = step(graph, values)  # with the constants, whose errors count in the covariances
     chain = taken.chain().with_constants(covariance)
-    covariances = chain.covariances()
-    found = components_of(graph, taken, covariances, problem.binned)
-    return Solution(graph, taken, chain, covariances, found)
+    return Solution(graph, taken, chain, chain.covariances())
 
 
 def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Problem:
@@ -258,14 +263,14 @@ def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Probl
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Covariances, graph: Graph) -> BoolArray | None:
-    """Whether and where wheels roll, by a step without them."""
+def _rolling(step: Step, covariances: Array, graph: Graph) -> BoolArray | None:
+    """Whether and where wheels roll, by a step without them and the covariances (K, 18, 18) of its keyframes."""
     state, inertial = step.after, graph.noise.inertial
     slip = slip_of(state, LowPassedMotion(state, inertial.accel, inertial.gyro))
     sampled = np.zeros(len(state.t), dtype=np.bool_)
     sampled[graph.sampled] = sampled[graph.sampled + 1] = True
     speed = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1])
-    variance = np.einsum("ki,kij,kj->k", slip.by_keyframe, covariances.keyframes, slip.by_keyframe)
+    variance = np.einsum("ki,kij,kj->k", slip.by_keyframe, covariances, slip.by_keyframe)
     return rolling(slip, (speed > MOVING) & sampled, variance, state.interval)
 
 
