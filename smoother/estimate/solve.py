@@ -13,8 +13,9 @@ from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.sampled import HOLE
 from smoother.estimate.output.estimated import Estimated, estimated, known_from
 from smoother.estimate.output.windows import WINDOW, is_long, solve_in_windows
-from smoother.estimate.solvers.identify import Problem, Sigmas, Solution, identify, solve_held, with_rectification
-from smoother.estimate.solvers.incremental import solve_as_stream
+from smoother.estimate.solvers.identify import Sigmas, Solution, identify, solve_held, with_rectification
+from smoother.estimate.solvers.incremental import FOUND, solve_as_stream
+from smoother.estimate.solvers.variance_components import USUAL_SLIP
 from smoother.samples import Problem as SessionProblem
 from smoother.samples import Session
 
@@ -39,33 +40,39 @@ def solve(session: Session, start: Start, options: GraphOptions, say: Say) -> So
     if is_partly_sampled(start) or is_long(start):
         return _solve_in_windows(session, start, first, options, say)
     compass = Compass(session, start)
-    whole, solution = _identified(start, first, compass, options, lambda share: say(0.5 + 0.5 * share))
-    known = known_from(solution, start.priors, start, session.config)
     if options.solver == "isam2":
-        held = replace(whole, state=replace(whole.state, constants=solution.state.constants))
-        solution = solve_as_stream(held, known.noise, known.constants_covariance, compass.heading)
+        solution = _streamed(start, first, compass, options)
+    else:
+        solution = _identified(start, first, compass, options, lambda share: say(0.5 + 0.5 * share))
+    known = known_from(solution, start.priors, start, session.config)
     return Solved(start, estimated(solution, known), compass.found, compass.problems)
 
 
-def _identified(
-    start: Start, part: Solution, compass: Compass, options: GraphOptions, say: Say
-) -> tuple[Problem, Solution]:
-    """The problem of a start and its solution, from what a part of it has found."""
+def _identified(start: Start, part: Solution, compass: Compass, options: GraphOptions, say: Say) -> Solution:
+    """The solution of a start, with constants and noise that begin as a part of it has found them."""
     problem, noise = with_rectification(problem_of(start), part), replace(part.noise, slip=None)
     wheels, sigmas = options.wheels and start.wheels, Sigmas.of(part.covariances)
-    return problem, identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
+    return identify(problem, noise, say, 1, wheels=wheels, sigmas=sigmas, heading=compass.heading)
+
+
+def _streamed(start: Start, part: Solution, compass: Compass, options: GraphOptions) -> Solution:
+    """The same as a stream, with the noise of that part."""
+    noise = replace(part.noise, slip=USUAL_SLIP if options.wheels and start.wheels else None)
+    covariance, problem = part.covariances.constants, problem_of(start)
+    solution = solve_as_stream(problem, noise, covariance, compass.heading, FOUND)
+    return replace(solution, components=part.components)
 
 
 def _solve_in_windows(session: Session, start: Start, first: Solution, options: GraphOptions, say: Say) -> Solved:
     """Solve all of a session with the constants and the noise of its busiest part that has samples throughout."""
     busiest = longest_sampled(busiest_part(start, WINDOW))
     compass = Compass(session, busiest)
-    problem, main = _identified(busiest, first, compass, options, lambda share: say(0.3 * share))
-    known = known_from(main, problem.priors, busiest, session.config)
+    main = _identified(busiest, first, compass, options, lambda share: say(0.3 * share))
+    known = known_from(main, busiest.priors, busiest, session.config)
     if not _is_whole(busiest, start):  # over hours other errors of attitude are common than in one window
         known = replace(known, common_attitude=np.zeros((3, 3)))
     constants, heading, problems = main.state.constants, compass.found, compass.problems
-    del main, problem, compass, busiest  # the windows need the room
+    del main, compass, busiest  # the windows need the room
     start = replace(start, state=replace(start.state, constants=constants))
     solver = solve_as_stream if options.solver == "isam2" else solve_held
 

@@ -4,7 +4,7 @@ In the linear system a keyframe is one block of 18 columns, in the order of its 
 solved for are one more: GTSAM eliminates few large blocks in half the time of many small ones.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import gtsam
 import numpy as np
@@ -35,23 +35,32 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
     """One linear factor of GTSAM an interval, of all rows of it, which are in the order of the intervals.
 
     unknown: names of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
-    GTSAM a Jacobian: one array that is copied once. A few intervals at a time stay in the processor's cache.)
+    GTSAM a Jacobian: one array that is copied once.)
+    """
+    _, size = places(unknown)
+    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, *([size] if size else []), 1]
+    blocks = [block(k) for k in range(intervals + 1)]
+    for k, A in by_interval(rows, 0, intervals, unknown):
+        keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK][: len(sizes) - 1]
+        graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A)))
+    return graph
+
+
+def by_interval(rows: Sequence[Rows], begin: int, end: int, unknown: Sequence[str]) -> Iterator[tuple[int, Array]]:
+    """The intervals from `begin` to `end`, exclusive, each with all its rows whitened: both keyframes, the constants
+    `unknown` and the right-hand side. A few intervals at a time stay in the processor's cache.
     """
     starts, size = places(unknown)
     starts, width = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}, 2 * KEYFRAME_SIZE + size + 1
-    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, *([size] if size else []), 1]
-    blocks = [block(k) for k in range(intervals + 1)]
-    for first in range(0, intervals, AT_ONCE):
-        last = min(first + AT_ONCE, intervals)
+    for first in range(begin, end, AT_ONCE):
+        last = min(first + AT_ONCE, end)
         some = [r.take(slice(*np.searchsorted(r.interval, (first, last)))) for r in rows]
         interval = np.concatenate([np.repeat(r.interval, r.residual.shape[1]) for r in some])
         order = np.argsort(interval, kind="stable")
         A = np.concatenate([r.whitened(starts, width) for r in some])[order]
         bounds = np.searchsorted(interval[order], np.arange(first, last + 1)).tolist()
-        for k, begin, end in zip(range(first, last), bounds[:-1], bounds[1:], strict=True):
-            keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK][: len(sizes) - 1]
-            graph.push_back(gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, A[begin:end])))
-    return graph
+        for k, start, stop in zip(range(first, last), bounds[:-1], bounds[1:], strict=True):
+            yield k, A[start:stop]
 
 
 def places(unknown: Sequence[str]) -> tuple[dict[str, int], int]:

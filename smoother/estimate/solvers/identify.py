@@ -132,9 +132,9 @@ def identify(
         is_settled = change < CHANGED
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
-            problem, joined = _with_heading(problem, field), field is not None
+            problem, joined = with_heading(problem, field), field is not None
         if wheels and move < NEARER and is_settled:
-            wheels, rolls = False, _rolling(taken, covariances.keyframes, graph)
+            wheels, rolls = False, rolling_at(taken, covariances.keyframes, graph)
         if rolls is None and ((move < MOVED and is_settled and not joined) or is_last):
             return Solution(graph, taken, chain, covariances, found)
         graph, constants = _renewed(problem, graph, taken.after, better), covariances.constants
@@ -143,7 +143,8 @@ def identify(
             return _with_wheels(problem, rolls, graph, values, constants, found)
 
 
-def _with_heading(problem: Problem, field: Heading | None) -> Problem:
+def with_heading(problem: Problem, field: Heading | None) -> Problem:
+    """The problem with the headings of a magnetometer, if there are any."""
     if field is None:
         return problem
     known = problem.priors.constants | {"heading_offset": (np.zeros(1), np.array([field.offset_sigma]))}
@@ -161,20 +162,19 @@ def _with_wheels(
     """
     state = graph.state
     held = held_at(replace(problem, measured=replace(problem.measured, rolls=rolls)), state, FREE)
-    noise, sigmas = replace(graph.noise, slip=USUAL_SLIP), None
-    for turn in range(MOST_TURNS):
+    noise, sigmas, turn = replace(graph.noise, slip=USUAL_SLIP), None, 0
+    while True:
         graph = with_same_samples(graph, held.measured, noise, held.priors, state)
         taken = step(graph, values, FREE if sigmas is None else KEYS)
-        values = taken.moved
-        if sigmas is not None and moved(taken, sigmas) > MOVED and turn + 1 < MOST_TURNS:
+        values, turn = taken.moved, turn + 1
+        if sigmas is not None and moved(taken, sigmas) > MOVED and turn < MOST_TURNS:
             continue
         chain = taken.chain().with_constants(constants, columns_of(FREE))
         covariances = chain.covariances()
         if sigmas is not None:
-            break
+            return Solution(graph, taken, chain, covariances, found)
         sigmas, noise = Sigmas.of(covariances), replace(noise, slip=slip_sigma(taken, covariances, USUAL_SLIP))
-        del taken, chain, covariances
-    return Solution(graph, taken, chain, covariances, found)
+        del taken, chain, covariances  # as above
 
 
 def with_rectification(problem: Problem, part: Solution) -> Problem:
@@ -242,7 +242,7 @@ def solve_held(
             field, heading = heading(taken.after), None
             problem = replace(problem, measured=replace(problem.measured, heading=field))
         if joins and slip is not None:
-            rolls = _rolling(taken, taken.chain().given_constants, graph)
+            rolls = rolling_at(taken, taken.chain().given_constants, graph)
             if rolls is not None:
                 problem = replace(problem, measured=replace(problem.measured, rolls=rolls))
                 noise = replace(noise, slip=slip)
@@ -263,7 +263,7 @@ def held_at(problem: Problem, state: State, free: tuple[str, ...] = ()) -> Probl
     return replace(problem, priors=replace(problem.priors, constants=priors))
 
 
-def _rolling(step: Step, covariances: Array, graph: Graph) -> BoolArray | None:
+def rolling_at(step: Step, covariances: Array, graph: Graph) -> BoolArray | None:
     """Whether and where wheels roll, by a step without them and the covariances (K, 18, 18) of its keyframes."""
     state, inertial = step.after, graph.noise.inertial
     slip = slip_of(state, LowPassedMotion(state, inertial.accel, inertial.gyro))

@@ -1,4 +1,4 @@
-"""The stream by ISAM2: near to the batch where it ends, and the batch's step takes it there."""
+"""The stream by ISAM2: near to the batch as it goes, and with it where all measurements are linearised again."""
 
 from dataclasses import replace
 
@@ -6,10 +6,14 @@ import gtsam
 import numpy as np
 import pytest
 
+from smoother.estimate.factors.graph import Graph
 from smoother.estimate.initial.guess import make_start, problem_of
 from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.model.state import COLUMNS
+from smoother.estimate.solvers import incremental
+from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.identify import Problem, Solution, identify, solve_held
-from smoother.estimate.solvers.incremental import Stream, solve_as_stream
+from smoother.estimate.solvers.incremental import FOUND, Stream, solve_as_stream
 from smoother.prepare import prepare
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import simulate_preset
@@ -28,7 +32,9 @@ def _solved() -> tuple[Problem, Solution]:
 
 def test_the_stream_ends_near_the_batch(solved: tuple[Problem, Solution]) -> None:
     problem, found = solved
-    state, batch = Stream(problem, found.noise).solve(), found.state
+    stream = Stream(problem, found.noise)
+    stream.take_all()
+    state, batch = stream.state, found.state
     sigma = np.sqrt(np.einsum("kii->ki", found.covariances.keyframes))
     known = (batch.t < OUTAGE.start) | (batch.t > OUTAGE.start + OUTAGE.duration)
     for name, part in (("velocity_n", slice(6, 9)), ("position_n", slice(3, 6))):
@@ -38,7 +44,7 @@ def test_the_stream_ends_near_the_batch(solved: tuple[Problem, Solution]) -> Non
         assert np.sqrt(np.mean(apart**2)) < 0.3, name
 
 
-def test_it_ends_in_the_step_of_the_batch(solved: tuple[Problem, Solution]) -> None:
+def test_measurements_linearised_again_take_it_to_the_batch(solved: tuple[Problem, Solution]) -> None:
     problem, found = solved
     held = found.covariances.constants
     stream, batch = (solve(problem, found.noise, held) for solve in (solve_as_stream, solve_held))
@@ -48,10 +54,38 @@ def test_it_ends_in_the_step_of_the_batch(solved: tuple[Problem, Solution]) -> N
     np.testing.assert_allclose(of_stream, sigma, rtol=0.05)
 
 
+def test_constants_are_found_in_the_tree(solved: tuple[Problem, Solution]) -> None:
+    problem, found = solved
+    off = problem.state.constants | {"velocity_latency": problem.state.constants["velocity_latency"] + 0.02}
+    problem = replace(problem, state=replace(problem.state, constants=off))
+    stream = solve_as_stream(problem, found.noise, found.covariances.constants, free=FOUND)
+    sigma = np.sqrt(np.diag(found.covariances.constants))
+    for name in ("position_latency", "velocity_latency", "lever_arm"):
+        apart = stream.state.constants[name] - found.state.constants[name]
+        assert np.all(np.abs(apart) < 0.5 * sigma[COLUMNS[name]]), name
+    assert stream.state.constant("velocity_latency") != off["velocity_latency"]
+
+
+def test_no_step_is_taken_from_the_elimination(
+    solved: tuple[Problem, Solution], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its covariances come from it; a step that goes astray moves nothing."""
+    problem, found = solved
+    expected = solve_as_stream(problem, found.noise, found.covariances.constants).state
+
+    def astray(graph: Graph, values: gtsam.Values) -> Step:
+        taken = step(graph, values)
+        return replace(taken, keyframes=taken.keyframes + 1.0, moved=problem.state.values())
+
+    monkeypatch.setattr(incremental, "step", astray)
+    state = solve_as_stream(problem, found.noise, found.covariances.constants).state
+    np.testing.assert_array_equal(state.velocity_n, expected.velocity_n)
+
+
 def test_without_isam2_there_is_no_stream(solved: tuple[Problem, Solution], monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise RuntimeError("no update")
 
     monkeypatch.setattr(gtsam.ISAM2, "update", fails)
     with pytest.raises(ArithmeticError, match="no update"):
-        Stream(solved[0], solved[1].noise).solve()
+        solve_as_stream(solved[0], solved[1].noise, solved[1].covariances.constants)
