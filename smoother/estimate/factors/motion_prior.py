@@ -32,31 +32,33 @@ class Unsampled:
     """Intervals `at` (M,) without samples, and how they pass along the path of the fixes.
 
     turn (M,) rad about up; gain_n (M, 3) m/s of velocity; loose (M,): how uncertain both are, 1 where no fix is near:
-    what a line misses of a smooth path goes with the square of the time. follows: whether the first level axis points
-    along the course.
+    what a line misses of a smooth path goes with the square of the time. follows (M,): whether the first level axis
+    points along the course, and the path has a course to speak of there.
     """
 
     at: IntArray
     turn: Array
     gain_n: Array
     loose: Array
-    follows: bool
+    follows: BoolArray
 
     @staticmethod
     def of(missing: Array, path: State, fixes: Array, *, follows: bool) -> "Unsampled":
-        """missing (K-1,): shares without samples; path: keyframes along the fixes; fixes (N,) s: times of these."""
+        """missing (K-1,): shares without samples; path: keyframes along the fixes; fixes (N,) s: times of these.
+        follows: whether the first level axis points along the course.
+        """
         at = np.flatnonzero(missing >= MOSTLY)
         gain_n, turn = np.diff(path.velocity_n, axis=0)[at], np.diff(course_of(path))[at]
         beyond = np.concatenate([[-np.inf], fixes, [np.inf]])
         after = np.searchsorted(beyond, 0.5 * (path.t[at] + path.t[at + 1]))
-        return Unsampled(
-            at, turn, gain_n, np.minimum(((beyond[after] - beyond[after - 1]) / LASTING) ** 2, 1.0), follows
-        )
+        loose = np.minimum(((beyond[after] - beyond[after - 1]) / LASTING) ** 2, 1.0)
+        drives = np.minimum(_speed(path)[at], _speed(path)[at + 1]) > MOVING
+        return Unsampled(at, turn, gain_n, loose, follows & drives & (loose < 1.0))
 
     def between(self, first: int, last: int) -> "Unsampled":
         """Of the keyframes first to last, exclusive, counted from the first."""
         use: BoolArray = (self.at >= first) & (self.at < last - 1)
-        return Unsampled(self.at[use] - first, self.turn[use], self.gain_n[use], self.loose[use], self.follows)
+        return Unsampled(self.at[use] - first, self.turn[use], self.gain_n[use], self.loose[use], self.follows[use])
 
 
 def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyro_walk: float) -> Rows:
@@ -74,7 +76,7 @@ def motion_prior_rows(state: State, unsampled: Unsampled, accel_walk: float, gyr
     tilt = [R_ns[:, :2] @ up_s for R_ns in (R, state.R_ns[two])]
     course, by_rotation, by_velocity = _course(state)
     slips = wrap_angle(course[two] - phi * wrap_angle(course[one]))
-    follows = unsampled.follows & (np.minimum(_speed(state)[one], _speed(state)[two]) > MOVING)
+    follows = unsampled.follows
     turned = np.where(follows, slips, np.einsum("kj,kj->k", R[:, 2], turn) - unsampled.turn)
     residual = np.hstack([tilt[1] - phi * tilt[0], turned[:, None], sway, gain, *walk])
     loose, new = unsampled.loose[:, None], math.sqrt(1.0 - phi**2)
