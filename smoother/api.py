@@ -129,7 +129,7 @@ def simulate(
 
 
 def write_session(simulation: Simulation, folder: Path) -> None:
-    """Write imu.csv, gps.csv, mag.csv, and truth.csv and truth_laps.csv beside them, into `folder`."""
+    """Write imu.csv, gps.csv, mag.csv, wheel_speed.csv, and truth.csv and truth_laps.csv beside them, into `folder`."""
     from smoother.sim.record import write_csv
 
     write_csv(simulation, folder)

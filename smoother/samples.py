@@ -8,7 +8,8 @@ All arrays are float64 and read-only; times are seconds on one clock per session
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -118,6 +119,45 @@ class RawMag:
     def __post_init__(self) -> None:
         _freeze(self, t=(None,), field=(len(self.t), 3))
         require_increasing(self.t, "RawMag.t")
+
+
+@dataclass(frozen=True, eq=False)
+class WheelSpeed:
+    """Speed by the turning of a wheel, as logged: t (N,) s; speed (N,) m/s, never negative."""
+
+    t: Array
+    speed: Array
+
+    def __post_init__(self) -> None:
+        _freeze(self, t=(None,), speed=(len(self.t),))
+        require_increasing(self.t, "WheelSpeed.t")
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What was recorded beside fixes and inertial samples, on the same clock."""
+
+    mag: RawMag | None = None
+    wheel_speed: WheelSpeed | None = None
+
+    def retimed(self, change: Callable[[Array], Array]) -> "Beside":
+        """Return the same at other times; `change` takes times (N,) s to times."""
+        mag, wheel = self.mag, self.wheel_speed
+        return Beside(
+            None if mag is None else replace(mag, t=change(mag.t)),
+            None if wheel is None else replace(wheel, t=change(wheel.t)),
+        )
+
+    def between(self, begin: float, end: float) -> "Beside":
+        """Return what was recorded after begin and before end, s."""
+        mag, wheel = self.mag, self.wheel_speed
+        if mag is not None:
+            inside = (mag.t > begin) & (mag.t < end)
+            mag = replace(mag, t=mag.t[inside], field=mag.field[inside])
+        if wheel is not None:
+            inside = (wheel.t > begin) & (wheel.t < end)
+            wheel = replace(wheel, t=wheel.t[inside], speed=wheel.speed[inside])
+        return Beside(mag, wheel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +303,7 @@ class RawSession:
     inputs: tuple[str, ...] = ()
     problems: tuple[Problem, ...] = ()
     unix_at_zero: float | None = None  # UTC, seconds since 1970, at t = 0
+    wheel_speed: WheelSpeed | None = None
 
 
 @dataclass(frozen=True)
@@ -290,6 +331,7 @@ class Session:
     problems: tuple[Problem, ...] = ()
     unix_at_zero: float | None = None
     calibration: tuple[AppliedValue, ...] = ()
+    wheel_speed: WheelSpeed | None = None
 
     @property
     def fix_position_n(self) -> Array:

@@ -20,7 +20,7 @@ from smoother.session.settings import load_settings
 
 OUTPUT_DIRECTORY = "smoothed"  # as `smooth SESSION` calls it
 SETTINGS, OFFICIAL = "session.toml", "official.csv"
-TABLES = ("imu.csv", "gps.csv", "mag.csv", "imu.csv.gz", "gps.csv.gz", "mag.csv.gz")
+TABLES = tuple(f"{name}.csv{packed}" for packed in ("", ".gz") for name in ("imu", "gps", "mag", "wheel_speed"))
 WHOLE = (*TABLES, "out.txt", "magcalib.txt", "mag_calib.txt")
 KART = re.compile(r"(?i)kart(?:[ _-]?\d{1,3}[a-z]?|[ _-][a-z])")  # says itself that it is one: kart7, Kart 07, kart-12b
 MOST_NAMED = 3  # of folders without a recording

@@ -15,9 +15,25 @@ import numpy as np
 from smoother.errors import UsageError
 from smoother.sim.motion import Motion, Spin, Stop
 from smoother.sim.presets import draw_scenario
-from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, Jump, MagErrors, NmeaRounding, Scenario, with_changes
+from smoother.sim.scenario import (
+    GnssErrors,
+    ImuErrors,
+    Interval,
+    Jump,
+    MagErrors,
+    NmeaRounding,
+    Scenario,
+    WheelErrors,
+    with_changes,
+)
 
-GROUPS: Mapping[str, type] = {"motion": Motion, "imu": ImuErrors, "gnss": GnssErrors, "mag": MagErrors}
+GROUPS: Mapping[str, type] = {
+    "motion": Motion,
+    "imu": ImuErrors,
+    "gnss": GnssErrors,
+    "mag": MagErrors,
+    "wheel": WheelErrors,
+}
 
 
 def parsed(settings: Sequence[str]) -> dict[str, Any]:

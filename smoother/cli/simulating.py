@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PRESETS, TRACKS = ("white", "kart", "kart_harsh"), ("larkfield", "tinbarn", "longmeadow")
 SIMULATED_FILES = (
-    *("imu.csv", "gps.csv", "mag.csv", "out.txt", "magcalib.txt", "LOG00001.KLG", "LOG00002.KLG"),
+    *("imu.csv", "gps.csv", "mag.csv", "wheel_speed.csv", "out.txt", "magcalib.txt", "LOG00001.KLG", "LOG00002.KLG"),
     *("truth.csv", "session.toml", "calibration.toml"),
 )
 MARK = "truth_laps.csv"  # only a simulation writes it: beside it, what a simulation writes may be written over

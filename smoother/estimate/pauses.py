@@ -115,7 +115,7 @@ def _removed(t: Array, i: int, pause: float) -> float:
 
 def closed_up(session: Session, pauses: Pauses) -> Session:
     """Return the session without the pauses, on closed time. What was recorded in them is left out."""
-    imu, mag = session.imu, session.mag
+    imu, mag, wheel = session.imu, session.mag, session.wheel_speed
     if imu is not None:
         keep = _outside(pauses, imu.t)
         force, rate = _kept(imu.specific_force_s, keep), _kept(imu.angular_rate_s, keep)
@@ -123,7 +123,11 @@ def closed_up(session: Session, pauses: Pauses) -> Session:
     if mag is not None:
         keep = _outside(pauses, mag.t)
         mag = replace(mag, t=_kept(mag.t, keep, pauses.removed), field_s=_kept(mag.field_s, keep))
-    return replace(session, gnss=replace(session.gnss, t=pauses.closed(session.gnss.t)), imu=imu, mag=mag)
+    if wheel is not None:
+        keep = _outside(pauses, wheel.t)
+        wheel = replace(wheel, t=_kept(wheel.t, keep, pauses.removed), speed=_kept(wheel.speed, keep))
+    gnss = replace(session.gnss, t=pauses.closed(session.gnss.t))
+    return replace(session, gnss=gnss, imu=imu, mag=mag, wheel_speed=wheel)
 
 
 def _outside(pauses: Pauses, t: Array) -> list[slice]:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release, roomy
 from smoother.samples import Session
 from smoother.trajectory import ClockMove, JointPosition
@@ -15,12 +15,13 @@ Change = Callable[[Array], Array]
 
 
 def with_samples_at(session: Session, change: Change) -> Session:
-    """Return the session with the times of its inertial samples and its magnetometer's changed; fixes stay."""
-    imu, mag = session.imu, session.mag
+    """Return the session with the times of its inertial samples and of its other sensors changed; fixes stay."""
+    imu, mag, wheel = session.imu, session.mag, session.wheel_speed
     return replace(
         session,
         imu=None if imu is None else replace(imu, t=_changed(imu.t, change)),
         mag=None if mag is None else replace(mag, t=_changed(mag.t, change)),
+        wheel_speed=None if wheel is None else replace(wheel, t=_changed(wheel.t, change)),
     )
 
 
@@ -28,17 +29,26 @@ def moved(session: Session, moves: tuple[ClockMove, ...]) -> Session:
     """Return the session with the times of samples and fixes moved; the same where there are no moves."""
     fixes, samples = (tuple(move for move in moves if move.moves_fixes == which) for which in (True, False))
     if samples:
-        session = with_samples_at(_without_late_mag(session, samples), partial(_moved, moves=samples))
+        session = with_samples_at(_without_late(session, samples), partial(_moved, moves=samples))
     return replace(session, gnss=replace(session.gnss, t=_moved(session.gnss.t, fixes))) if fixes else session
 
 
-def _without_late_mag(session: Session, moves: tuple[ClockMove, ...]) -> Session:
-    """The session without fields of before a move that would come after those of after it: of a clock of their own."""
-    if session.mag is None or not len(session.mag.t):
-        return session
-    t = _moved(session.mag.t, moves)
-    keep = t < np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf)
-    return replace(session, mag=replace(session.mag, t=session.mag.t[keep], field_s=session.mag.field_s[keep]))
+def _without_late(session: Session, moves: tuple[ClockMove, ...]) -> Session:
+    """The session without readings of magnetometer and wheel that a move takes behind later ones."""
+    mag, wheel = session.mag, session.wheel_speed
+    if mag is not None and len(mag.t):
+        keep = _in_order(mag.t, moves)
+        mag = replace(mag, t=mag.t[keep], field_s=mag.field_s[keep])
+    if wheel is not None and len(wheel.t):
+        keep = _in_order(wheel.t, moves)
+        wheel = replace(wheel, t=wheel.t[keep], speed=wheel.speed[keep])
+    return replace(session, mag=mag, wheel_speed=wheel)
+
+
+def _in_order(t: Array, moves: tuple[ClockMove, ...]) -> BoolArray:
+    """Mask (N,) of the times t (N,) s that come before all later ones when they are moved."""
+    t = _moved(t, moves)
+    return np.asarray(t < np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf))
 
 
 def _moved(t: Array, moves: tuple[ClockMove, ...]) -> Array:

@@ -145,6 +145,7 @@ def _counts(session: Session, estimate: Trajectory) -> Document:
         "fixes_used": used,
         "imu_samples": 0 if session.imu is None else len(session.imu.t),
         "mag_samples": 0 if session.mag is None else len(session.mag.t),
+        **({} if session.wheel_speed is None else {"wheel_speed_samples": len(session.wheel_speed.t)}),
     }
 
 

@@ -1,4 +1,4 @@
-"""The CSV form of a session: imu.csv, gps.csv and mag.csv to their types, with what was unusable counted."""
+"""The CSV form of a session: imu.csv and gps.csv to their types, with what was unusable counted."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -7,24 +7,21 @@ import numpy as np
 
 from smoother.arrays import Array, median
 from smoother.errors import SessionError
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.samples import GnssFixes, Problem, RawImu
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import ESTIMATED, FixColumns
 from smoother.session.fixes import screen_fixes
 from smoother.session.inertial import screen_imu
 from smoother.session.plausible import are_exchanged, are_in_milli_g, turned_to_metres, turned_to_radians
 from smoother.session.restarts import Restarts, over_restarts, pair_parts
-from smoother.session.rows import RowFilter, put_in_time_order
 from smoother.session.set_back import joined_where_set_back
 from smoother.session.tables import NOTHING, Table, head_lines, names_of, read_table
 from smoother.session.text_order import in_order_of_numbers
-from smoother.session.time_unit import UNITS, in_seconds, lasts_like, require_seconds, unit_by_rate, unit_of_fixes
+from smoother.session.time_unit import UNITS, in_seconds, require_seconds, unit_by_rate, unit_of_fixes
 from smoother.words import counted, listed
 
 ACCEL_COLUMNS = ("ax", "ay", "az")
 GYRO_COLUMNS = ("gx", "gy", "gz")
-FIELD_COLUMNS = ("mx", "my", "mz")
-ABSURD_FIELD = 1e9  # in any unit; no sensor counts as far, and sums of squares of more overflow
 EARLIEST_UTC, LATEST_UTC = 315532800.0, 4102444800.0  # s since 1970: 1980, when GPS time began, and 2100
 WHOLE_SECOND = 1.0  # s, within which UTC without fractions stands still
 NMEA_ESTIMATED = 6  # quality of a fix that a receiver made up without satellites
@@ -56,9 +53,9 @@ def read_imu_and_unit(
     """
     table = in_order_of_numbers(read_table(path, ("t_s", *ACCEL_COLUMNS, *GYRO_COLUMNS)))
     accel, gyro, t = table.stack(*ACCEL_COLUMNS), table.stack(*GYRO_COLUMNS), table.column("t_s")
-    problems = list(_of_table(table, "imu"))
+    problems = list(problems_of_table(table, "imu"))
     _require_numbers(path, "t_s", t)
-    _require_clock(path, t)
+    require_clock(path, t)
     del table  # its columns have been copied; a long recording fills the memory once, not twice
     require_seconds(path.name, t, "samples")
     unit = None if is_slow else unit_by_rate(t)
@@ -75,50 +72,6 @@ def read_imu_and_unit(
     t, joined = joined_where_set_back(t, "imu", path.name) if may_be_set_back else (t, [])
     imu, of_rows = screen_imu(path.name, t, accel, gyro)
     return imu, [*problems, *joined, *of_rows], unit
-
-
-def read_mag(
-    path: Path,
-    fixes_t: Array | None = None,
-    *,
-    has_imu: bool = False,
-    imu_unit: str | None = None,
-    restarts: Restarts | None = None,
-    is_set_back: bool = False,
-) -> tuple[RawMag, list[Problem]]:
-    """Read mag.csv: t_s, mx my mz in any unit, axes s. Rows may all be dropped: length 0.
-
-    fixes_t (M,) s : times of fixes beside it, by which a slow compass is told from times in another unit. Where it
-    has_imu beside it, times are in the unit of that, imu_unit, or in seconds; a compass alone may be of any rate.
-    restarts : of the clock of samples and fixes beside it, which may have been set_back, too. Raises SessionError if
-    its own has parts that are none of theirs.
-    """
-    table = in_order_of_numbers(read_table(path, ("t_s", *FIELD_COLUMNS)))
-    field, t = table.stack(*FIELD_COLUMNS), table.column("t_s")
-    _require_clock(path, t)
-    unit = _unless_seconds(t, imu_unit if has_imu else unit_by_rate(t), fixes_t)
-    t, said = in_seconds(t, unit, "mag", path.name)
-    if restarts is not None and np.isfinite(t).any():
-        shifts = restarts.of_compass(t)
-        if shifts is None:
-            raise SessionError(f"{path.name}: its clock did not start again when that of the samples did")
-        t, used = over_restarts(t, shifts)
-        t, field = t[used], field[used]
-    t, joined = joined_where_set_back(t, "mag", path.name) if is_set_back else (t, [])
-    rows = RowFilter(path.name, "mag", np.ones(t.size, dtype=np.bool_))
-    rows.drop(~(np.isfinite(t) & np.all(np.isfinite(field), axis=1)), "invalid", "with an empty or unreadable value")
-    rows.drop(np.all(field == 0.0, axis=1), "zero", "of exactly zero on all axes")
-    with np.errstate(invalid="ignore"):
-        rows.drop(np.any(np.abs(field) > ABSURD_FIELD, axis=1), "absurd", "with a field no sensor can read")
-    time, index = put_in_time_order(rows, t, field)
-    return RawMag(time, field[index]), [*_of_table(table, "mag"), *said, *joined, *rows.problems]
-
-
-def _unless_seconds(t: Array, unit: str | None, fixes_t: Array | None) -> str | None:
-    """The unit of the times t (N,) of a compass, None where they last as long as the fixes (M,) s in seconds."""
-    if unit is None or fixes_t is None or lasts_like(t[np.isfinite(t)] / UNITS[unit], fixes_t, unit):
-        return unit
-    return None
 
 
 def find_restarts(imu_table: Path, fix_table: Path, imu_unit: str | None) -> Restarts | None:
@@ -146,7 +99,7 @@ def read_fixes(
     t, (unix_s, said_of_utc) = table.column("t_s"), _unix_seconds(table)
     for name in FIX_COLUMNS:
         _require_numbers(path, name, table.column(name))
-    _require_clock(path, t)
+    require_clock(path, t)
     t, said = in_seconds(t, unit_of_fixes(path.name, t, unix_s, imu_unit), "gps", path.name)
     t, finer = _finer_by_utc(t, unix_s, path.name)
     t, used = (t, np.ones(t.size, dtype=np.bool_)) if shifts is None else over_restarts(t, shifts)
@@ -176,7 +129,7 @@ def read_fixes(
     require_degrees(path.name, columns)
     fixes, problems = screen_fixes(columns, path.name, is_alone=is_alone)
     of_columns = [*said, *finer, *joined, *said_of_utc, *said_of_quality]
-    return fixes, [*_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
+    return fixes, [*problems_of_table(table, "gps"), *of_columns, *problems, *_unread_cells(table)]
 
 
 def _finer_by_utc(t: Array, unix_s: Array, file: str) -> tuple[Array, list[Problem]]:
@@ -221,7 +174,7 @@ def _require_numbers(path: Path, column: str, values: Array) -> None:
         )
 
 
-def _require_clock(path: Path, t: Array) -> None:
+def require_clock(path: Path, t: Array) -> None:
     """Raise SessionError where all rows have one and the same time, t (N,) as written: of the start, or of no clock."""
     if t.size and abs(t[-1] - t[0]) > 0.0:  # a long recording is not copied to see it
         return
@@ -232,7 +185,7 @@ def _require_clock(path: Path, t: Array) -> None:
         )
 
 
-def _of_table(table: Table, prefix: str) -> Iterator[Problem]:
+def problems_of_table(table: Table, prefix: str) -> Iterator[Problem]:
     """What to say of the table as a whole: columns that are there twice, header lines in between, a last row cut."""
     first = [name for name in table.repeated if name not in table.passed_over]
     for names, used in ((first, "the first"), (table.passed_over, "the first that is not empty")):

@@ -4,12 +4,10 @@ A trajectory has rows for every moment from its first fix to its last: of a nigh
 gigabyte and say nothing.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.samples import Beside, GnssFixes, Problem, RawImu
 from smoother.session.frozen import without_rows
 from smoother.words import counted, span
 
@@ -17,15 +15,15 @@ LONGEST_PAUSE = 8.0 * 3600.0  # s without a sample and a fix within one recordin
 
 
 def longest_recording(
-    gnss: GnssFixes, imu: RawImu | None, mag: RawMag | None, file: str, problems: list[Problem]
-) -> tuple[GnssFixes, RawImu | None, RawMag | None]:
-    """Return fixes, samples and compass of the recording with most fixes, all of them where there is one only.
+    gnss: GnssFixes, imu: RawImu | None, beside: Beside, file: str, problems: list[Problem]
+) -> tuple[GnssFixes, RawImu | None, Beside]:
+    """Return fixes, samples and what is beside them of the recording with most fixes; all where there is one only.
 
     Said in `problems` with how to have the others; `file` is the name for the sentences.
     """
     cuts = _cuts(gnss.t, None if imu is None else imu.t)
     if not cuts:
-        return gnss, imu, mag
+        return gnss, imu, beside
     bounds = np.array([-np.inf, *(0.5 * (first + last) for first, last in cuts), np.inf])
     most = int(np.argmax(np.histogram(gnss.t, bounds)[0]))
     begin, end = bounds[most], bounds[most + 1]
@@ -38,10 +36,7 @@ def longest_recording(
     )
     problems.append(Problem("recordings_apart", text, lost))
     imu = None if imu is None else without_rows(imu, (imu.t < begin) | (imu.t > end))
-    if mag is not None:
-        inside = (mag.t > begin) & (mag.t < end)
-        mag = replace(mag, t=mag.t[inside], field=mag.field[inside])
-    return gnss.select(used), imu, mag
+    return gnss.select(used), imu, beside.between(begin, end)
 
 
 def _cuts(fixes: Array, samples: Array | None) -> list[tuple[float, float]]:

@@ -17,7 +17,13 @@ Role = Literal["log", "out", "fixes", "imu", "sentences", "vbo", "racechrono", "
 FOREIGN: tuple[Foreign, ...] = ("vbo", "racechrono", "aim", "gpx", "ubx", "table")  # what holds most stands first
 OUT_NAME, LOG_SUFFIX = "out.txt", ".klg"
 IMU_NAMES = ("imu.csv", "imu.csv.gz")
-OF_A_SESSION = ("mag.csv", "mag.csv.gz", "official.csv")  # tables that stand for the session they lie beside
+OF_A_SESSION = (
+    "mag.csv",
+    "mag.csv.gz",
+    "wheel_speed.csv",
+    "wheel_speed.csv.gz",
+    "official.csv",
+)  # tables that stand for the session they lie beside
 OWN_NAMES = (*IMU_NAMES, "gps.csv", "gps.csv.gz", OUT_NAME)  # of files that are their folder's session
 RESULTS = frozenset({"trajectory.csv", "summary.json"})  # both of these make a folder one of results
 UNNAMED_SUFFIXES = (".txt", ".log", ".ubx", ".gps", ".dat")  # of what receivers and terminals write

@@ -88,12 +88,14 @@ def _read_thesis(files: SessionFiles) -> Recording:
 
 def _read_columns(files: SessionFiles) -> Recording:
     """The CSV form, with fixes from gps.csv or from sentences."""
-    from smoother.session.csv_form import find_restarts, read_imu_and_unit, read_mag
+    from smoother.session.beside import SessionClock, read_mag, read_wheel_speed
+    from smoother.session.csv_form import find_restarts, read_imu_and_unit
     from smoother.session.tables import NoRowsError
     from smoother.session.time_unit import lasts_like
 
-    imu_table, mag_table = files.imu_table(), files.find("mag.csv", "mag.csv.gz")
-    imu, mag, unit, restarts = None, None, None, None
+    imu_table = files.imu_table()
+    mag_table, wheel_table = (files.find(f"{name}.csv", f"{name}.csv.gz") for name in ("mag", "wheel_speed"))
+    imu, mag, wheel, unit, restarts = None, None, None, None, None
     problems: list[Problem] = []
     if imu_table is not None:
         try:
@@ -117,23 +119,22 @@ def _read_columns(files: SessionFiles) -> Recording:
             gnss, gnss_file, gnss_problems = _read_any_fixes(files, True, unit, restarts.fixes)
             problems.append(restarts.problem)
     problems += gnss_problems
+    clock = SessionClock(gnss.t, imu is not None, unit, restarts, _is_set_back(problems))
     if mag_table is not None:
         try:
-            mag, mag_problems = read_mag(
-                mag_table,
-                gnss.t,
-                has_imu=imu is not None,
-                imu_unit=unit,
-                restarts=restarts,
-                is_set_back=_is_set_back(problems),
-            )
-            problems += mag_problems
+            mag, said = read_mag(mag_table, clock)
+            problems += said
         except SessionError as error:  # a session is complete without it
             problems.append(Problem("mag_unusable", f"{error}; smoothed without magnetometer"))
-    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table) if file is not None)
-    return Recording(
-        gnss, gnss_file.name, inputs, tuple(problems), imu, imu_table.name if imu_table is not None else "", mag
-    )
+    if wheel_table is not None:
+        try:
+            wheel, said = read_wheel_speed(wheel_table, clock)
+            problems += said
+        except SessionError as error:
+            problems.append(Problem("wheel_speed_unusable", f"{error}; smoothed without wheel speed"))
+    inputs = tuple(file.name for file in (imu_table, gnss_file, mag_table, wheel_table) if file is not None)
+    imu_file = imu_table.name if imu_table is not None else ""
+    return Recording(gnss, gnss_file.name, inputs, tuple(problems), imu, imu_file, mag, wheel_speed=wheel)
 
 
 def _is_set_back(problems: Sequence[Problem]) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median, runs_of
 from smoother.disc import thinned
 from smoother.frames import Origin
-from smoother.samples import GnssFixes, Problem, RawImu, RawMag
+from smoother.samples import Beside, GnssFixes, Problem, RawImu
 
 KNOT = 5.0  # s over which the lead of the clock over UTC is averaged
 FEWEST_OF_KNOT, FEWEST_KNOTS = 4, 8
@@ -54,8 +54,8 @@ class Pace:
 
 
 def with_even_pace(
-    gnss: GnssFixes, imu: RawImu | None, mag: RawMag | None, file: str, problems: list[Problem]
-) -> tuple[GnssFixes, RawImu | None, RawMag | None]:
+    gnss: GnssFixes, imu: RawImu | None, beside: Beside, file: str, problems: list[Problem]
+) -> tuple[GnssFixes, RawImu | None, Beside]:
     """Return the recording with the times of a clock that ran fast or slow for a while made even, said in `problems`.
 
     file : name of the fixes' for the sentences. The same where UTC shows nothing, or not for certain.
@@ -63,10 +63,10 @@ def with_even_pace(
     assert gnss.unix_s is not None
     pace = _pace(gnss.t, gnss.unix_s)
     if pace is None:
-        return gnss, imu, mag
+        return gnss, imu, beside
     t = pace.true(gnss.t)
     if imu is not None and not _are_of_one_clock(gnss, imu, pace):
-        return gnss, imu, mag
+        return gnss, imu, beside
     when = " and ".join(
         f"{100.0 * abs(ran):.2g} % {'fast' if ran > 0.0 else 'slow'} from {first:.0f} to {last:.0f} s"
         for first, last, ran in pace.off
@@ -75,11 +75,11 @@ def with_even_pace(
     if _is_contradicted(gnss, t, pace):
         text = f"{what}; by the speed of the fixes it was UTC that ran otherwise, and t_s is believed"
         problems.append(Problem("clock_pace_doubtful", text))
-        return gnss, imu, mag
+        return gnss, imu, beside
     problems.append(Problem("clock_pace", f"{what}; taken out, so that later times differ from t_s by as much"))
     gnss = replace(gnss, t=t)
     imu = None if imu is None else replace(imu, t=pace.true(imu.t))
-    return gnss, imu, None if mag is None else replace(mag, t=pace.true(mag.t))
+    return gnss, imu, beside.retimed(pace.true)
 
 
 def _pace(t: Array, unix_s: Array) -> Pace | None:

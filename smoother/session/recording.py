@@ -18,11 +18,13 @@ from smoother.samples import (
     IMU_AXES_UNKNOWN,
     IMU_BEFORE_FIXES,
     IMU_INCOMPLETE,
+    Beside,
     GnssFixes,
     Problem,
     RawImu,
     RawMag,
     RawSession,
+    WheelSpeed,
 )
 from smoother.session.clock import LARGEST_DRIFT, are_fix_gaps, describe_time_base, regularize, true_fix_times
 from smoother.session.days import longest_recording
@@ -39,6 +41,7 @@ from smoother.session.time_unit import LONGEST_PERIOD
 from smoother.session.turned import without_turned, without_turned_about
 from smoother.session.utc_leaps import leaps
 from smoother.session.week_rollover import with_present_dates
+from smoother.session.wheel_speed import usable_wheel_speed
 from smoother.words import counted, span
 
 SLOWEST_IMU = 20.0  # Hz; below, a kart's motion between samples is lost (contract, section 3)
@@ -70,6 +73,7 @@ class Recording:
     mag_calibration_field: Array | None = None
     unix_at_zero: float | None = None  # where the file tells it, but not with each fix
     imu_delay: float | None = None  # s, of the low-pass before the sampling, where the file tells it; it is taken off
+    wheel_speed: WheelSpeed | None = None
 
 
 def finish(files: SessionFiles, recording: Recording) -> RawSession:
@@ -84,10 +88,10 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
     problems = [*recording.problems, *_missing_heights(recording)]
     dated = with_present_dates(recording.gnss, recording.gnss_file, time.time(), config.date, problems)
     recording = replace(recording, gnss=with_learnt_leap_seconds(dated, recording.gnss_file, problems))
-    imu, mag = _usable_imu(recording, problems), _evened_mag(recording.mag)
-    gnss, imu, mag = with_even_pace(recording.gnss, imu, mag, recording.gnss_file, problems)
+    imu, beside = _usable_imu(recording, problems), Beside(_evened_mag(recording.mag), recording.wheel_speed)
+    gnss, imu, beside = with_even_pace(recording.gnss, imu, beside, recording.gnss_file, problems)
     gnss = _with_true_times(replace(recording, gnss=gnss), problems)
-    gnss, imu, mag = longest_recording(gnss, imu, mag, recording.gnss_file, problems)
+    gnss, imu, beside = longest_recording(gnss, imu, beside, recording.gnss_file, problems)
     imu = _if_enough(imu, recording.imu_file, " in the recording that is used", problems)
     if imu is not None:
         imu = without_spikes(imu, recording.imu_file, problems)
@@ -106,11 +110,13 @@ def finish(files: SessionFiles, recording: Recording) -> RawSession:
         problems += stuck_problems(imu, gnss, recording.imu_file)
         _compare_times(recording, imu, gnss, problems)
         settle(imu)
+    mag = beside.mag
     return RawSession(
         name=files.session_name(),
         gnss=gnss,
         imu=imu,
         mag=None if mag is None or mag.t.size == 0 else mag,
+        wheel_speed=usable_wheel_speed(beside.wheel_speed, gnss, has_imu=imu is not None, problems=problems),
         mag_calibration_field=recording.mag_calibration_field,
         config=config,
         inputs=recording.inputs if settings is None else (*recording.inputs, settings.name),

@@ -13,7 +13,7 @@ import polars as pl
 from smoother.arrays import Array
 from smoother.errors import UsageError
 from smoother.frames import wrap_angle
-from smoother.samples import GnssFixes, RawImu, RawMag
+from smoother.samples import GnssFixes, RawImu, RawMag, WheelSpeed
 from smoother.session import thesis
 from smoother.session.csv_form import FIX_COLUMNS
 from smoother.sim.simulation import Simulation
@@ -28,7 +28,7 @@ NMEA_BLOCK = 96  # bytes of the receiver's buffer in out.txt for each sentence, 
 
 
 def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0) -> None:
-    """Write imu.csv, gps.csv, mag.csv, truth.csv and truth_laps.csv into `directory`, made if need be.
+    """Write imu.csv, gps.csv, mag.csv, wheel_speed.csv, truth.csv and truth_laps.csv into `directory`, made if need be.
 
     A magnetometer that was calibrated before the session also gets its calibration.toml.
     """
@@ -39,6 +39,8 @@ def write_csv(simulation: Simulation, directory: Path, truth_rate: float = 50.0)
     write_table(fix_table(raw.gnss), directory / "gps.csv")
     if raw.mag is not None:
         write_table(mag_table(raw.mag), directory / "mag.csv")
+    if raw.wheel_speed is not None:
+        write_table(wheel_table(raw.wheel_speed), directory / "wheel_speed.csv")
     if raw.mag_calibration_field is not None:
         write_mag_calibration(simulation, directory / "calibration.toml")
     write_truth(simulation, directory, truth_rate)
@@ -147,6 +149,11 @@ def mag_table(mag: RawMag) -> pl.DataFrame:
     columns = {"t_s": np.round(mag.t, _TIME_DECIMALS)}
     columns |= {name: np.round(mag.field[:, i], 4) for i, name in enumerate(("mx", "my", "mz"))}
     return pl.DataFrame(columns)
+
+
+def wheel_table(wheel: WheelSpeed) -> pl.DataFrame:
+    """Columns of wheel_speed.csv."""
+    return pl.DataFrame({"t_s": np.round(wheel.t, _TIME_DECIMALS), "speed_mps": np.round(wheel.speed, 4)})
 
 
 def fix_table(fixes: GnssFixes) -> pl.DataFrame:

@@ -189,6 +189,27 @@ class MagErrors:
         require_figures(self, "mag", ("noise", "calibration_points"), ("resolution",))
 
 
+@dataclass(frozen=True)
+class WheelErrors:
+    """Sensor of a wheel's speed: that of the kart there, forwards, times 1 + scale + slip * forward acceleration.
+
+    side: of the wheel, to the left of the IMU. noise is white; lasting, with lasting_tau, a first-order Gauss-Markov
+    error. A speed stamped t_s was true at t_s - latency.
+    """
+
+    rate: float = 0.0  # Hz, 0: there is none
+    scale: float = 0.0
+    slip: float = 0.0  # s^2/m
+    side: float = 0.0  # m
+    latency: float = 0.0  # s
+    noise: float = 0.0  # m/s
+    lasting: float = 0.0  # m/s
+    lasting_tau: float = 1.5  # s
+
+    def __post_init__(self) -> None:
+        require_figures(self, "wheel", ("rate", "noise", "lasting"), ("lasting_tau",))
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
     """One simulated session: where, how long, how driven, and with which sensors. None leaves a sensor out."""
@@ -201,6 +222,7 @@ class Scenario:
     imu: ImuErrors | None = field(default_factory=ImuErrors)
     gnss: GnssErrors = field(default_factory=GnssErrors)
     mag: MagErrors | None = field(default_factory=MagErrors)
+    wheel: WheelErrors = field(default_factory=WheelErrors)
     R_bs: Array = field(default_factory=_identity)
     lever_arm_b: Array = field(default_factory=_zeros)
 
@@ -213,7 +235,7 @@ class Scenario:
         require_figures(self, "")
 
 
-_GROUPS = ("motion", "imu", "gnss", "mag")
+_GROUPS = ("motion", "imu", "gnss", "mag", "wheel")
 
 
 def with_changes(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -235,7 +257,7 @@ def with_changes(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
 
 def _split(key: str) -> tuple[str | None, str]:
     known: dict[str, tuple[str | None, str]] = {f.name: (None, f.name) for f in dataclasses.fields(Scenario)}
-    for group, kind in zip(_GROUPS, (Motion, ImuErrors, GnssErrors, MagErrors), strict=True):
+    for group, kind in zip(_GROUPS, (Motion, ImuErrors, GnssErrors, MagErrors, WheelErrors), strict=True):
         known.update({f"{group}.{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
         known.update({f"{group}_{f.name}": (group, f.name) for f in dataclasses.fields(kind)})
     if key not in known:

@@ -16,8 +16,8 @@ from scipy.signal import butter, lfilter
 from smoother import so3
 from smoother.arrays import Array, BoolArray
 from smoother.frames import Origin, nwu_to_geodetic
-from smoother.samples import GnssFixes, RawImu, RawMag
-from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, MagErrors, NmeaRounding
+from smoother.samples import GnssFixes, RawImu, RawMag, WheelSpeed
+from smoother.sim.scenario import GnssErrors, ImuErrors, Interval, MagErrors, NmeaRounding, WheelErrors
 from smoother.sim.truth import Truth
 from smoother.units import KNOT
 
@@ -306,6 +306,19 @@ def simulate_mag(
     load = load / max(float(np.max(load)), 1e-9)
     engine = errors.engine_disturbance * strength * load[:, None] * errors.engine_direction_s
     return RawMag(_in_ticks(session_time), _mag_reading(field_s + engine, errors, strength, rng))
+
+
+def simulate_wheel_speed(truth: Truth, errors: WheelErrors, duration: float, rng: np.random.Generator) -> WheelSpeed:
+    """Return the speed of a wheel; one that turns backwards reads as zero."""
+    time = np.arange(1, int(np.floor(duration * errors.rate + 1e-9)) + 1) / errors.rate
+    session_time = truth.clock.to_session(time)
+    states = truth.at(session_time - errors.latency)
+    forward_n, turn_rate = states.R_nb[:, :, 0], states.angular_rate_b[:, 2]
+    speed, acceleration = (np.sum(x * forward_n, axis=1) for x in (states.velocity_n, states.acceleration_n))
+    of_wheel = (speed - errors.side * turn_rate) * (1.0 + errors.scale + errors.slip * acceleration)
+    error = errors.noise * rng.standard_normal(len(time))
+    error += errors.lasting * _gauss_markov(len(time), errors.rate, errors.lasting_tau, rng)[:, 0]
+    return WheelSpeed(_in_ticks(session_time), np.where(speed > 0.0, np.maximum(of_wheel + error, 0.0), 0.0))
 
 
 def simulate_mag_calibration(errors: MagErrors, field_n: Array, rng: np.random.Generator) -> Array | None:

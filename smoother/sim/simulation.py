@@ -26,6 +26,7 @@ from smoother.sim.sensors import (
     simulate_imu,
     simulate_mag,
     simulate_mag_calibration,
+    simulate_wheel_speed,
 )
 from smoother.sim.track import TRACKS, Track
 from smoother.sim.truth import Clock, Truth
@@ -64,13 +65,13 @@ class Simulation:
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
     """Return the session of a scenario. Motion and each sensor draw from streams of their own."""
-    motion_rng, imu_rng, gnss_rng, mag_rng, wheel_rng = rng.spawn(5)
+    motion_rng, imu_rng, gnss_rng, mag_rng, steering_rng, wheel_rng = rng.spawn(6)
     imu_errors, mag_errors = scenario.imu, scenario.mag
     clock = Clock() if imu_errors is None else Clock(imu_errors.clock_offset, imu_errors.clock_drift)
     truth = drive(TRACKS[scenario.track], scenario.motion, scenario.duration, motion_rng, clock)
     field_n = _field_n(scenario)
     R_bs, duration = scenario.R_bs, scenario.duration
-    wheel = _wheel(scenario.motion, truth, duration, wheel_rng)
+    wheel = _wheel(scenario.motion, truth, duration, steering_rng)
     imu = None if imu_errors is None else simulate_imu(truth, imu_errors, R_bs, duration, imu_rng, wheel)
     gnss = simulate_gnss(truth, scenario.gnss, scenario.lever_arm_b, duration, scenario.start_unix, gnss_rng)
     mag, calibration = None, None
@@ -78,6 +79,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
         reading_rng, calibration_rng = mag_rng.spawn(2)
         mag = simulate_mag(truth, mag_errors, field_n, R_bs, duration, reading_rng, wheel)
         calibration = simulate_mag_calibration(mag_errors, field_n, calibration_rng)
+    has_wheel = scenario.wheel.rate > 0.0
     raw = RawSession(
         name=f"{scenario.name}-{scenario.track}",
         gnss=gnss.fixes,
@@ -87,6 +89,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
         config=SessionConfig(imu_delay=None if imu_errors is None else imu_errors.filter_delay),
         inputs=("simulation",),
         unix_at_zero=scenario.start_unix - clock.offset,
+        wheel_speed=simulate_wheel_speed(truth, scenario.wheel, duration, wheel_rng) if has_wheel else None,
     )
     return Simulation(raw, truth, scenario, field_n, imu, gnss)
 

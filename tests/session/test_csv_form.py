@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from smoother.errors import SessionError
-from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.beside import read_mag
+from smoother.session.csv_form import read_fixes, read_imu
 from smoother.session.load import load_raw
 from smoother.session.tables import read_header, read_table
 from smoother.units import DEG

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.beside import read_mag
+from smoother.session.csv_form import read_fixes, read_imu
 from tests.session.folders import Folder, codes, gps_csv, imu_csv
 
 

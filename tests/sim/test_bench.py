@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from smoother import so3
-from smoother.session.csv_form import read_imu, read_mag
+from smoother.session.beside import read_mag
+from smoother.session.csv_form import read_imu
 from smoother.sim.bench import BenchErrors, BenchPlan, bench_truth, simulate_bench, write_bench
 from smoother.sim.scenario import ImuErrors, MagErrors
 from smoother.units import STANDARD_GRAVITY

@@ -6,7 +6,8 @@ import pytest
 from smoother.calibration import load_calibration
 from smoother.errors import SessionError, UsageError
 from smoother.frames import geodetic_to_nwu, rotation_from_euler
-from smoother.session.csv_form import read_fixes, read_imu, read_mag
+from smoother.session.beside import read_mag
+from smoother.session.csv_form import read_fixes, read_imu
 from smoother.session.load import load_raw
 from smoother.session.nmea import read_nmea
 from smoother.session.settings import load_settings
