@@ -4,8 +4,8 @@ The inertial factors and the priors are GTSAM's own. Everything else is one vect
 which of them a session has and whether outliers lose weight.
 """
 
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -22,6 +22,8 @@ from smoother.estimate.factors.offset import offset_rows, offset_start_rows
 from smoother.estimate.factors.position import position_rows
 from smoother.estimate.factors.rows import Rows, robust, with_sigma
 from smoother.estimate.factors.standstill import standstill_rows
+from smoother.estimate.factors.wheel_speed import USUAL as USUAL_WHEEL_SPEED
+from smoother.estimate.factors.wheel_speed import wheel_speed_rows
 from smoother.estimate.factors.wheels import slip_of, slip_rows
 from smoother.estimate.model.heading import Heading
 from smoother.estimate.model.imu import BinnedImu, shaken
@@ -29,6 +31,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.preintegration import preintegrate
 from smoother.estimate.model.state import CONSTANTS, KEYS, State
+from smoother.samples import WheelSpeed
 
 ANYWHERE = np.repeat([3.0, 1e4], 3)  # rad, m: prior of the first pose, which says nothing
 ANY_SPEED = 1e3  # m/s, likewise
@@ -47,6 +50,7 @@ class Measurements:
     rolls (K,): keyframes at which wheels roll, None asks nothing of them.
     ground: keyframes far from any fix with a height, and the nearest height, m.
     unsampled: intervals without inertial samples.
+    wheel_speed: readings of a wheel's speed, far enough apart to be independent.
     offset_share, offset_renewed (K-1,): slow error of the fixes in parts of its sigma, and where it is another one.
     """
 
@@ -61,6 +65,7 @@ class Measurements:
     rolls: BoolArray | None = None
     ground: tuple[IntArray, Array] | None = None
     unsampled: Unsampled | None = None
+    wheel_speed: WheelSpeed | None = None
     offset_share: Array | None = None
     offset_renewed: BoolArray | None = None
 
@@ -75,14 +80,14 @@ class Measurements:
 
         t (K,) s: of the keyframes.
         """
-        return np.asarray((self.t > t[first] + MAX_LATENCY) & (self.t < t[last - 1]))
+        return are_inside(self.t, t[first:last])
 
     def between(self, t: Array, first: int, last: int) -> "Measurements":
         """Of the keyframes first to last, exclusive, of t (K,) s.
 
         Without heading and wheels, which join where attitudes are known.
         """
-        share, renewed, ground = self.offset_share, self.offset_renewed, self.ground
+        share, renewed, ground, wheel = self.offset_share, self.offset_renewed, self.ground, self.wheel_speed
         if ground is not None:
             inside = (ground[0] >= first) & (ground[0] < last - 1)
             ground = (ground[0][inside] - first, ground[1][inside]) if np.any(inside) else None
@@ -93,9 +98,21 @@ class Measurements:
             heading=None,
             rolls=None,
             ground=ground,
+            wheel_speed=None if wheel is None else readings_inside(wheel, t[first:last]),
             offset_share=None if share is None else share[first : last - 1],
             offset_renewed=None if renewed is None else renewed[first : last - 1],
         )
+
+
+def are_inside(stamps: Array, t: Array) -> BoolArray:
+    """Mask (N,) of the stamps (N,) s that are read between keyframes at t (K,) s, whatever their latency."""
+    return np.asarray((stamps > t[0] + MAX_LATENCY) & (stamps < t[-1]))
+
+
+def readings_inside(wheel: WheelSpeed, t: Array) -> WheelSpeed:
+    """Return those of the readings that keyframes at t (K,) s have a part in."""
+    inside = are_inside(wheel.t, t)
+    return WheelSpeed(wheel.t[inside], wheel.speed[inside])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +151,16 @@ class Factor:
     """A line of the table: its rows for given inputs, and whether outliers lose weight.
 
     left_out: sigma of all rows where the factor is left out. A measurement then has no weight; a process, the only
-    factor of an unknown, holds it at zero.
+    factor of an unknown, holds it at zero. usual: sigma of its rows, which are called as the factor, to begin with;
+    the residuals find it (Noise.sigmas). units: those of rows whose residuals are reported, by their names.
     """
 
     name: str
     rows: Callable[[Inputs], Iterable[Rows]]
     is_robust: bool = False
     left_out: float = np.inf
+    usual: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def as_left_out(self) -> "Factor":
         """The factor with the sigma that it has where it is left out."""
@@ -179,6 +199,13 @@ def _wheels(x: Inputs) -> Iterable[Rows]:
         yield from slip_rows(slip_of(x.state, x.motion), x.measured.rolls, x.noise.slip, x.state.interval)
 
 
+def _wheel_speed(x: Inputs) -> Iterable[Rows]:
+    wheel = x.measured.wheel_speed
+    if wheel is not None:
+        sigma = x.noise.sigmas.get("wheel_speed", USUAL_WHEEL_SPEED)
+        yield wheel_speed_rows(x.state, x.motion, wheel.t, wheel.speed, sigma)
+
+
 def _standstill(x: Inputs) -> Iterable[Rows]:
     if len(x.measured.still):
         yield standstill_rows(x.state, x.measured.still)
@@ -197,13 +224,14 @@ def _motion_prior(x: Inputs) -> Iterable[Rows]:
 
 TABLE = (
     Factor("motion_prior", _motion_prior),
-    Factor("gps_position", _position, is_robust=True),
-    Factor("gps_velocity", _velocity, is_robust=True),
+    Factor("gps_position", _position, is_robust=True, units={"gps_position": "m"}),
+    Factor("gps_velocity", _velocity, is_robust=True, units={"gps_velocity": "m/s"}),
     Factor("gps_offset", _offset, left_out=ABSENT),
-    Factor("heading", _heading),
-    Factor("wheels", _wheels, is_robust=True),
-    Factor("standstill", _standstill),
+    Factor("heading", _heading, units={"heading": "rad"}),
+    Factor("wheels", _wheels, is_robust=True, units={"slip": "rad"}),
+    Factor("standstill", _standstill, units={"standstill": "m/s, rad"}),
     Factor("ground", _ground),
+    Factor("wheel_speed", _wheel_speed, is_robust=True, usual=USUAL_WHEEL_SPEED, units={"wheel_speed": "m/s"}),
 )
 
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.config import ImuNoise
-from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, table_without
+from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, Priors, readings_inside, table_without
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.motion_prior import Unsampled
+from smoother.estimate.factors.wheel_speed import readings_of
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.gnss_path import GnssPath
 from smoother.estimate.gnss_pieces import fit_path
@@ -230,6 +231,7 @@ def _measurements(
     follows = not (alignment.is_level_only or state.geometry.is_steered)
     with_velocity = gnss.t[np.isfinite(gnss.velocity_n[:, 0])]
     fixes = with_velocity if len(with_velocity) > 1 else gnss.t
+    wheel = session.wheel_speed
     return Measurements(
         gnss.t,
         session.fix_position_n,
@@ -239,6 +241,7 @@ def _measurements(
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
         ground=ground if len(ground[0]) else None,
         unsampled=Unsampled.of(binned.missing, state, fixes, follows=follows),
+        wheel_speed=None if wheel is None else readings_inside(readings_of(wheel), t),
         offset_share=share,
         offset_renewed=renewed,
     )

@@ -6,23 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from smoother.arrays import Array, median
+from smoother.estimate.model.state import CONSTANTS, Sigma
 from smoother.units import DEG
 
 FIXES_BETWEEN = 2  # from keyframe to keyframe, if there are so many in the longest interval
 LEAST_INTERVAL = 0.08  # s between keyframes; of less, too few bins would remain
-Sigma = float | tuple[float, ...]  # of a constant, or of each of its numbers
-SIGMAS: dict[str, Sigma] = {
-    "position_latency": 0.25,
-    "velocity_latency": 0.25,
-    "lever_arm": 0.5,
-    "doppler_bias": 0.03,
-    "velocity_response": 0.1,
-    "heading_offset": math.pi / 4.0,
-    "slip": (0.5, 0.01, 2e-3, 1.0),
-    "accel_scale": 0.01,
-    "gyro_scale": 0.01,
-    "rectification": 0.1,
-}
 
 
 @dataclass(frozen=True)
@@ -38,11 +26,7 @@ class GraphOptions:
     accel_bias_sigma, gyro_bias_sigma: priors; zero-g tolerance of the MPU9250, 0.6-0.8 m/s^2, and what the alignment
         leaves of the gyroscope's bias.
     accel_bias_walk, gyro_bias_walk: temperature drift of the same part while it warms up.
-    sigmas: of the priors of the constants, by name. latencies s: what receivers do; lever_arm m: what fits on a kart;
-        doppler_bias: 0.01-0.05 m/s on real kart logs; velocity_response s^2: a low-pass of 0.1 s has 5e-3, recordings
-        -6e-3 to 13e-3, loggers that smooth their speed up to 0.2; slip: cars had -0.004 to -0.007 rad per m/s^2, -0.001
-        to -0.003 rad per m/s^3, and the rear axle 1.2 m behind the box; scales: the data sheet's 3 % is the limit, not
-        the spread; rectification m/s^2.
+    sigmas: of the priors of the constants, by name (model/state.py).
     offset_sigma (3,) m, offset_tau s: slow offset of the fixes of receivers in general.
     identification_span s: the busiest stretch as long as this shows constants and noise before the whole is solved.
     """
@@ -58,7 +42,7 @@ class GraphOptions:
     gyro_bias_sigma: float = 2.0 * DEG
     accel_bias_walk: float = 0.003
     gyro_bias_walk: float = 0.006 * DEG
-    sigmas: dict[str, Sigma] = field(default_factory=lambda: dict(SIGMAS))
+    sigmas: dict[str, Sigma] = field(default_factory=lambda: {c.name: c.sigma for c in CONSTANTS})
     offset_sigma: tuple[float, float, float] = (2.0, 2.0, 3.4)
     offset_tau: float = 60.0
     identification_span: float = 120.0

@@ -4,10 +4,11 @@ Keyframe k has the pose of the sensor X(k) = T_ns, its velocity V(k) in n, the b
 rate, and the slow error O(k) of the fixes in n (fix = position + error). The tangent of a keyframe has these 18 columns
 in this order; a rotation is `R_ns @ exp(w)` and a translation `p + R_ns @ d`, both in s, as in GTSAM's Pose3.
 
-A constant of the session is a small vector with a key of its own. To add one: a line in CONSTANTS, a prior in
-model/priors.py, and the factor whose Jacobian has it.
+A constant of the session is a small vector with a key of its own. To add one: a line in CONSTANTS, and the factor
+whose Jacobian has it.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -21,28 +22,56 @@ ROTATION, TRANSLATION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 ACCEL_BIAS, GYRO_BIAS, OFFSET = slice(9, 12), slice(12, 15), slice(15, 18)
 DIMENSIONS = (6, 3, 6, 3)  # of X, V, B, O
 KEYFRAME_SIZE = 18
+Sigma = float | tuple[float, ...]  # of a constant, or of each of its numbers
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant of the session: its name, how many numbers it has, and what they are."""
+    """A constant of the session: its name, how many numbers it has, what they are, and the sigma of its prior about 0.
+
+    sigma: of all of them or of each. factor: the factor that it belongs to; where a session has that, `identified` of
+    summary.json has the constant, in `unit`. Those without one are reported by output/identified.py in other terms.
+    """
 
     name: str
     size: int
     meaning: str
+    sigma: Sigma
+    factor: str = ""
+    unit: str = ""
 
 
+# Priors: latencies are what receivers do, the lever arm what fits on a kart; doppler_bias 0.01-0.05 m/s on real kart
+# logs; velocity_response: a low-pass of 0.1 s has 5e-3, recordings -6e-3 to 13e-3, loggers that smooth their speed up
+# to 0.2; slip: cars had -0.004 to -0.007 rad per m/s^2, -0.001 to -0.003 rad per m/s^3, and the rear axle 1.2 m behind
+# the box; of scales the data sheet's 3 % is the limit, not the spread. Of a wheel: circumferences that are entered by
+# hand; a tyre that slips by 5 % at 5 m/s^2; one that slides at 8 deg at 1 g; half the width of a kart.
 CONSTANTS = (
-    Constant("position_latency", 1, "s: a position stamped t was true at t - latency"),
-    Constant("velocity_latency", 1, "s: likewise of a Doppler velocity"),
-    Constant("lever_arm", 3, "m in s: from the IMU to the antenna"),
-    Constant("doppler_bias", 3, "m/s in n: constant error of the receiver's velocity"),
-    Constant("velocity_response", 1, "s^2: times the jerk, what a receiver's low-pass adds to the velocity"),
-    Constant("heading_offset", 1, "rad: by which the magnetic heading is too large"),
-    Constant("slip", 4, "rad, rad per m/s^2, rad per m/s^3, m: sideslip by lateral acceleration, its rate, curvature"),
-    Constant("accel_scale", 6, "1: error of specific force by force along the two level axes, (3, 2)"),
-    Constant("gyro_scale", 3, "1: error of angular rate by the rate about up"),
-    Constant("rectification", 6, "m/s^2: force by vibration of force and of rate, (3, 2)"),
+    Constant("position_latency", 1, "s: a position stamped t was true at t - latency", 0.25),
+    Constant("velocity_latency", 1, "s: likewise of a Doppler velocity", 0.25),
+    Constant("lever_arm", 3, "m in s: from the IMU to the antenna", 0.5),
+    Constant("doppler_bias", 3, "m/s in n: constant error of the receiver's velocity", 0.03),
+    Constant("velocity_response", 1, "s^2: times the jerk, what a receiver's low-pass adds to the velocity", 0.1),
+    Constant("heading_offset", 1, "rad: by which the magnetic heading is too large", math.pi / 4.0),
+    Constant(
+        "slip",
+        4,
+        "rad, rad per m/s^2, rad per m/s^3, m: sideslip by lateral acceleration, its rate, curvature",
+        (0.5, 0.01, 2e-3, 1.0),
+    ),
+    Constant("accel_scale", 6, "1: error of specific force by force along the two level axes, (3, 2)", 0.01),
+    Constant("gyro_scale", 3, "1: error of angular rate by the rate about up", 0.01),
+    Constant("rectification", 6, "m/s^2: force by vibration of force and of rate, (3, 2)", 0.1),
+    Constant("wheel_scale", 1, "1: by which a wheel's speed is too large, over the speed", 0.2, "wheel_speed", "1"),
+    Constant(
+        "wheel_slip",
+        2,
+        "s^2/m, s^4/m^2: the same, by forward acceleration and by the square of that to the left",
+        (0.01, 1e-4),
+        "wheel_speed",
+        "s^2/m, s^4/m^2",
+    ),
+    Constant("wheel_side", 1, "m: from the IMU to the left, to the wheel", 0.5, "wheel_speed", "m"),
 )
 KEYS: Mapping[str, int] = {c.name: gtsam.symbol("c", i) for i, c in enumerate(CONSTANTS)}
 SIZES: Mapping[str, int] = {c.name: c.size for c in CONSTANTS}

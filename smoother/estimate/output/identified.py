@@ -6,9 +6,10 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.config import SessionConfig
+from smoother.estimate.factors.graph import TABLE
 from smoother.estimate.gnss_offset import OffsetModel
 from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
-from smoother.estimate.model.state import COLUMNS
+from smoother.estimate.model.state import COLUMNS, CONSTANTS, Constant
 from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.mounting import FittedMounting
@@ -66,6 +67,7 @@ def identified_values(
         "R_bs": _mounting(found, mounting, config),
         **_rectification(found),
         **_noise(found, config),
+        **_of_factors(found),
         **wander_of_fixes(
             OffsetModel(np.sqrt(known.noise.offset_sigma**2 + unseen), known.noise.offset_tau, known.offset_tau_spread),
             known.noise_uncertainty.hidden,
@@ -176,6 +178,29 @@ def _rectification(found: Estimated) -> dict[str, Identified]:
         source = "identified" if seen else "default"
         out[name] = Identified(value.tolist(), own.tolist(), "m/s^2", seen, source)
     return out
+
+
+def _of_factors(found: Estimated) -> dict[str, Identified]:
+    """Constants that belong to one factor, and sigmas of factors that their residuals show, where they are used."""
+    counts = {name: int(np.count_nonzero(np.isfinite(rows.sigma))) for name, rows in found.rows.items()}
+    units = {name: unit for factor in TABLE for name, unit in factor.units.items()}
+    out: dict[str, Identified] = {}
+    for constant in CONSTANTS:
+        if counts.get(constant.factor):
+            out[constant.name] = _of_one_factor(found, constant)
+    for name, value in found.known.noise.sigmas.items():
+        if counts.get(name):
+            out[f"{name}_noise"] = _value(value, value / math.sqrt(2.0 * counts[name]), units[name], True, False)
+    return out
+
+
+def _of_one_factor(found: Estimated, constant: Constant) -> Identified:
+    columns, value = COLUMNS[constant.name], found.state.constants[constant.name]
+    sigma = np.sqrt(np.diag(found.known.constants_covariance)[columns])
+    seen = bool(np.all(sigma < OBSERVABLE * found.known.prior_sigma(constant.name)))
+    if constant.size == 1:
+        return _value(float(value[0]), float(sigma[0]), constant.unit, seen, False)
+    return _value(value.tolist(), sigma.tolist(), constant.unit, seen, False)
 
 
 def _noise(found: Estimated, config: SessionConfig) -> dict[str, Identified]:

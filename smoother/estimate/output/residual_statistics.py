@@ -9,17 +9,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.estimate.factors.graph import TABLE
 from smoother.estimate.factors.rows import Rows
 from smoother.trajectory import WHITENED, ResidualStatistics
 
-UNITS = {"gps_position": "m", "gps_velocity": "m/s", "heading": "rad", "standstill": "m/s, rad", "slip": "rad"}
 INERTIAL = {"inertial": slice(0, 9), "bias_walk": slice(9, 15)}  # rotation, position and velocity; biases
 REJECTED_WEIGHT = 0.1  # a fix whose robust weight is below this counts as rejected
 
 
 def row_statistics(rows: Mapping[str, Rows]) -> dict[str, ResidualStatistics]:
     """Return what is left of the kinds of rows that were measured, by their names."""
-    return {name: _of_rows(rows[name], unit) for name, unit in UNITS.items() if name in rows}
+    return {name: _of_rows(rows[name], unit) for factor in TABLE for name, unit in factor.units.items() if name in rows}
 
 
 def inertial_statistics(rows: Rows, intervals: slice) -> dict[str, ResidualStatistics]:

@@ -18,8 +18,8 @@ from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.initial.first_noise import scatter_of
 from smoother.estimate.initial.guess import Start
-from smoother.estimate.initial.options import GraphOptions, Sigma
-from smoother.estimate.model.state import COLUMNS, CONSTANTS
+from smoother.estimate.initial.options import GraphOptions
+from smoother.estimate.model.state import COLUMNS, CONSTANTS, Sigma
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import UNSTEADY_ARM, doubt_by_rates, unsure_moment
 from smoother.estimate.output.mounting import FittedMounting

@@ -304,8 +304,11 @@ def attitude_moved(step: Step) -> float:
 
 
 def relative_change(one: Noise, two: Noise) -> float:
-    """Largest relative difference of the densities and the sigmas of fixes.
+    """Largest relative difference of the densities, the sigmas of fixes and those of factors.
 
     The slow error and the slip come to rest later, and move nothing that is reported.
     """
-    return float(np.max(np.abs(_levels(two) - _levels(one))))
+    if one.sigmas.keys() != two.sigmas.keys():
+        return math.inf
+    of_factors = [abs(math.log(sigma / one.sigmas[name])) for name, sigma in two.sigmas.items()]
+    return float(np.max([*np.abs(_levels(two) - _levels(one)), *of_factors]))

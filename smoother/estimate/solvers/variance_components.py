@@ -26,7 +26,7 @@ LEFT, RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
 USUAL_POSITION, SMALLEST_POSITION = np.array([0.05, 0.05, 0.1]), 0.02  # m; receivers filter, and a digit is 0.02
 USUAL_VELOCITY, SMALLEST_VELOCITY = np.array([0.15, 0.15, 0.3]), 0.02  # m/s
 POSITION_COUNT, UPWARDS_COUNT, OFFSET_COUNT, SLIP_COUNT, WALK_COUNT = 1.0, 20.0, 1.0, 5.0, 2.0  # residuals
-SCATTER_COUNT, SHAPE_COUNT, SHARE_COUNT = 10.0, 20.0, 10.0
+SCATTER_COUNT, SHAPE_COUNT, SHARE_COUNT, ROWS_COUNT = 10.0, 20.0, 10.0, 1.0
 USUAL_SLIP = math.radians(0.6)
 USUAL_SPREAD = 1.4  # of the logarithm of a velocity's variance among receivers
 OWN_SCATTER = 0.3  # of the scatter between samples: the least density
@@ -204,6 +204,7 @@ def update_noise(
             name: _scale_sigma(name, sigma, step, covariances) if name in step.unknown else sigma
             for name, sigma in noise.constants.items()
         },
+        sigmas=_sigmas_of_factors(graph, step, covariances),
     )
     return better, found
 
@@ -326,6 +327,18 @@ def _share(component: SampleComponent, rough: Array, share: float) -> float:
     right += 0.5 * SHARE_COUNT * prior.sum(axis=0)
     constant, slope = np.linalg.solve(normal, right)
     return float(np.clip(slope / max(constant + slope, 1e-9), 0.0, LARGEST_SHARE))
+
+
+def _sigmas_of_factors(graph: Graph, step: Step, covariances: Covariances) -> dict[str, float]:
+    """Sigmas of the rows of factors that have a usual one, by their residuals."""
+    out = {}
+    for factor in graph.table:
+        if factor.usual is not None and factor.name in step.rows:
+            sigma = graph.noise.sigmas.get(factor.name, factor.usual)
+            component = RowComponent.of(step.rows[factor.name], step, covariances)
+            squares, expected = float(np.sum(component.squares)), float(np.sum(component.expected))
+            out[factor.name] = sigma * _ratio(squares, expected, ROWS_COUNT, factor.usual / sigma)
+    return out
 
 
 def _offset_sigma(step: Step, covariances: Covariances, noise: Noise) -> Array:

@@ -12,6 +12,7 @@ from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import CONSTANTS, Geometry, State
+from smoother.samples import WheelSpeed
 
 T, K, FINE = 0.2, 60, 20
 MOUNTING = so3.exp(np.array([0.2, -0.3, 0.5]))  # R_bs
@@ -29,6 +30,7 @@ def driven_state(rng: np.random.Generator, *, is_steered: bool = False) -> State
     constants = {c.name: 0.1 * rng.standard_normal(c.size) for c in CONSTANTS}
     constants |= {"position_latency": np.array([0.07]), "velocity_latency": np.array([0.15])}
     constants |= {"slip": np.array([0.02, 0.002, 0.0004, 0.3]), "velocity_response": np.array([0.004])}
+    constants |= {"wheel_slip": np.array([0.004, 1e-4])}
     return State(
         t,
         R_nb @ MOUNTING,
@@ -57,6 +59,9 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
         np.array([2, 3, 40]),
         heading=heading,
         rolls=np.ones(K, dtype=np.bool_),
+        wheel_speed=WheelSpeed(
+            np.sort(t), 1.03 * np.interp(np.sort(t), state.t, np.linalg.norm(state.velocity_n, axis=1))
+        ),
         ground=(np.array([7, 30]), np.array([0.5, 1.0])),
         unsampled=Unsampled.of(np.isin(np.arange(K - 1), [20, 21, 35]).astype(np.float64), state, t, follows=True),
     )
