@@ -37,6 +37,7 @@ from smoother.estimate.solvers.variance_components import (
 FIRST_STEPS = 3  # before the first noise
 MOST_TURNS = 12
 MOVED, CHANGED = 0.15, 0.1  # of a sigma (rms) that a step still moves the state by; relative change of the noise
+UNMOVED = 0.05  # of a sigma, likewise: what another noise moves the state by where that noise is of no matter
 NEAR, NEARER = 1.0, 0.3  # of a sigma, likewise: good enough for residuals and headings; to hold the constants at
 FREE = ("slip", "heading_offset")  # constants that what joins may still move
 HELD: tuple[str, ...] = ()  # constants that move in a step that holds all
@@ -112,7 +113,7 @@ def identify(
     graph = _graph(problem, state, noise)
     for _ in range(first_steps):
         values = step(graph, values, KEYS if sigmas is None else HELD).moved
-    damping, is_settled, rolls, turn = Damping(), False, None, 0
+    damping, is_settled, is_renewed, rolls, turn = Damping(), False, False, None, 0
     while True:
         taken = step(graph, values)
         values, turn = taken.moved, turn + 1
@@ -129,7 +130,7 @@ def identify(
         )
         better = damping.damped(graph.noise, better)
         change, move, joined = relative_change(graph.noise, better), moved(taken, sigmas), False
-        is_settled = change < CHANGED
+        is_settled, is_renewed = change < CHANGED or (is_renewed and move < UNMOVED), True
         if heading is not None and move < NEAR:
             field, heading = heading(taken.after), None
             problem, joined = with_heading(problem, field), field is not None
