@@ -27,10 +27,10 @@ import numpy as np
 from scipy.sparse import block_array, coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from bound import BoundOptions, information_system
 from scoring import Case, cases, recorded, rms
 from smoother import api, so3
 from smoother.arrays import Array
-from smoother.estimate.bound import BoundOptions, information_system
 from smoother.frames import Origin, geodetic_to_nwu, nwu_to_geodetic
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis, Line
 from smoother.laps.timing import forward_normal, raw_crossings

@@ -32,9 +32,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bound import BoundOptions, information_bound
 from smoother import api, so3
 from smoother.arrays import Array
-from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.live.beside import Beside
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from smoother import api, so3
-from smoother.arrays import Array, BoolArray
-from smoother.estimate.bound import (
+from bound import (
     RELATIVE_INTERVAL,
     Bound,
     BoundOptions,
@@ -20,6 +18,8 @@ from smoother.estimate.bound import (
     scored_span,
     within,
 )
+from smoother import api, so3
+from smoother.arrays import Array, BoolArray
 from smoother.frames import euler_from_rotation, wrap_angle
 from smoother.samples import Session
 from smoother.sim.scenario import with_changes

@@ -22,7 +22,7 @@ def importers(module: str) -> set[str]:
 
 
 @pytest.mark.parametrize("module", ["smoother.estimate.chain", "smoother.estimate.lapack"])
-def test_only_paths_through_fixes_and_the_bound_solve_chains_themselves(module: str) -> None:
+def test_only_paths_through_fixes_solve_chains_themselves(module: str) -> None:
     names = {Path(name).stem for name in importers(module)}
     assert names
-    assert all(name.startswith("gnss_") or name == "bound" for name in names), names
+    assert all(name.startswith("gnss_") for name in names), names

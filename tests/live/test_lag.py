@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import C, O, V, X
 
+from bound import BoundOptions, information_bound
 from smoother import api, so3
 from smoother.arrays import Array
-from smoother.estimate.bound import BoundOptions, information_bound
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
 from smoother.live.lag import FixedLag
