@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import bound as bound_module
 from bound import BoundOptions, information_bound, scored_span
 from smoother import so3
-from smoother.estimate import bound as bound_module
 from smoother.estimate.chain import ChainSystem, solve_chain
 from smoother.frames import GRAVITY_N
 from smoother.sim.scenario import Interval

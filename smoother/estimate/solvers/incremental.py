@@ -52,6 +52,9 @@ FOUND = (
     "velocity_response",
     "heading_offset",
     "slip",
+    "wheel_scale",
+    "wheel_slip",
+    "wheel_side",
 )
 
 

@@ -17,7 +17,7 @@ from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import Problem, identify
 from smoother.prepare import prepare
-from smoother.samples import Session
+from smoother.samples import Session, WheelSpeed
 from smoother.sim.simulation import simulate_preset
 from smoother.trajectory import Trajectory
 
@@ -73,7 +73,9 @@ def test_each_row_of_the_table_counts(name: str, problem: Problem) -> None:
     """The session has neither a usable heading without a solution, nor wheels or ground before one."""
     hole = np.isin(np.arange(len(problem.state.t) - 1), [100, 101]).astype(np.float64)
     unsampled = Unsampled.of(hole, problem.state, problem.measured.t, follows=True)
-    problem = replace(problem, measured=replace(problem.measured, unsampled=unsampled))
+    state = problem.state
+    wheel = WheelSpeed(state.t[10:-10:10], 1.1 * np.linalg.norm(state.velocity_n[10:-10:10], axis=1))
+    problem = replace(problem, measured=replace(problem.measured, unsampled=unsampled, wheel_speed=wheel))
     without = replace(problem, table=tuple(factor for factor in TABLE if factor.name != name))
     values = problem.state.values()
 
