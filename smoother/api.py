@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from smoother.estimate.evaluate import Errors as Errors
     from smoother.estimate.evaluate import Evaluation as Evaluation
     from smoother.estimate.quality import Quality as Quality
+    from smoother.estimate.short_graph import ShortGraph as ShortGraph
     from smoother.frames import Origin
     from smoother.laps.results import GivenLines, LapAnalysis, ReferenceLine
     from smoother.samples import RawSession, Session
@@ -50,6 +51,7 @@ __all__ = [
     "read_truth",
     "resample",
     "retimed",
+    "short_graph",
     "simulate",
     "smooth",
     "summary",
@@ -156,6 +158,17 @@ def smooth(
     options = GraphOptions(rate=rate, solver=solver, wheels=wheels, without=frozenset(without))
     smoother = GraphSmoother(options, progress=progress)
     return smoother.estimate(session if imu else replace(session, imu=None))
+
+
+def short_graph(session: Session, begin: float, lasts: float) -> ShortGraph:
+    """Return the graph of `lasts` seconds of a session from `begin` s on, all of it as factors of GTSAM, to look at.
+
+    It has `factors(values)`, the gtsam.NonlinearFactorGraph of each row of the table in docs/estimation.md, the
+    `values` to begin with, `step(values)` of the loop that solves sessions, and `covariances(values)` by its sweep.
+    """
+    from smoother.estimate.short_graph import short_graph as graph_of
+
+    return graph_of(session, begin, lasts)
 
 
 def baseline(session: Session, rate: float = 50.0, **options: Any) -> Trajectory:

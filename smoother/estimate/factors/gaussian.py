@@ -99,8 +99,8 @@ _STARTS = np.cumsum([0, *DIMENSIONS]).tolist()
 def custom_factors(build: Callable[[State], Rows], state: State) -> list[gtsam.CustomFactor]:
     """The same rows as gtsam.CustomFactor, one each, for GTSAM's own optimizers on small graphs.
 
-    build: a factor's rows at a state; state: one that has the keyframes. A callback copies all values of the graph, so
-    that the cost grows with the square of its length.
+    build: a factor's rows at a state; state: one that has the keyframes, at which robust weights are taken. A callback
+    copies all values of the graph, so that the cost grows with the square of its length.
     """
     rows, columns = build(state), np.cumsum([0, *DIMENSIONS])
     names = list(rows.constants)
@@ -120,6 +120,7 @@ def custom_factors(build: Callable[[State], Rows], state: State) -> list[gtsam.C
             return np.asarray(at.residual[i][known])
 
         keys = [*keyframe_keys(k), *keyframe_keys(k + 1), *(KEYS[name] for name in names)]
-        return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(rows.sigma[i][known]), keys, error)
+        sigma = rows.sigma[i][known] / np.sqrt(rows.weight[i])
+        return gtsam.CustomFactor(gtsam.noiseModel.Diagonal.Sigmas(sigma), keys, error)
 
     return [factor(i) for i in range(len(rows.interval)) if np.any(np.isfinite(rows.sigma[i]))]
