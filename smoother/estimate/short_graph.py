@@ -23,16 +23,17 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import COLUMNS, DIMENSIONS, KEYS, State, keyframe_keys
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import identify
+from smoother.estimate.solvers.incremental import FOUND
 from smoother.estimate.solvers.variance_components import SENSOR_SCALE
 from smoother.samples import Session
 
 FEWEST = 3  # keyframes
-FREE = tuple(name for name in KEYS if name not in SENSOR_SCALE)  # the CombinedImuFactor of GTSAM has no scales
 
 
 @dataclass(frozen=True, eq=False)
 class ShortGraph:
-    """The graph of some keyframes at t (K,) s, and the values to begin with.
+    """The graph of some keyframes at t (K,) s, and the values to begin with. Scales of the sensors are held: GTSAM's
+    CombinedImuFactor has none.
 
     Variables are X(k) Pose3 of the sensor in n, V(k) m/s in n, B(k) biases and O(k) m, the slow error of the fixes, as
     in docs/estimation.md. keys: those of the constants, by name; their priors are what all of the session says.
@@ -80,11 +81,11 @@ class ShortGraph:
 
     def step(self, values: gtsam.Values) -> gtsam.Values:
         """Return the values after one step of the loop that solves sessions."""
-        return step(self.graph, values, FREE).moved
+        return step(self.graph, values, FOUND).moved
 
     def covariances(self, values: gtsam.Values) -> dict[int, Array]:
         """Return the covariance of every variable by its key, from one sweep over what GTSAM eliminates at `values`."""
-        found = step(self.graph, values, FREE).chain().covariances()
+        found = step(self.graph, values, FOUND).chain().covariances()
         ends = np.cumsum([0, *DIMENSIONS]).tolist()
         out: dict[int, Array] = {}
         for k, covariance in enumerate(found.keyframes):

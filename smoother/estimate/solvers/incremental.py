@@ -34,7 +34,7 @@ from smoother.estimate.solvers.identify import (
     rolling_at,
     with_heading,
 )
-from smoother.estimate.solvers.variance_components import slip_sigma
+from smoother.estimate.solvers.variance_components import SENSOR_SCALE, slip_sigma
 
 PRIORS_OF_FIRST = 3  # pose, velocity and biases, before those of the constants
 AT_REST = 1e-3  # rad, rms, by which all measurements linearised anew still turn the keyframes
@@ -44,18 +44,7 @@ CHUNK, WINDOW, CONTEXT = 10.0, 10.0, 20.0  # s: joins at once; is linearised aga
 LINEAR = 1e6
 THRESHOLDS = {"x": [2e-3] * 3 + [0.1] * 3, "v": [0.1] * 3, "b": [0.1] * 3 + [0.01] * 3, "o": [LINEAR] * 3}
 # what the stream of a session finds itself; scale and misalignment of the sensors are no variables of a tree
-FOUND = (
-    "position_latency",
-    "velocity_latency",
-    "lever_arm",
-    "doppler_bias",
-    "velocity_response",
-    "heading_offset",
-    "slip",
-    "wheel_scale",
-    "wheel_slip",
-    "wheel_side",
-)
+FOUND = tuple(name for name in KEYS if name not in SENSOR_SCALE)
 
 
 def solve_as_stream(
