@@ -51,6 +51,7 @@ ARGUMENTS = {  # of macros with one argument, the values it may have
 SINGLE_REGISTERS = {  # macros that are a register by themselves
     "FLASH_ACR": {"FLASH.ACR": "FLASH_ACR"},
     "SCB_AIRCR": {"SCB.AIRCR": "SCB_AIRCR"},
+    "SCB_VTOR": {"SCB.VTOR": "SCB_VTOR"},
     "UNIQUE_ID": {"UID": "*UNIQUE_ID"},
     "NVIC_ISER": {f"NVIC.ISER{n}": f"NVIC_ISER({n})" for n in range(2)},
     "NVIC_IPR": {f"NVIC.IPR[{irq}]": f"NVIC_IPR({irq})" for irq in range(43)},
@@ -199,11 +200,12 @@ def read_maker(folder: Path, sources: Path) -> Maker:
             r"UID_ADDRESS = .*?\"F1\": (\w+)", wheel.read("stm32loader/bootloader.py").decode(), re.DOTALL
         )
     aircr = re.search(r"NVIC_AIRCR = \((\w+)\)", core)
+    vtor = re.search(r"VTOR = (\w+)", core)
     key = re.search(r"NVIC_AIRCR_VECTKEY = \((\w+) << (\d+)\)", core)
     request = re.search(r"NVIC_AIRCR_SYSRESETREQ = \(1 << (\d+)\)", core)
     bits = re.search(r"NVIC_PRIO_BITS: u8 = (\d+)", (sources / "mod.rs").read_text())
-    assert serial and aircr and key and request and bits
-    addresses |= {"UID": int(serial[1], 0), "SCB.AIRCR": int(aircr[1], 0)}
+    assert serial and aircr and vtor and key and request and bits
+    addresses |= {"UID": int(serial[1], 0), "SCB.AIRCR": int(aircr[1], 0), "SCB.VTOR": int(vtor[1], 0)}
     reset = int(key[1], 0) << int(key[2]) | 1 << int(request[1])
     return Maker(addresses, fields, _read_values(sources), reset, int(bits[1]))
 

@@ -7,31 +7,6 @@ extern const uint32_t _data_load[];
 int main(void);
 void Reset_Handler(void);
 void Fault_Handler(void);
-
-void Reset_Handler(void)
-{
-    uint32_t *here = (uint32_t *)__builtin_frame_address(0) - 16; /* leave this function's own frame alone */
-    for (uint32_t *word = _stack_bottom; word < here; word++)
-        *word = STACK_PAINT;
-    const uint32_t *from = _data_load;
-    for (uint32_t *to = _data_start; to < _data_end; to++)
-        *to = *from++;
-    for (uint32_t *to = _bss_start; to < _bss_end; to++)
-        *to = 0;
-    (void)main();
-    SCB_AIRCR = SCB_AIRCR_SYSRESET;
-    for (;;) {
-    }
-}
-
-/* A fault or an interrupt nobody asked for: start again. The recording is on the card up to the last whole block. */
-void Fault_Handler(void)
-{
-    SCB_AIRCR = SCB_AIRCR_SYSRESET;
-    for (;;) {
-    }
-}
-
 void EXTI0_IRQHandler(void);
 void DMA1_Channel2_IRQHandler(void);
 void DMA1_Channel4_IRQHandler(void);
@@ -66,3 +41,28 @@ __attribute__((section(".vectors"), used)) static const vector_t vectors[AT + IR
     [AT + IRQ_USART2] = {.handler = USART2_IRQHandler},
     [AT + IRQ_USART2 + 1 ... AT + IRQ_COUNT - 1] = UNUSED,
 };
+
+void Reset_Handler(void)
+{
+    SCB_VTOR = (uint32_t)vectors; /* BOOT0 says what lies at 0: after a serial loader's "go" that is the loader */
+    uint32_t *here = (uint32_t *)__builtin_frame_address(0) - 16; /* leave this function's own frame alone */
+    for (uint32_t *word = _stack_bottom; word < here; word++)
+        *word = STACK_PAINT;
+    const uint32_t *from = _data_load;
+    for (uint32_t *to = _data_start; to < _data_end; to++)
+        *to = *from++;
+    for (uint32_t *to = _bss_start; to < _bss_end; to++)
+        *to = 0;
+    (void)main();
+    SCB_AIRCR = SCB_AIRCR_SYSRESET;
+    for (;;) {
+    }
+}
+
+/* A fault or an interrupt nobody asked for: start again. The recording is on the card up to the last whole block. */
+void Fault_Handler(void)
+{
+    SCB_AIRCR = SCB_AIRCR_SYSRESET;
+    for (;;) {
+    }
+}

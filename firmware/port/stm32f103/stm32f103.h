@@ -187,6 +187,7 @@ typedef struct {
 /* ---- the core: interrupt controller and system control, PM0056 section 4 ---- */
 #define NVIC_ISER(n) (((reg_t *)0xE000E100u)[n])
 #define NVIC_IPR(irq) (((volatile uint8_t *)0xE000E400u)[irq])
+#define SCB_VTOR (*(reg_t *)0xE000ED08u)
 #define SCB_AIRCR (*(reg_t *)0xE000ED0Cu)
 #define SCB_AIRCR_SYSRESET 0x05FA0004u
 #define UNIQUE_ID ((const uint32_t *)0x1FFFF7E8u) /* 96 bits, RM0008 section 30.2 */
