@@ -8,6 +8,7 @@
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
 #   make emulate   that image, run: a simulated kart session in, lap times out
+#   make mutants   mistakes put into the firmware on purpose: the emulated board notices each
 #   make install-check  build the wheel, install it into a clean environment, run the demo from it
 #   make bounds    the same on every Python found, with the oldest and the newest dependencies allowed
 #   make audit     ask whether a weakness of a dependency is known
@@ -31,7 +32,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # of a hundred packages few modules are imported, which are compiled then: half a minute less
 WHAT_TESTS_NEED := --quiet --disable-pip-version-check --no-compile
 
-.PHONY: demo test test-fast lint bench picture notebooks firmware emulate install-check bounds audit dependencies container clean
+.PHONY: demo test test-fast lint bench picture notebooks firmware emulate mutants install-check bounds audit dependencies container clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -68,6 +69,9 @@ firmware: $(BIN)/python
 
 emulate: $(VENV)/for-testing
 	@$(BIN)/python firmware/emulator/emulate.py build/emulated --duration $(EMULATED_SECONDS)
+
+mutants: $(VENV)/for-testing
+	@$(BIN)/python firmware/emulator/mutants.py
 
 install-check: $(BIN)/python
 	@$(BIN)/python .ci/install_check.py

@@ -2,60 +2,16 @@
 
 #include <string.h>
 
-#define BASE 0x40000000u
-enum {
-    TIM2 = 0x00000,
-    IWDG = 0x03000,
-    SPI2 = 0x03800,
-    USART2 = 0x04400,
-    BKP = 0x06C00,
-    PWR = 0x07000,
-    AFIO = 0x10000,
-    EXTI = 0x10400,
-    GPIOA = 0x10800,
-    GPIOB = 0x10C00,
-    GPIOC = 0x11000,
-    SPI1 = 0x13000,
-    USART1 = 0x13800,
-    DMA1 = 0x20000,
-    RCC = 0x21000
-};
-/* registers of a timer, an SPI, a USART, a DMA channel */
-enum { T_CR1 = 0x00, T_DIER = 0x0C, T_SR = 0x10, T_EGR = 0x14, T_CCER = 0x20, T_CNT = 0x24, T_PSC = 0x28, T_CCR1 = 0x34, T_CCR2 = 0x38 };
-enum { S_CR1 = 0x00, S_CR2 = 0x04, S_SR = 0x08, S_DR = 0x0C };
-enum { U_SR = 0x00, U_DR = 0x04, U_BRR = 0x08, U_CR1 = 0x0C, U_CR3 = 0x14 };
-enum { D_CCR = 0x00, D_CNDTR = 0x04, D_CMAR = 0x0C };
-enum { G_IDR = 0x08, G_ODR = 0x0C, G_BSRR = 0x10, G_BRR = 0x14 };
-enum { E_IMR = 0x00, E_RTSR = 0x08, E_PR = 0x14 };
+#include "chip_registers.h"
+#include "clocks.h"
+#include "rules.h"
 
 enum { TIMER_COUNTS = 65536 };
-enum { UIF = 1, CC1IF = 2, CC2IF = 4, CC2OF = 0x200 << 1 };
-enum { TXE = 0x80, RXNE_U = 0x20, IDLE = 0x10, ORE = 0x08, TC = 0x40 };
-enum { CCR_EN = 1, CCR_TCIE = 2, CCR_HTIE = 4, CCR_TEIE = 8, CCR_DIR = 0x10, CCR_CIRC = 0x20, CCR_MINC = 0x80 };
-enum { SPI_RX_DMA = 1, SPI_TX_DMA = 2, SPI_ON = 0x40 };
 enum { IRQ_EXTI0 = 6, IRQ_DMA1 = 11, IRQ_TIM2 = 28, IRQ_USART1 = 37, IRQ_USART2 = 38 };
-enum { BITS_A_BYTE = 10, INTERNAL_MHZ = 64, LSI_HZ = 40000, WATCHDOG_CAUSE = 0x20, SOFTWARE_CAUSE = 0x10 };
+enum { BITS_A_BYTE = 10, LSI_HZ = 40000, WATCHDOG_CAUSE = 0x20, BACKUP_WORDS = 11 };
+enum { HSE_STARTS_US = 2000, PLL_LOCKS_US = 200 };
 
-static const struct {
-    uint32_t base;
-    unsigned bus_divider, receive, transmit; /* channels */
-} spis[SPIS] = {{SPI1, 1, 2, 3}, {SPI2, 2, 4, 5}};
-enum { CARD, IMU, GPS_IN = 6, GPS_OUT = 7 };
-
-static uint32_t *at(chip_t *chip, uint32_t offset)
-{
-    return &chip->registers[offset / 4];
-}
-
-static uint32_t look(const chip_t *chip, uint32_t offset)
-{
-    return chip->registers[offset / 4];
-}
-
-static uint32_t channel_at(unsigned channel)
-{
-    return DMA1 + 8 + 20 * (channel - 1);
-}
+const spi_place_t spis[SPIS] = {{SPI1, false, 2, 3}, {SPI2, true, 4, 5}};
 
 static uint64_t now(const chip_t *chip)
 {
@@ -67,19 +23,17 @@ static uint64_t sooner(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
-/* So many cycles of the core's clock: 64 MHz when the PLL runs from the internal oscillator. */
-static uint64_t core_cycles(const chip_t *chip, uint64_t cycles)
+/* So many periods of a clock, in cycles of 72 MHz. */
+static uint64_t cycles_of(uint64_t periods, uint32_t hz)
 {
-    const uint32_t config = look(chip, RCC + 4);
-    const bool is_internal = (config & 3) == 2 && !(config & 1u << 16);
-    return is_internal ? cycles * CYCLES_PER_US / INTERNAL_MHZ : cycles;
+    return periods * CYCLES_PER_US * 1000000ull / hz;
 }
 
 /* ---- TIM2 ---- */
 
 static uint64_t count_cycles(const chip_t *chip)
 {
-    return core_cycles(chip, look(chip, TIM2 + T_PSC) + 1u);
+    return cycles_of(look(chip, TIM2 + T_PSC) + 1u, chip->clocks.timer_hz);
 }
 
 static uint32_t timer_count(const chip_t *chip)
@@ -121,7 +75,8 @@ static void step_timer(chip_t *chip)
 
 void chip_pulse(chip_t *chip)
 {
-    if (!(look(chip, TIM2 + T_CCER) & 0x10))
+    const bool is_captured = (look(chip, TIM2 + T_CCER) & 0x10) && (look(chip, TIM2 + T_CCMR1) >> 8 & 3) == 1;
+    if (!is_captured)
         return;
     *at(chip, TIM2 + T_SR) |= look(chip, TIM2 + T_SR) & CC2IF ? CC2IF | CC2OF : CC2IF;
     *at(chip, TIM2 + T_CCR2) = timer_count(chip);
@@ -171,9 +126,8 @@ static void dma_move(chip_t *chip, unsigned channel, uint8_t *byte)
     const uint32_t base = channel_at(channel), control = look(chip, base + D_CCR);
     uint8_t *place = dma_place(chip, channel);
     chip->dma_bytes++;
-    if (!place) { /* a bus error ends the channel */
-        raise(chip, channel, CCR_TEIE);
-        *at(chip, base + D_CCR) &= ~(uint32_t)CCR_EN;
+    if (!place) {
+        rules_break(chip->machine, RULE_DMA_ADDRESS, "DMA1");
         return;
     }
     if (control & CCR_DIR)
@@ -208,15 +162,20 @@ static void write_dma(chip_t *chip, uint32_t reg, uint32_t value)
 
 /* ---- SPI ---- */
 
+uint32_t chip_spi_hz(const chip_t *chip, int which)
+{
+    const uint32_t bus_hz = spis[which].is_on_apb1 ? chip->clocks.apb1_hz : chip->clocks.apb2_hz;
+    return bus_hz / (2u << (look(chip, spis[which].base + S_CR1) >> 3 & 7));
+}
+
 static uint64_t spi_byte_cycles(const chip_t *chip, int which)
 {
-    return core_cycles(chip, 8u * (2u << (look(chip, spis[which].base + S_CR1) >> 3 & 7)) * spis[which].bus_divider);
+    return cycles_of(8, chip_spi_hz(chip, which));
 }
 
 static void imu_bytes(chip_t *chip, const uint8_t *out, uint8_t *in, size_t length)
 {
-    const uint32_t hz = (uint32_t)(8 * CYCLES_PER_US * 1000000ull / spi_byte_cycles(chip, IMU));
-    chip->pins.imu_transfer(chip->pins.context, out, in, length, hz);
+    chip->pins.imu_transfer(chip->pins.context, out, in, length, chip_spi_hz(chip, IMU));
 }
 
 /* Polled: one byte after the other, each as a transfer of its own register. */
@@ -238,7 +197,7 @@ static uint8_t spi_exchange(chip_t *chip, int which, uint8_t out)
 {
     spi_state_t *spi = &chip->spi[which];
     if (which == CARD)
-        return chip->pins.card_byte(chip->pins.context, out);
+        return chip->pins.card_byte(chip->pins.context, out, chip_spi_hz(chip, CARD));
     if (spi->burst_at < spi->burst_length)
         return spi->burst[spi->burst_at++];
     return imu_byte(chip, out);
@@ -274,6 +233,7 @@ static void begin_spi_dma(chip_t *chip, int which)
     if (which == IMU && look(chip, channel_at(spis[IMU].transmit) + D_CNDTR) == chip->dma_length[spis[IMU].transmit])
         begin_imu_burst(chip);
     dma_move(chip, spis[which].transmit, &spi->out);
+    rules_spi_begins(chip, which);
     spi->done = now(chip) + spi_byte_cycles(chip, which);
 }
 
@@ -286,6 +246,8 @@ static void step_spi(chip_t *chip, int which)
     spi->in = spi_exchange(chip, which, spi->out);
     if ((look(chip, spis[which].base + S_CR2) & SPI_RX_DMA) && is_dma_on(chip, spis[which].receive))
         dma_move(chip, spis[which].receive, &spi->in);
+    else if (spi->is_received)
+        rules_break(chip->machine, RULE_SPI_OVERRUN, which == CARD ? "SPI1" : "SPI2");
     else
         spi->is_received = true;
     begin_spi_dma(chip, which);
@@ -295,11 +257,9 @@ static void write_spi(chip_t *chip, int which, uint32_t reg, uint32_t value)
 {
     spi_state_t *spi = &chip->spi[which];
     if (reg == S_DR) {
-        if (spi->done == NEVER && (look(chip, spis[which].base + S_CR1) & SPI_ON)) {
-            spi->out = (uint8_t)value;
-            spi->is_received = false;
-            spi->done = now(chip) + spi_byte_cycles(chip, which);
-        }
+        spi->out = (uint8_t)value;
+        rules_spi_begins(chip, which);
+        spi->done = now(chip) + spi_byte_cycles(chip, which);
         return;
     }
     *at(chip, spis[which].base + reg) = value;
@@ -323,19 +283,25 @@ static uint32_t read_spi(chip_t *chip, int which, uint32_t reg)
 
 /* ---- USARTs ---- */
 
+uint32_t chip_baud(const chip_t *chip, uint32_t usart)
+{
+    const uint32_t divider = look(chip, usart + U_BRR);
+    return divider ? (usart == USART1 ? chip->clocks.apb2_hz : chip->clocks.apb1_hz) / divider : 0;
+}
+
 static uint64_t receiver_byte_cycles(const chip_t *chip)
 {
-    return core_cycles(chip, 2ull * BITS_A_BYTE * look(chip, USART2 + U_BRR)); /* on the slower bus */
+    const uint32_t baud = chip_baud(chip, USART2);
+    return baud ? cycles_of(BITS_A_BYTE, baud) : NEVER;
 }
 
 /* The rate that a divider comes near to: within 2 percent a line works. */
 uint32_t chip_receiver_baud(const chip_t *chip)
 {
     static const uint32_t known[] = {4800, 9600, 19200, 38400, 57600, 115200};
-    const uint32_t divider = look(chip, USART2 + U_BRR);
-    if (!divider || (look(chip, USART2 + U_CR1) & 0x2004) != 0x2004)
+    const uint32_t baud = chip_baud(chip, USART2), on = U_ON | U_RECEIVES;
+    if ((look(chip, USART2 + U_CR1) & on) != on)
         return 0;
-    const uint32_t baud = (uint32_t)(CYCLES_PER_US * 1000000ull / core_cycles(chip, 2ull * divider));
     for (size_t i = 0; i < sizeof known / sizeof *known; i++)
         if (baud > known[i] - known[i] / 50 && baud < known[i] + known[i] / 50)
             return known[i];
@@ -346,6 +312,7 @@ void chip_receive(chip_t *chip, uint8_t byte)
 {
     if (!chip_receiver_baud(chip))
         return;
+    rules_pin_is_pulled(chip, GPIOA, 3, true);
     if ((look(chip, USART2 + U_CR3) & 0x40) && is_dma_on(chip, GPS_IN)) {
         dma_move(chip, GPS_IN, &byte);
     } else {
@@ -378,6 +345,7 @@ static void step_receiver(chip_t *chip)
     if (is_dma_on(chip, GPS_OUT)) {
         uint8_t byte = 0;
         dma_move(chip, GPS_OUT, &byte);
+        rules_serial_sends(chip, USART2);
         chip->pins.to_receiver(chip->pins.context, byte, chip_receiver_baud(chip));
     }
     begin_sending(chip);
@@ -420,18 +388,30 @@ static void write_serial(chip_t *chip, uint32_t reg, uint32_t value)
         *at(chip, USART1 + reg) = value;
         return;
     }
-    chip->serial_free = now(chip) + core_cycles(chip, (uint64_t)BITS_A_BYTE * look(chip, USART1 + U_BRR));
-    chip->pins.to_serial(chip->pins.context, (uint8_t)value);
+    rules_serial_sends(chip, USART1);
+    if (!is_serial_free(chip))
+        rules_break(chip->machine, RULE_USART_OVERWRITTEN, "USART1");
+    if (chip->machine->is_over)
+        return;
+    chip->serial_free = now(chip) + cycles_of(BITS_A_BYTE, chip_baud(chip, USART1));
+    chip->pins.to_serial(chip->pins.context, (uint8_t)value, chip_baud(chip, USART1));
 }
 
 /* ---- pins, interrupt pin, watchdog ---- */
 
 void chip_imu_edge(chip_t *chip)
 {
-    const bool is_port_b = (look(chip, AFIO + 8) & 15) == 1;
+    const bool is_port_b = (look(chip, AFIO + A_EXTICR1) & 15) == 1;
     if (is_port_b && (look(chip, EXTI + E_RTSR) & 1))
         *at(chip, EXTI + E_PR) |= 1;
     machine_attend(chip->machine);
+}
+
+static void select_card(chip_t *chip, bool is_selected)
+{
+    if (is_selected)
+        rules_pin_is_output(chip, GPIOA, 4);
+    chip->pins.card_select(chip->pins.context, is_selected);
 }
 
 static void put_pins(chip_t *chip, uint32_t port, uint32_t to_set, uint32_t to_clear)
@@ -439,11 +419,15 @@ static void put_pins(chip_t *chip, uint32_t port, uint32_t to_set, uint32_t to_c
     const uint32_t before = look(chip, port + G_ODR), after = (before & ~to_clear) | to_set;
     *at(chip, port + G_ODR) = after;
     if (port == GPIOA && ((before ^ after) & 1u << 4))
-        chip->pins.card_select(chip->pins.context, !(after & 1u << 4));
+        select_card(chip, !(after & 1u << 4));
     if (port == GPIOC && ((before ^ after) & 1u << 13))
         chip->pins.led(chip->pins.context, !(after & 1u << 13));
+    if (port == GPIOC && to_clear & 1u << 13)
+        rules_pin_is_output(chip, GPIOC, 13);
     if (port == GPIOB && ((to_set | to_clear) & 1u << 12))
         chip->spi[IMU].sent = chip->spi[IMU].burst_at = chip->spi[IMU].burst_length = 0;
+    if (port == GPIOB && to_clear & 1u << 12)
+        rules_pin_is_output(chip, GPIOB, 12);
 }
 
 static void write_port(chip_t *chip, uint32_t port, uint32_t reg, uint32_t value)
@@ -461,13 +445,16 @@ static void write_port(chip_t *chip, uint32_t port, uint32_t reg, uint32_t value
 static void write_watchdog(chip_t *chip, uint32_t reg, uint32_t value)
 {
     *at(chip, IWDG + reg) = value;
-    if (reg != 0 || (value != 0xAAAA && value != 0xCCCC))
+    if (reg == I_KR)
+        chip->is_watchdog_unlocked = value == 0x5555;
+    if (reg != I_KR || (value != 0xAAAA && value != 0xCCCC))
         return;
-    const uint64_t divider = 4ull << (look(chip, IWDG + 4) & 7), reload = look(chip, IWDG + 8) & 0xFFF;
+    const uint64_t divider = 4ull << (look(chip, IWDG + I_PR) & 7), reload = look(chip, IWDG + I_RLR);
     if (chip->fed && now(chip) - chip->fed > chip->longest_unfed)
         chip->longest_unfed = now(chip) - chip->fed;
     chip->fed = now(chip);
-    chip->watchdog_at = now(chip) + divider * (reload ? reload : 0xFFF) * CYCLES_PER_US * 1000000ull / LSI_HZ;
+    chip->watchdog_period = cycles_of(divider * (reload + 1), LSI_HZ);
+    chip->watchdog_at = now(chip) + chip->watchdog_period;
 }
 
 /* ---- the whole ---- */
@@ -480,9 +467,20 @@ void chip_init(chip_t *chip, machine_t *machine, const pins_t *pins)
     chip->has_crystal = true;
 }
 
+static void put_reset_values(chip_t *chip)
+{
+    *at(chip, RCC) = 0x83;
+    *at(chip, RCC + R_AHBENR) = 0x14;
+    *at(chip, FLASH) = 0x30;
+    *at(chip, TIM2 + T_ARR) = 0xFFFF;
+    *at(chip, IWDG + I_RLR) = 0xFFF;
+    for (uint32_t port = GPIOA; port <= GPIOC; port += GPIOB - GPIOA)
+        *at(chip, port + G_CRL) = *at(chip, port + G_CRH) = 0x44444444;
+}
+
 void chip_reset(chip_t *chip, uint8_t cause)
 {
-    uint32_t backup[16];
+    uint32_t backup[BACKUP_WORDS];
     memcpy(backup, &chip->registers[BKP / 4], sizeof backup);
     memset(chip->registers, 0, sizeof chip->registers);
     if (!(cause & 0x08)) /* power-on alone clears them */
@@ -491,11 +489,18 @@ void chip_reset(chip_t *chip, uint8_t cause)
     for (int i = 0; i < SPIS; i++)
         chip->spi[i] = (spi_state_t){.done = NEVER};
     chip->overflow_at = chip->compare_at = chip->sent_at = chip->idle_at = chip->watchdog_at = NEVER;
+    chip->crystal_ready_at = chip->pll_ready_at = NEVER;
     chip->serial_free = chip->fed = 0;
-    *at(chip, RCC) = 0x83;
-    *at(chip, RCC + 0x24) = (uint32_t)cause << 24;
-    *at(chip, GPIOA + G_ODR) = *at(chip, GPIOC + G_ODR) = 0;
+    chip->is_watchdog_unlocked = false;
+    put_reset_values(chip);
+    *at(chip, RCC + R_CSR) = (uint32_t)cause << 24;
+    chip->clocks = clocks_of(0);
     chip->pins.card_select(chip->pins.context, false);
+}
+
+uint8_t chip_reset_cause(const chip_t *chip)
+{
+    return (uint8_t)(look(chip, RCC + R_CSR) >> 24);
 }
 
 uint64_t chip_advance(chip_t *chip)
@@ -507,7 +512,7 @@ uint64_t chip_advance(chip_t *chip)
     if (now(chip) >= chip->watchdog_at) {
         chip->watchdog_at = NEVER;
         chip->watchdog_resets++;
-        *at(chip, RCC + 0x24) |= (uint32_t)WATCHDOG_CAUSE << 24;
+        *at(chip, RCC + R_CSR) |= (uint32_t)WATCHDOG_CAUSE << 24;
         chip->machine->is_reset_wanted = true;
     }
     uint64_t next = sooner(sooner(chip->overflow_at, chip->compare_at), sooner(chip->sent_at, chip->idle_at));
@@ -535,21 +540,57 @@ uint64_t chip_levels(const chip_t *chip)
     return lines;
 }
 
+uint32_t chip_clock_control(const chip_t *chip)
+{
+    uint32_t value = look(chip, RCC + R_CR) | 2;
+    value |= now(chip) >= chip->crystal_ready_at ? HSE_READY : 0;
+    return value | (now(chip) >= chip->pll_ready_at ? PLL_READY : 0);
+}
+
+static void write_clock_control(chip_t *chip, uint32_t value)
+{
+    const bool has_crystal = value & HSE_ON && chip->has_crystal;
+    *at(chip, RCC + R_CR) = value & ~(uint32_t)(HSE_READY | PLL_READY);
+    if (!has_crystal)
+        chip->crystal_ready_at = NEVER;
+    else if (chip->crystal_ready_at == NEVER)
+        chip->crystal_ready_at = now(chip) + HSE_STARTS_US * CYCLES_PER_US;
+    if (!(value & PLL_ON))
+        chip->pll_ready_at = NEVER;
+    else if (chip->pll_ready_at == NEVER)
+        chip->pll_ready_at = now(chip) + PLL_LOCKS_US * CYCLES_PER_US;
+}
+
+static void write_clocks(chip_t *chip, uint32_t reg, uint32_t value)
+{
+    if (reg == R_CR)
+        write_clock_control(chip, value);
+    else
+        *at(chip, RCC + reg) = reg == R_CSR && (value & 1u << 24) ? 0 : value;
+    chip->clocks = clocks_of(look(chip, RCC + R_CFGR));
+}
+
 static uint32_t read_clocks(const chip_t *chip, uint32_t reg)
 {
-    uint32_t value = look(chip, RCC + reg);
-    if (reg == 0) {
-        value |= 2;
-        value |= value & 1u << 16 && chip->has_crystal ? 1u << 17 : 0;
-        value |= value & 1u << 24 ? 1u << 25 : 0;
-    }
-    return reg == 4 ? (value & ~0xCu) | (value & 3) << 2 : value;
+    const uint32_t value = look(chip, RCC + reg);
+    if (reg == R_CR)
+        return chip_clock_control(chip);
+    return reg == R_CFGR ? (value & ~0xCu) | (value & 3) << 2 : value;
+}
+
+static uint32_t read_port_a(chip_t *chip, uint32_t reg)
+{
+    if (reg != G_IDR)
+        return look(chip, GPIOA + reg);
+    rules_pin_is_pulled(chip, GPIOA, 0, true);
+    return 0xFFFEu | !chip->pins.is_button_pressed(chip->pins.context);
 }
 
 uint32_t chip_read(chip_t *chip, uint32_t address, unsigned size)
 {
     const uint32_t offset = address - BASE, reg = offset & 0x3FF;
-    (void)size;
+    if (!rules_allow(chip, offset, size, false, 0))
+        return 0;
     switch (offset & ~0x3FFu) {
     case TIM2:
         step_timer(chip);
@@ -569,7 +610,7 @@ uint32_t chip_read(chip_t *chip, uint32_t address, unsigned size)
     case PWR:
         return reg == 4 ? (chip->pins.is_supply_low(chip->pins.context) ? 4 : 0) : look(chip, offset);
     case GPIOA:
-        return reg == G_IDR ? 0xFFFEu | !chip->pins.is_button_pressed(chip->pins.context) : look(chip, offset);
+        return read_port_a(chip, reg);
     default:
         return look(chip, offset);
     }
@@ -578,7 +619,8 @@ uint32_t chip_read(chip_t *chip, uint32_t address, unsigned size)
 void chip_write(chip_t *chip, uint32_t address, unsigned size, uint32_t value)
 {
     const uint32_t offset = address - BASE, reg = offset & 0x3FF;
-    (void)size;
+    if (!rules_allow(chip, offset, size, true, value))
+        return;
     switch (offset & ~0x3FFu) {
     case TIM2:
         write_timer(chip, reg, value);
@@ -605,6 +647,8 @@ void chip_write(chip_t *chip, uint32_t address, unsigned size, uint32_t value)
         write_port(chip, offset & ~0x3FFu, reg, value);
         break;
     case EXTI:
+        if (reg == E_IMR && value & 1)
+            rules_pin_is_pulled(chip, GPIOB, 0, false);
         if (reg == E_PR)
             *at(chip, offset) &= ~value;
         else
@@ -614,7 +658,7 @@ void chip_write(chip_t *chip, uint32_t address, unsigned size, uint32_t value)
         write_watchdog(chip, reg, value);
         break;
     case RCC:
-        *at(chip, offset) = reg == 0x24 && (value & 1u << 24) ? 0 : value;
+        write_clocks(chip, reg, value);
         break;
     default:
         *at(chip, offset) = value;

@@ -21,9 +21,10 @@ import build as build  # noqa: E402  also for those who import it from here
 
 IMAGE = ROOT / "build" / "firmware"
 PROGRAM = ROOT / "build" / "emulator" / "emulator"
-SOURCES = ("machine.c", "chip.c", "world.c", "main.c")
+SOURCES = ("machine.c", "chip.c", "clocks.c", "rules.c", "world.c", "main.c")
 MODELS = ("sd_model.c", "fat_image.c", "mpu_model.c", "neo_model.c")
 LEAD_S = 6.0  # from power-on to the first simulated sample: the receiver is configured and the spare file made by then
+BOOT_S = 0.0025  # from power-on to the zero of the logger's clock: the crystal and the PLL start
 TAIL_S = 5.0
 AHEAD_S = 0.46
 PRESS_S = 0.54  # from pressing the button to its effect: it is released, and no second press has come
@@ -192,6 +193,7 @@ def run(folder: Path, image: Path, stimulus: Stimulus, script: Script, program: 
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     measured = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
     if done.returncode:
-        raise RuntimeError(f"emulator: exit code {done.returncode} {done.stderr} {measured.get('fault', '')}")
+        where = f"{measured.get('fault', '')} at {measured.get('fault_pc', '')}"
+        raise RuntimeError(f"emulator: exit code {done.returncode} {done.stderr} {where}")
     cpu = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
     return Outcome(folder, measured, cpu)

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-import campaign
 import emulation
+from altered import Workshop
 from emulation import build
 from evidence import Evidence, numbered_stimulus
 from expectations import Case, always
@@ -87,11 +87,11 @@ def report(verdicts: Iterable[Verdict], is_loud: bool = True) -> bool:
 
 def run_bugs(folder: Path, image: Path) -> bool:
     """The image as it is must pass the case meant for each bug, the image with the bug must not."""
-    is_good = True
+    is_good, workshop = True, Workshop(folder / "workshop")
     for name, bug, words in BUGS:
         (case,) = choose(CASES, words, is_quick=False)
         before = run_case(case, folder / "run", image)
-        after = run_case(case, folder / "run", campaign.build_with(bug, folder / "bug"))
+        after = run_case(case, folder / "run", workshop.build([bug]))
         is_noticed = not before.flaws and bool(after.flaws)
         print(f"{'noticed    ' if is_noticed else 'NOT NOTICED'} {name}: {case.row}: {case.name}", flush=True)
         for text, flaw in after.flaws[:2] if is_noticed else before.flaws:

@@ -1,7 +1,10 @@
 #include "machine.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "rules.h"
 
 enum {
     OPCODE_WFI = 0xBF30,
@@ -19,7 +22,8 @@ enum {
 };
 static const uint32_t SYSTEM_AT = 0xE000E000u, PERIPHERALS_AT = 0x40000000u, ID_AT = 0x1FFFF000u;
 enum { SYSTEM_BYTES = 0x1000, PERIPHERAL_BYTES = 0x24000, ID_BYTES = 0x1000, ID_OFFSET = 0x7E8 };
-enum { ISER = 0x100, ICER = 0x180, ISPR = 0x200, ICPR = 0x280, IPR = 0x400, AIRCR = 0xD0C, SYSTEM_RESET = 4 };
+enum { ISER = 0x100, ICER = 0x180, ISPR = 0x200, ICPR = 0x280, IPR = 0x400, VTOR = 0xD08, AIRCR = 0xD0C, CFSR = 0xD28, HFSR = 0xD2C, SYSTEM_RESET = 4 };
+enum { TABLE_BYTES = 512, FIRST_WORDS = 2 };
 
 /* ---- what an instruction costs ---- */
 
@@ -98,6 +102,16 @@ static void set(machine_t *machine, int reg, uint32_t value)
     uc_reg_write(machine->uc, reg, &value);
 }
 
+void machine_forbid(machine_t *machine, const char *rule, const char *what)
+{
+    if (!*machine->fault) {
+        snprintf(machine->fault, sizeof machine->fault, "%s (%s)", rule, what);
+        machine->fault_pc = machine->at;
+    }
+    machine->is_over = true;
+    uc_emu_stop(machine->uc);
+}
+
 void machine_attend(machine_t *machine)
 {
     machine->is_attention = true;
@@ -147,17 +161,43 @@ static const int frame_registers[8] = {UC_ARM_REG_R0,  UC_ARM_REG_R1, UC_ARM_REG
 static uint32_t *stack_at(machine_t *machine, uint32_t address)
 {
     if (address < RAM_AT || address + 32 > RAM_AT + RAM_BYTES) {
-        machine->fault = "stack outside of RAM";
-        machine->is_over = true;
+        rules_break(machine, RULE_STACK, "an interrupt's frame");
         return (uint32_t *)(void *)machine->ram;
     }
     return (uint32_t *)(void *)(machine->ram + (address - RAM_AT));
 }
 
+/* Address of an exception's handler. */
+static uint32_t vector(machine_t *machine, unsigned number)
+{
+    uint32_t handler = 0;
+    const uint8_t *table = machine->flash + (machine->vectors - FLASH_AT);
+    if (machine->vectors == 0) {
+        rules_break(machine, RULE_VECTORS_AT_ZERO, "VTOR");
+        return FLASH_AT;
+    }
+    if (machine->vectors >= RAM_AT)
+        table = machine->ram + (machine->vectors - RAM_AT);
+    memcpy(&handler, table + 4 * number, 4);
+    if (!(handler & 1) || handler < FLASH_AT || handler >= FLASH_AT + FLASH_BYTES)
+        rules_break(machine, RULE_VECTOR, "of an interrupt");
+    return handler;
+}
+
+static void set_vectors(machine_t *machine, uint32_t address)
+{
+    const bool is_flash = address >= FLASH_AT && address < FLASH_AT + FLASH_BYTES;
+    const bool is_ram = address >= RAM_AT && address < RAM_AT + RAM_BYTES;
+    if (address % TABLE_BYTES || !(is_flash || is_ram))
+        rules_break(machine, RULE_VECTOR_TABLE, "VTOR");
+    else
+        machine->vectors = address;
+}
+
 static void enter(machine_t *machine, int irq)
 {
     const uint32_t stack = get(machine, UC_ARM_REG_SP), at = (stack - 32) & ~7u;
-    uint32_t *frame = stack_at(machine, at), handler;
+    uint32_t *frame = stack_at(machine, at);
     const uint32_t from = get(machine, UC_ARM_REG_PC) - FLASH_AT;
     if (from < FLASH_BYTES)
         machine->interrupted[from / 2] = HIT;
@@ -168,8 +208,7 @@ static void enter(machine_t *machine, int irq)
     set(machine, UC_ARM_REG_SP, at);
     set(machine, UC_ARM_REG_LR, machine->depth ? 0xFFFFFFF1u : 0xFFFFFFF9u);
     set(machine, UC_ARM_REG_XPSR, (frame[7] & 0xF8000000u) | 0x01000000u | (uint32_t)(FIRST_IRQ + irq));
-    memcpy(&handler, machine->flash + 4 * (FIRST_IRQ + irq), 4);
-    set(machine, UC_ARM_REG_PC, handler | 1);
+    set(machine, UC_ARM_REG_PC, vector(machine, (unsigned)(FIRST_IRQ + irq)) | 1);
     machine->pending &= ~(1ull << irq);
     machine->active[machine->depth++] = (uint8_t)irq;
     if (machine->depth > machine->deepest)
@@ -238,6 +277,7 @@ static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void 
     machine_t *machine = user;
     const uint32_t at = (uint32_t)address - FLASH_AT;
     (void)size;
+    machine->at = (uint32_t)address;
     if (at >= FLASH_BYTES)
         return;
     uint8_t cost = machine->cost[at / 2];
@@ -272,9 +312,21 @@ static void on_exception(uc_engine *uc, uint32_t number, void *user)
 {
     machine_t *machine = user;
     machine->is_returning = number == EXCEPTION_EXIT;
-    if (!machine->is_returning && !machine->fault)
-        machine->fault = "exception";
+    if (!machine->is_returning)
+        machine_forbid(machine, "exception", "of an instruction");
     uc_emu_stop(uc);
+}
+
+/* A write to what is mapped to be read: the flash; below the RAM, where a stack that is too small runs into it, the ROM. */
+static bool on_protected(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
+{
+    const bool is_flash = address >= FLASH_AT && address < FLASH_AT + FLASH_BYTES;
+    (void)uc;
+    (void)type;
+    (void)size;
+    (void)value;
+    rules_break(user, is_flash ? RULE_FLASH_WRITTEN : RULE_STACK, is_flash ? "flash" : "below the RAM");
+    return false;
 }
 
 static uint64_t read_peripheral(uc_engine *uc, uint64_t offset, unsigned size, void *user)
@@ -303,7 +355,21 @@ static uint64_t read_system(uc_engine *uc, uint64_t offset, unsigned size, void 
         return (uint32_t)(machine->pending >> 8 * (offset - ISPR));
     if (offset >= IPR && offset < IPR + IRQS)
         return machine->priority[offset - IPR];
+    if (offset == VTOR)
+        return machine->vectors;
+    if (offset != CFSR && offset != HFSR && offset != AIRCR)
+        rules_break(user, RULE_NOTHING_THERE, "core");
     return 0;
+}
+
+static void set_priorities(machine_t *machine, unsigned first, unsigned count, uint32_t value)
+{
+    for (unsigned i = 0; i < count; i++) {
+        const uint8_t priority = (uint8_t)(value >> 8 * i);
+        if (priority & 0x0F)
+            rules_break(machine, RULE_PRIORITY, "NVIC_IPR");
+        machine->priority[first + i] = priority & 0xF0;
+    }
 }
 
 static void write_system(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
@@ -319,10 +385,13 @@ static void write_system(uc_engine *uc, uint64_t offset, unsigned size, uint64_t
     else if (offset >= ICPR && offset < ICPR + 8)
         machine->pending &= ~(value << 8 * (offset - ICPR));
     else if (offset >= IPR && offset + size <= IPR + IRQS)
-        for (unsigned i = 0; i < size; i++)
-            machine->priority[offset - IPR + i] = (uint8_t)(value >> 8 * i) & 0xF0;
+        set_priorities(machine, (unsigned)offset - IPR, size, (uint32_t)value);
+    else if (offset == VTOR)
+        set_vectors(machine, (uint32_t)value);
     else if (offset == AIRCR && (value >> 16) == 0x05FA && (value & SYSTEM_RESET))
         machine->is_reset_wanted = true;
+    else if (offset != CFSR && offset != HFSR)
+        rules_break(machine, RULE_NOTHING_THERE, "core");
     machine->is_attention = true;
 }
 
@@ -330,7 +399,7 @@ static void write_system(uc_engine *uc, uint64_t offset, unsigned size, uint64_t
 
 int machine_init(machine_t *machine, const uint8_t *image, size_t size)
 {
-    uc_hook hooks[2];
+    uc_hook hooks[3];
     memset(machine, 0, sizeof *machine);
     machine->flash = calloc(1, FLASH_BYTES);
     machine->ram = calloc(1, RAM_BYTES);
@@ -360,14 +429,21 @@ int machine_init(machine_t *machine, const uint8_t *image, size_t size)
         error = uc_hook_add(uc, &hooks[0], UC_HOOK_CODE, (void *)on_instruction, machine, 1, 0);
     if (!error)
         error = uc_hook_add(uc, &hooks[1], UC_HOOK_INTR, (void *)on_exception, machine, 1, 0);
+    if (!error)
+        error = uc_hook_add(uc, &hooks[2], UC_HOOK_MEM_WRITE_PROT, (void *)on_protected, machine, 1, 0);
     machine->lowest_stack = RAM_AT + RAM_BYTES;
     return error ? -1 : 0;
 }
 
 void machine_reset(machine_t *machine)
 {
-    uint32_t vectors[2];
+    uint32_t vectors[FIRST_WORDS];
     memcpy(vectors, machine->flash, sizeof vectors);
+    machine->vectors = 0;
+    if (vectors[0] % 8 || vectors[0] <= RAM_AT || vectors[0] > RAM_AT + RAM_BYTES)
+        rules_break(machine, RULE_STACK, "first word");
+    if (!(vectors[1] & 1) || vectors[1] < FLASH_AT || vectors[1] >= FLASH_AT + FLASH_BYTES)
+        rules_break(machine, RULE_VECTOR, "of the reset");
     for (int i = 0; i < 6; i++)
         set(machine, frame_registers[i], 0);
     set(machine, UC_ARM_REG_XPSR, 0x01000000u);
@@ -386,6 +462,7 @@ void machine_reset(machine_t *machine)
 static void sleep_until_interrupt(machine_t *machine)
 {
     machine->is_waiting = false;
+    machine->bus.sleep(machine->bus.context);
     for (;;) {
         if (machine->cycles >= machine->next_event)
             let_happen(machine);
@@ -422,12 +499,12 @@ static void step(machine_t *machine)
         leave(machine);
         return;
     }
-    if (error || machine->fault) {
-        machine->fault = machine->fault ? machine->fault : uc_strerror(error);
-        machine->fault_pc = get(machine, UC_ARM_REG_PC);
-        machine->is_over = true;
+    if (error == UC_ERR_READ_UNMAPPED || error == UC_ERR_WRITE_UNMAPPED || error == UC_ERR_FETCH_UNMAPPED)
+        rules_break(machine, RULE_NOTHING_THERE, uc_strerror(error));
+    else if (error)
+        machine_forbid(machine, "instruction", uc_strerror(error));
+    if (*machine->fault)
         return;
-    }
     if (machine->is_waiting)
         sleep_until_interrupt(machine);
     if (machine->is_reset_wanted) {

@@ -31,6 +31,7 @@ typedef struct {
     uint32_t (*read)(void *context, uint32_t address, unsigned size);
     void (*write)(void *context, uint32_t address, unsigned size, uint32_t value);
     void (*reset)(void *context); /* asked for by the core */
+    void (*sleep)(void *context); /* the core goes to sleep */
 } bus_t;
 
 typedef struct {
@@ -51,8 +52,10 @@ struct machine {
     bool is_reset_wanted, is_over;
     bool is_stuck_wanted; /* the main loop shall not come back from where it is */
     unsigned probes;      /* so many times ask for an interrupt before each instruction, until one comes */
-    const char *fault;
+    char fault[160]; /* why the run ended; empty: it was let end */
     uint32_t fault_pc;
+    uint32_t at; /* the instruction that is executed */
+    uint32_t vectors; /* VTOR */
 
     uint64_t enabled, pending;
     uint8_t priority[IRQS];
@@ -79,6 +82,9 @@ void machine_run(machine_t *machine);
 
 /* How many of the image's instructions were executed, and before how many of them an interrupt has come. */
 void machine_count_places(const machine_t *machine, unsigned *executed, unsigned *interrupted);
+
+/* End the run with a text: what the manual forbids, and by which part it was done. The first counts. */
+void machine_forbid(machine_t *machine, const char *rule, const char *what);
 
 /* A line may have changed, or an event come nearer. */
 void machine_attend(machine_t *machine);

@@ -13,7 +13,9 @@ static int finish_child(void)
 {
     char path[600];
     snprintf(path, sizeof path, "%s/cut%05u", world.out, world.cuts);
-    return world_save(&world, path) || world.machine.fault ? 1 : 0;
+    if (*world.machine.fault)
+        fprintf(stderr, "%s: %s at %08x\n", path, world.machine.fault, world.machine.fault_pc);
+    return world_save(&world, path) || *world.machine.fault ? 1 : 0;
 }
 
 int main(int count, char **arguments)
@@ -41,5 +43,5 @@ int main(int count, char **arguments)
     if (world.panel)
         fclose(world.panel);
     world_report(&world);
-    return world_save(&world, arguments[4]) || world.machine.fault ? 1 : 0;
+    return world_save(&world, arguments[4]) || *world.machine.fault ? 1 : 0;
 }

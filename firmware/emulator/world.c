@@ -1,6 +1,7 @@
 #include "world.h"
 
 #include "fat_image.h"
+#include "rules.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -10,6 +11,8 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+enum { MESSAGES_BAUD = 115200 };
+enum { SLACK_US = 400 /* by which two samples of a table may be nearer than their period */ };
 enum { PARTITION = 2048, POWER_ON = 0x0C, WATCHDOG = 0x24, SOFTWARE = 0x14, MOST_FILES = 64, LONGEST_PATH = 600, USUAL_CLUSTERS = 131072 };
 
 static world_t *of(void *context)
@@ -92,11 +95,18 @@ static void note_write(world_t *world, const written_t *write)
         fprintf(world->writes, "%" PRIu64 " %u %" PRIu64 "\n", write->time_us, write->sector, world->card.busy_until_us);
 }
 
-static uint8_t card_byte(void *context, uint8_t out)
+static const rule_t card_rules[] = {
+    [SD_MODEL_ASLEEP] = RULE_CARD_ASLEEP,     [SD_MODEL_TOO_FAST] = RULE_CARD_TOO_FAST, [SD_MODEL_IN_BUSY] = RULE_CARD_BUSY,
+    [SD_MODEL_DISORDER] = RULE_CARD_ORDER,    [SD_MODEL_TOKEN] = RULE_CARD_TOKEN,       [SD_MODEL_CHECKSUM] = RULE_CARD_CHECKSUM,
+    [SD_MODEL_LET_GO] = RULE_CARD_SELECT,
+};
+
+static uint8_t card_byte(void *context, uint8_t out, uint32_t clock_hz)
 {
     world_t *world = of(context);
     const uint32_t writes = world->card.writes;
     world->now_us = world->machine.cycles / CYCLES_PER_US;
+    world->card.clock_hz = clock_hz;
     if (is_about_to_store(&world->card)) {
         world->card.busy_us = draw_busy(world);
         remember_write(world, &world->journal[world->journal_writes % JOURNAL]);
@@ -104,6 +114,8 @@ static uint8_t card_byte(void *context, uint8_t out)
     const uint8_t in = sd_model_exchange(&world->card, out);
     if (world->card.writes != writes)
         note_write(world, &world->journal[world->journal_writes % JOURNAL]);
+    if (world->card.flaw != SD_MODEL_FINE)
+        rules_break(&world->machine, card_rules[world->card.flaw], "card");
     return in;
 }
 
@@ -149,18 +161,21 @@ static size_t find_after(const void *table, size_t size, size_t count, uint64_t 
     return low;
 }
 
+/* The next time that a sensor measures, which it does every `period_us`: in the lead-in such that the first of the table
+ * follows in its time, then at a time of the table. It need not be the next one there, and where none is due nearly then
+ * (a sensor that is faster than the table) it is between two. */
 static uint64_t next_in(const void *table, size_t size, size_t count, uint64_t after_us, uint64_t period_us)
 {
     uint64_t first = NEVER, time = NEVER;
     if (count == 0)
         return NEVER;
     memcpy(&first, table, sizeof first);
-    if (after_us + period_us < first) /* the lead-in, such that the first of the table follows in its time */
+    if (after_us + period_us < first)
         return first - (first - after_us - 1) / period_us * period_us;
-    const size_t i = find_after(table, size, count, after_us);
+    const size_t i = find_after(table, size, count, after_us + period_us - (period_us / 2 < SLACK_US ? period_us / 2 : SLACK_US));
     if (i < count)
         memcpy(&time, (const uint8_t *)table + i * size, sizeof time);
-    return time;
+    return time == NEVER || time < after_us + 2 * period_us ? time : after_us + period_us;
 }
 
 /* Where to look in the table for what is measured at a time: the newest, or in the lead-in the first second to and fro. */
@@ -180,7 +195,7 @@ static size_t find_now(const void *table, size_t size, size_t count, uint64_t ti
 static uint64_t next_sample_us(void *context, uint64_t after_us)
 {
     const world_t *world = context;
-    return next_in(world->motions, sizeof(motion_t), world->motion_count, after_us, 1000u * (1u + world->imu.registers[0x19]));
+    return next_in(world->motions, sizeof(motion_t), world->motion_count, after_us, mpu_model_period_us(&world->imu));
 }
 
 static void motion(void *context, uint64_t time_us, int16_t values[6])
@@ -207,6 +222,10 @@ static void imu_transfer(void *context, const uint8_t *out, uint8_t *in, size_t 
     world->now_us = world->machine.cycles / CYCLES_PER_US;
     world->imu.clock_hz = clock_hz;
     mpu_model_transfer(&world->imu, out, in, length);
+    if (world->imu.fast_accesses)
+        rules_break(&world->machine, RULE_IMU_TOO_FAST, "IMU");
+    else if (world->imu.slave_errors)
+        rules_break(&world->machine, RULE_IMU_SLAVE, "IMU");
 }
 
 /* ---- receiver, serial line, panel ---- */
@@ -218,10 +237,18 @@ static void to_receiver(void *context, uint8_t byte, uint32_t baud)
     neo_model_receive(&world->receiver, &byte, 1, baud);
 }
 
-static void to_serial(void *context, uint8_t byte)
+/* A serial adapter, set to what a person would set it to: the rate of the messages, or that of CONFIG.TXT. */
+static void to_serial(void *context, uint8_t byte, uint32_t baud)
 {
-    if (of(context)->serial)
-        fputc(byte, of(context)->serial);
+    world_t *world = of(context);
+    const uint32_t known[] = {MESSAGES_BAUD, world->stream_baud};
+    bool is_known = false;
+    for (size_t i = 0; i < 2; i++)
+        is_known |= baud > known[i] - known[i] / 50 && baud < known[i] + known[i] / 50;
+    if (!is_known)
+        rules_break(&world->machine, RULE_USART_RATE, "USART1");
+    if (world->serial)
+        fputc(byte, world->serial);
 }
 
 static void led(void *context, bool is_on)
@@ -507,6 +534,7 @@ static void power_on(world_t *world)
     const mpu_model_t old = world->imu;
     memset(world->machine.ram, 0xA5, RAM_BYTES);
     sd_model_power_cycle(&world->card);
+    sd_model_host_restarts(&world->card);
     mpu_model_init(&world->imu, &world->now_us);
     world->imu.who_am_i = world->imu.registers[0x75] = old.who_am_i ? old.who_am_i : 0x71;
     memset(world->imu.adjustment, 128, sizeof world->imu.adjustment); /* a field is measured as it is given */
@@ -557,8 +585,9 @@ static void cut(world_t *world)
     fflush(NULL);
     const pid_t child = fork();
     if (child != 0) {
-        if (child > 0)
-            waitpid(child, NULL, 0);
+        int status = 0;
+        if (child < 0 || waitpid(child, &status, 0) < 0 || status != 0)
+            machine_forbid(&world->machine, "a copy of the world after a power cut met a fault", world->out);
         return;
     }
     world->is_child = true;
@@ -588,9 +617,10 @@ static void reset(void *context)
         power_on(world);
         return;
     }
-    const uint32_t cause = world->chip.registers[(0x21000 + 0x24) / 4] >> 24;
+    const uint32_t cause = chip_reset_cause(&world->chip);
     world->resets++;
     note_reset(world, "reset");
+    sd_model_host_restarts(&world->card);
     chip_reset(&world->chip, cause & 0x20 ? WATCHDOG : SOFTWARE);
     machine_reset(&world->machine);
 }
@@ -600,6 +630,11 @@ static uint32_t read_bus(void *context, uint32_t address, unsigned size) { retur
 static void write_bus(void *context, uint32_t address, unsigned size, uint32_t value)
 {
     chip_write(&of(context)->chip, address, size, value);
+}
+
+static void sleep_bus(void *context)
+{
+    rules_sleep(&of(context)->chip);
 }
 
 /* ---- files ---- */
@@ -693,6 +728,7 @@ static int read_script(world_t *world, const char *path)
         int at = 0;
         line[strcspn(line, "\n")] = 0;
         if (strncmp(line, "config ", 7) == 0) {
+            (void)sscanf(line + 7, "stream_baud=%u", &world->stream_baud);
             strncat(config, line + 7, sizeof world->plan.config - strlen(config) - 2);
             strcat(config, "\n");
         } else if (sscanf(line, "set %119s %" SCNu64, name, &value) == 2) {
@@ -732,11 +768,12 @@ int world_init(world_t *world, const char *image, const char *stimulus, const ch
     memset(world, 0, sizeof *world);
     world->out = out;
     world->plan.clusters = USUAL_CLUSTERS;
+    world->stream_baud = MESSAGES_BAUD;
     world->delays = (delays_t){.busy_us = 300, .stall_pause_us = 3000000, .stall_rest_us = 500000};
     if (!bytes || machine_init(&world->machine, bytes, size) || read_stimulus(world, stimulus) ||
         read_script(world, script))
         return -1;
-    world->machine.bus = (bus_t){world, advance, levels, read_bus, write_bus, reset};
+    world->machine.bus = (bus_t){world, advance, levels, read_bus, write_bus, reset, sleep_bus};
     chip_init(&world->chip, &world->machine, &pins);
     make_card(world, &world->card);
     make_card(world, &world->other_card);
@@ -852,10 +889,12 @@ void world_report(const world_t *world)
                    (double)machine->irqs[irq].worst_wait / us);
     printf("resets=%u\nwatchdog_resets=%u\nlongest_unfed_us=%.0f\n", world->resets, world->chip.watchdog_resets,
            (double)world->chip.longest_unfed / us);
+    printf("watchdog_us=%.0f\n", (double)world->chip.watchdog_period / us);
     printf("writes=%u\nstalls=%u\nlongest_stall_us=%u\n", world->card.writes, world->stalls, world->longest_stall_us);
     printf("metadata_writes=%u\n", world->metadata_writes);
     printf("protocol_errors=%u\ncrc_errors=%u\n", world->card.protocol_errors, world->card.crc_errors);
-    printf("imu_samples=%u\nimu_overruns=%u\nimu_fast_writes=%u\n", world->imu.sample_number, world->imu.overruns, world->imu.fast_writes);
+    printf("imu_samples=%u\nimu_overruns=%u\nimu_fast_accesses=%u\n", world->imu.sample_number, world->imu.overruns,
+           world->imu.fast_accesses);
     printf("sentences=%u\nspurious=%u\nled_changes=%u\ncuts=%u\n", world->receiver.sentences, world->spurious, world->led_changes, world->cuts);
-    printf("fault=%s\nfault_pc=%08x\n", machine->fault ? machine->fault : "", machine->fault_pc);
+    printf("fault=%s\nfault_pc=%08x\n", machine->fault, machine->fault_pc);
 }

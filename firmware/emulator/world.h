@@ -14,7 +14,7 @@ enum { CARD_CLUSTER_SECTORS = 64, JOURNAL = 32, LONGEST_LINE = 120 };
 
 /* In a copy of the world whose power was cut, since it came back: by then all is in order and the button is pressed, to
  * record once more; and the copy's end. */
-enum { AGAIN_PRESS_US = 1800000, PRESSED_US = 120000, AFTERWARDS_US = 3000000 };
+enum { AGAIN_PRESS_US = 2400000, PRESSED_US = 120000, AFTERWARDS_US = 3600000 };
 
 typedef struct {
     uint64_t time_us;
@@ -73,7 +73,7 @@ typedef struct {
     uint32_t cache; /* sectors that a power cut may undo */
     unsigned cuts, cut_parallel;
     uint64_t pulse_every_us, next_pulse_us;
-    uint32_t spurious_us;
+    uint32_t spurious_us, stream_baud;
     uint64_t next_spurious; /* cycles */
     bool is_wire_broken;    /* of the IMU's interrupt */
     uint32_t storm_us;      /* an edge on it so often; 0: as the IMU says */

@@ -54,7 +54,7 @@ def test_machine_stays_within_its_means(driven):
     *_, outcome = driven
     assert outcome.number("watchdog_resets") == outcome.number("resets") == 0
     assert outcome.number("protocol_errors") == outcome.number("crc_errors") == 0, "what the card had to refuse"
-    assert outcome.number("imu_fast_writes") == 0, "registers are written at 1 MHz at most"
+    assert outcome.number("imu_fast_accesses") == 0, "registers are used at 1 MHz at most"
     assert 0.02 < outcome.number("load") < 0.5
     assert 500 < outcome.number("stack_used") < outcome.number("stack_size")
     assert outcome.number("irq6_wait_us") < 100.0, "the stamp of a sample is that of its edge"

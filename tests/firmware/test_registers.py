@@ -5,6 +5,8 @@ Interrupts, DMA channels, pins and memory are compared in test_build.py.
 
 import contextlib
 import fcntl
+import functools
+import operator
 import re
 import shutil
 import sys
@@ -213,6 +215,61 @@ def test_reset_cause_of_the_format_is_the_upper_byte_of_the_register(maker):
     flags = [mask for name, mask in maker.fields["RCC.CSR"].items() if name.endswith("RSTF")]
     assert sum(flags) == 0xFC << 24
     assert "board.reset_cause = (uint8_t)(RCC->CSR >> 24);" in (PORT / "board.c").read_text()
+
+
+# ---- the emulated chip ----
+
+EMULATOR = FIRMWARE / "emulator"
+BLOCK = re.compile(r"\{(\w+), (\w+), (\d+), \w+, \"(\w+)\", REGISTERS\((\w+)\)\}")
+
+
+def chip_differences(registers_text: str, rules_text: str, maker: Maker) -> list[str]:
+    """Every block, register and bit that the emulated chip's rules have otherwise than the maker."""
+    offsets = {
+        name: int(value, 16) for name, value in re.findall(r"^    (\w+) = (0x\w{5}),?$", registers_text, re.MULTILINE)
+    }
+    bits = {
+        name: [int(value, 16) for value in values.split(", ")]
+        for name, values in re.findall(r"^static const uint32_t (\w+_BITS)\[\] = \{(.*)\};", rules_text, re.MULTILINE)
+    }
+    names = {address: name for name, address in maker.registers.items()}
+    wrong = []
+    for block, enable, bit, text, table in BLOCK.findall(rules_text):
+        base = 0x40000000 + offsets[block]
+        for number, mask in enumerate(bits[table]):
+            name = names.get(base + 4 * number, "")
+            is_there = name.startswith(f"{text}.")
+            known = functools.reduce(operator.or_, maker.fields[name].values(), 0) if is_there else 0
+            wrong += [name or f"{block} {number}"] * (mask not in (0, known) or (mask != 0 and not is_there))
+        if enable != "NONE":
+            fields = maker.fields[f"RCC.{enable.removeprefix('R_')}"]
+            key = f"{'IOP' + text[-1] if text.startswith('GPIO') else text}EN"
+            wrong += [key] * (fields.get(key, 0) != 1 << int(bit))
+    return wrong
+
+
+def chip_texts() -> tuple[str, str]:
+    return (EMULATOR / "chip_registers.h").read_text(), (EMULATOR / "rules.c").read_text()
+
+
+def test_emulated_chip_has_the_registers_bits_and_clocks_that_the_maker_has(maker):
+    registers, rules = chip_texts()
+    assert len(BLOCK.findall(rules)) == 16
+    assert chip_differences(registers, rules, maker) == []
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "first"),
+    [
+        ("PWR_BITS[] = {0x1FF,", "PWR_BITS[] = {0x3FF,", "PWR.CR"),
+        ("{SPI2, R_APB1ENR, 14,", "{SPI2, R_APB1ENR, 15,", "SPI2EN"),
+        ("IWDG_BITS[] = {0xFFFF, ", "IWDG_BITS[] = {", "IWDG.KR"),
+    ],
+)
+def test_wrong_line_of_the_emulated_chip_is_found(maker, right, wrong, first):
+    registers, rules = chip_texts()
+    assert right in rules
+    assert chip_differences(registers, rules.replace(right, wrong), maker)[0] == first
 
 
 # ---- the comparison can fail ----

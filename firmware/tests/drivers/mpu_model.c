@@ -8,6 +8,8 @@ enum {
     ST1_READY = 1,
     ST1_OVERRUN = 2,
     OVERFLOW = 8,
+    REGISTERS_HZ = 1000000,
+    MEASUREMENTS_HZ = 20000000
 };
 
 void mpu_model_motion(uint32_t number, int16_t values[6])
@@ -46,6 +48,7 @@ static void reset(mpu_model_t *chip)
     memset(chip->mag, 0, sizeof chip->mag);
     chip->registers[0x6B] = 0x01;
     chip->registers[0x75] = chip->who_am_i;
+    chip->is_slave_4_due = false;
     chip->reset_us = *chip->now_us;
     static const uint8_t gyro_codes[3] = {100, 110, 0}, accel_codes[3] = {120, 0, 130};
     memcpy(chip->registers, gyro_codes, 3);
@@ -116,13 +119,15 @@ static bool is_master_on(const mpu_model_t *chip)
     return (chip->registers[0x6A] & 0x20) != 0;
 }
 
+/* The I2C master works at the sample rate: slave 0, then slave 4, register map 4.6 and 4.12. */
 static void run_slave_4(mpu_model_t *chip)
 {
     const uint8_t address = chip->registers[0x31];
     const bool is_answered = !chip->is_mag_absent && (address & 0x7F) == 0x0C && is_master_on(chip);
-    chip->registers[0x34] &= 0x7F;
-    if (!is_master_on(chip))
+    if (!chip->is_slave_4_due || !is_master_on(chip))
         return;
+    chip->is_slave_4_due = false;
+    chip->registers[0x34] &= 0x7F;
     chip->registers[0x36] |= (uint8_t)(0x40 | (is_answered ? 0 : 0x10));
     if (is_answered && (address & 0x80))
         chip->registers[0x35] = read_mag(chip, chip->registers[0x32]);
@@ -159,6 +164,7 @@ static void measure(mpu_model_t *chip)
     }
     put16(chip->registers + 0x41, (int16_t)(chip->sample_number % 1000));
     run_slave_0(chip);
+    run_slave_4(chip);
     if (chip->registers[0x3A] & 1)
         chip->overruns++;
     if (chip->registers[0x38] & 1)
@@ -166,9 +172,16 @@ static void measure(mpu_model_t *chip)
     chip->sample_number++;
 }
 
+/* Register map 4.4: the divider divides 1 kHz, if the low-pass is on. */
+uint32_t mpu_model_period_us(const mpu_model_t *chip)
+{
+    const uint8_t lowpass = chip->registers[0x1A] & 7;
+    return lowpass == 0 || lowpass == 7 ? 125 : 1000u * (1u + chip->registers[0x19]);
+}
+
 void mpu_model_step(mpu_model_t *chip)
 {
-    const uint32_t period_us = 1000u * (1u + chip->registers[0x19]);
+    const uint32_t period_us = mpu_model_period_us(chip);
     while (chip->next_sample_us <= *chip->now_us) {
         while ((chip->mag[0x0A] & 15) == 6 && chip->next_mag_us <= chip->next_sample_us) {
             measure_field(chip);
@@ -186,11 +199,22 @@ bool mpu_model_has_sample(const mpu_model_t *chip)
 
 /* ---- the bus ---- */
 
+static bool is_measurement(uint8_t reg)
+{
+    return reg >= 0x3A && reg <= 0x60;
+}
+
+static bool is_slow_enough(mpu_model_t *chip, uint8_t reg, bool is_read)
+{
+    const uint32_t most_hz = is_read && is_measurement(reg) ? MEASUREMENTS_HZ : REGISTERS_HZ;
+    chip->fast_accesses += chip->clock_hz > most_hz;
+    return chip->clock_hz <= most_hz;
+}
+
 static void write_register(mpu_model_t *chip, uint8_t reg, uint8_t value)
 {
-    const bool is_read_only = reg == 0x75 || (reg >= 0x3A && reg <= 0x60) || reg == 0x36 || reg == 0x35;
-    if (chip->clock_hz > 1000000)
-        chip->fast_writes++;
+    const bool is_read_only = reg == 0x75 || is_measurement(reg) || reg == 0x36 || reg == 0x35;
+    chip->slave_errors += chip->is_slave_4_due && reg >= 0x31 && reg <= 0x34;
     if (reg == 0x6B && (value & 0x80)) {
         reset(chip);
         return;
@@ -198,8 +222,7 @@ static void write_register(mpu_model_t *chip, uint8_t reg, uint8_t value)
     if (is_read_only || (reg == chip->stuck_register && reg))
         return;
     chip->registers[reg] = value;
-    if (reg == 0x34 && (value & 0x80))
-        run_slave_4(chip);
+    chip->is_slave_4_due |= reg == 0x34 && (value & 0x80);
 }
 
 static uint8_t read_register(mpu_model_t *chip, uint8_t reg)
@@ -219,7 +242,7 @@ void mpu_model_transfer(mpu_model_t *chip, const uint8_t *out, uint8_t *in, size
     for (size_t i = 1; i < length; i++) {
         const uint8_t sent = out[i], reg = (uint8_t)((first & 0x7F) + i - 1);
         in[i] = 0xFF;
-        if (chip->is_absent)
+        if (chip->is_absent || !is_slow_enough(chip, reg, (first & 0x80) != 0))
             continue;
         if (first & 0x80)
             in[i] = is_awake ? read_register(chip, reg) : 0;

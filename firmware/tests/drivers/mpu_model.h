@@ -36,11 +36,15 @@ typedef struct {
     uint32_t sample_number; /* of the newest */
     uint32_t mag_number;
     uint32_t overruns;      /* samples never read */
-    uint32_t fast_writes;   /* register writes above 1 MHz */
+    uint32_t fast_accesses; /* refused: registers but measurements above 1 MHz, those above 20 MHz */
+    uint32_t slave_errors;  /* slave 4 set up while its transfer was on its way */
+    bool is_slave_4_due;    /* its transfer comes with the next sample */
     uint32_t clock_hz;      /* of the bus, set by the board */
 } mpu_model_t;
 
 void mpu_model_init(mpu_model_t *chip, const uint64_t *now_us);
+
+uint32_t mpu_model_period_us(const mpu_model_t *chip);
 
 /* Let measurements happen up to now. */
 void mpu_model_step(mpu_model_t *chip);

@@ -4,7 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { START_POLLS = 5, READY_DELAY_BYTES = 2 };
+/* Latencies of a card as they are sold; the specification allows 1 s, 8 bytes and 100 ms. */
+enum { START_US = 50000, LONGEST_ANSWER_BYTES = 8, READ_US = 100, READY_DELAY_BYTES = 2 };
+enum { WAKING_CLOCKS = 74, SLOW_HZ = 400000, FAST_HZ = 25000000 };
 
 /* ---- medium ---- */
 
@@ -74,12 +76,22 @@ int sd_model_save(const sd_model_t *card, const char *path)
     return fclose(file) ? -1 : result;
 }
 
+static void blame(sd_model_t *card, sd_model_flaw_t flaw)
+{
+    if (!card->is_awake && flaw != SD_MODEL_ASLEEP)
+        return;
+    card->protocol_errors += flaw != SD_MODEL_CHECKSUM;
+    if (card->flaw == SD_MODEL_FINE)
+        card->flaw = flaw;
+}
+
 static void forget_faults(sd_model_t *card)
 {
     card->cut_at = card->refuse_at = card->mishear_at = card->hang_at = card->misread_at = SD_MODEL_INFINITE;
     card->torn_bytes = SD_MODEL_SECTOR;
     card->stall_every = SD_MODEL_INFINITE;
     card->busy_us = 300;
+    card->read_us = READ_US;
     card->refuse_times = 1;
 }
 
@@ -103,8 +115,10 @@ void sd_model_power_cycle(sd_model_t *card)
     const uint32_t sectors = card->sectors;
     const sd_model_kind_t kind = card->kind;
     const uint64_t *now_us = card->now_us;
-    const bool is_protected = card->is_protected;
-    *card = (sd_model_t){.kind = kind, .sectors = sectors, .now_us = now_us, .pages = pages, .is_protected = is_protected};
+    const bool is_protected = card->is_protected, is_selected = card->is_selected;
+    const uint32_t idle_clocks = card->idle_clocks; /* the host's doing: contacts may close in the middle of them */
+    *card = (sd_model_t){.kind = kind, .sectors = sectors, .now_us = now_us, .pages = pages, .is_protected = is_protected,
+                         .is_selected = is_selected, .idle_clocks = idle_clocks};
     forget_faults(card);
 }
 
@@ -228,8 +242,11 @@ static void begin_write(sd_model_t *card, uint32_t argument, bool is_multiple)
 static void go_idle(sd_model_t *card)
 {
     card->is_idle = true;
+    if (!card->is_awake && card->idle_clocks < WAKING_CLOCKS)
+        blame(card, SD_MODEL_ASLEEP);
+    card->is_awake = true;
     card->is_ready = card->has_crc = false;
-    card->start_polls = START_POLLS;
+    card->started_us = 0;
     card->busy_until_us = 0;
     card->status = 0;
     card->is_waiting_for_token = card->is_receiving = false;
@@ -243,9 +260,10 @@ static void run_app_command(sd_model_t *card, uint8_t index, uint32_t argument)
         return;
     }
     const bool wants_hc = (argument & 0x40000000) != 0;
-    if (card->start_polls > 0 && !card->is_mute)
-        card->start_polls--;
-    if (card->start_polls == 0 && (card->kind != SD_MODEL_HC || wants_hc))
+    if (card->started_us == 0)
+        card->started_us = *card->now_us + 1;
+    const bool has_started = *card->now_us >= card->started_us + START_US && !card->is_mute;
+    if (has_started && (card->kind != SD_MODEL_HC || wants_hc))
         card->is_idle = false;
     card->is_ready = !card->is_idle;
     say_byte(card, r1(card));
@@ -256,9 +274,9 @@ static void run_command(sd_model_t *card, uint8_t index, uint32_t argument)
     const uint8_t ocr[4] = {card->kind == SD_MODEL_HC && card->is_ready ? 0xC0 : 0x80, 0xFF, 0x80, 0x00};
     const uint8_t echo[4] = {0, 0, (uint8_t)(argument >> 8 & 15), (uint8_t)argument};
     if (card->is_waiting_for_token && index != 0 && index != 12 && index != 13)
-        card->protocol_errors++;
+        blame(card, SD_MODEL_DISORDER);
     if (index >= 9 && index < 41 && index != 12 && !card->is_ready)
-        card->protocol_errors++;
+        blame(card, SD_MODEL_DISORDER);
     switch (index) {
     case 0:
         go_idle(card);
@@ -311,6 +329,13 @@ static void run_command(sd_model_t *card, uint8_t index, uint32_t argument)
     }
 }
 
+static void hear_wrong(sd_model_t *card)
+{
+    card->crc_errors++;
+    if (!card->is_disturbed)
+        blame(card, SD_MODEL_CHECKSUM);
+}
+
 static void take_command(sd_model_t *card)
 {
     const uint8_t index = card->command[0] & 0x3F;
@@ -323,15 +348,17 @@ static void take_command(sd_model_t *card)
     card->out_length = card->out_at = 0;
     card->held_until_us = 0;
     card->is_app = false;
-    say_byte(card, 0xFF); /* N_CR */
+    for (uint32_t i = 0; i <= card->commands % LONGEST_ANSWER_BYTES; i++) /* N_CR */
+        say_byte(card, 0xFF);
     if (is_sum_wrong && (card->has_crc || index == 0 || index == 8)) {
-        card->crc_errors++;
+        hear_wrong(card);
         say_byte(card, r1(card) | 0x08);
     } else if (is_app) {
         run_app_command(card, index, argument);
     } else {
         run_command(card, index, argument);
     }
+    card->is_disturbed = false;
 }
 
 /* ---- writing ---- */
@@ -374,14 +401,18 @@ static void take_block(sd_model_t *card)
     if (card->writes == card->mishear_at) {
         card->mishear_at = SD_MODEL_INFINITE;
         card->in[77] ^= 4;
+        card->is_disturbed = true;
     }
     const uint16_t sent = (uint16_t)(card->in[SD_MODEL_SECTOR] << 8 | card->in[SD_MODEL_SECTOR + 1]);
     card->out_length = card->out_at = 0;
-    if (card->has_crc && sent != sum16(card->in, SD_MODEL_SECTOR)) {
-        card->crc_errors++;
+    const bool is_sum_wrong = card->has_crc && sent != sum16(card->in, SD_MODEL_SECTOR);
+    if (is_sum_wrong) {
+        hear_wrong(card);
         say_byte(card, 0xEB);
-        return;
     }
+    card->is_disturbed = false;
+    if (is_sum_wrong)
+        return;
     if (card->address >= card->sectors) {
         card->status = 0x80;
         say_byte(card, 0xED);
@@ -403,14 +434,26 @@ static void take_token(sd_model_t *card, uint8_t byte)
         card->is_receiving = true;
         card->in_length = 0;
     } else {
-        card->protocol_errors++;
+        blame(card, SD_MODEL_TOKEN);
     }
 }
 
 /* ---- the wire ---- */
 
+void sd_model_host_restarts(sd_model_t *card)
+{
+    card->is_awake = false;
+    sd_model_select(card, false);
+    card->idle_clocks = 0;
+}
+
 void sd_model_select(sd_model_t *card, bool is_selected)
 {
+    const bool is_within = card->command_length || (card->is_receiving && card->in_length < sizeof card->in);
+    if (card->is_selected && !is_selected && is_within && !card->is_absent)
+        blame(card, SD_MODEL_LET_GO);
+    if (card->is_selected && !is_selected)
+        card->idle_clocks = 0;
     card->is_selected = is_selected;
     if (!is_selected) {
         card->command_length = 0;
@@ -431,8 +474,11 @@ static uint8_t answer(sd_model_t *card)
 
 uint8_t sd_model_exchange(sd_model_t *card, uint8_t out)
 {
+    card->idle_clocks += card->is_selected ? 0 : 8;
     if (card->is_absent || card->is_cut || !card->is_selected)
         return 0xFF;
+    if (card->clock_hz > (card->is_ready ? FAST_HZ : SLOW_HZ))
+        blame(card, SD_MODEL_TOO_FAST);
     const uint8_t in = answer(card);
     const bool is_busy = *card->now_us < card->busy_until_us;
     if (card->is_receiving) {
@@ -443,7 +489,7 @@ uint8_t sd_model_exchange(sd_model_t *card, uint8_t out)
         take_token(card, out);
     } else if (card->command_length || (out & 0xC0) == 0x40) {
         if (is_busy && (card->command_length ? card->command[0] : out) != 0x40)
-            card->protocol_errors++; /* only a reset may be sent to a busy card */
+            blame(card, SD_MODEL_IN_BUSY); /* only a reset may be sent to a busy card */
         card->command[card->command_length++] = out;
         if (card->command_length == sizeof card->command)
             take_command(card);

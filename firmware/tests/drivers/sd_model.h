@@ -10,6 +10,19 @@
 
 typedef enum { SD_MODEL_V1, SD_MODEL_V2, SD_MODEL_HC } sd_model_kind_t;
 
+/* What the specification forbids the host; the first such is kept. Nothing counts between power and the first CMD0, or
+ * between a restart of the host and its next: the card may have heard half of anything. */
+typedef enum {
+    SD_MODEL_FINE,
+    SD_MODEL_ASLEEP,   /* CMD0 before 74 clocks with CS high, 6.4.1 */
+    SD_MODEL_TOO_FAST, /* 400 kHz until ACMD41 is done, then 25 MHz, 4.2.1 */
+    SD_MODEL_IN_BUSY,  /* a command but CMD0 while it is busy, 7.2.4 */
+    SD_MODEL_DISORDER, /* a command before ACMD41 is done, or within a write, 7.2.1 */
+    SD_MODEL_TOKEN,    /* another token than the write's, 7.3.3 */
+    SD_MODEL_CHECKSUM, /* a wrong CRC that no disturbance explains, 7.2.2 */
+    SD_MODEL_LET_GO    /* CS goes high within a command or a block, 7.2 */
+} sd_model_flaw_t;
+
 enum { SD_MODEL_SECTOR = 512, SD_MODEL_PAGE = 65536, SD_MODEL_INFINITE = 0x7FFFFFFF };
 
 typedef struct {
@@ -21,6 +34,7 @@ typedef struct {
 
     /* the world around it */
     const uint64_t *now_us;
+    uint32_t clock_hz; /* of the byte that is exchanged; 0: not known */
     bool is_absent;
 
     /* what is to go wrong; counted in sectors written since the start of the model */
@@ -40,6 +54,7 @@ typedef struct {
     /* what was seen */
     uint32_t writes, reads, commands, crc_errors, protocol_errors;
     bool is_cut;
+    sd_model_flaw_t flaw;
 
     /* its state */
     bool is_selected, is_idle, is_ready, has_crc, is_app;
@@ -54,7 +69,10 @@ typedef struct {
     bool is_receiving, is_waiting_for_token, is_multiple;
     uint32_t address;
     uint64_t busy_until_us;
-    uint32_t start_polls; /* ACMD41 until ready */
+    uint64_t started_us;  /* the first ACMD41 came then; 0: none yet */
+    uint32_t idle_clocks; /* since CS went high, whether the card was there or not */
+    bool is_awake;        /* a CMD0 has come since */
+    bool is_disturbed;    /* a bit of what is being heard was flipped on the way */
     uint8_t status;       /* second byte of CMD13 */
 } sd_model_t;
 
@@ -63,6 +81,9 @@ void sd_model_free(sd_model_t *card);
 
 /* Take power away and give it back: the medium stays. What was to go wrong is forgotten. */
 void sd_model_power_cycle(sd_model_t *card);
+
+/* The host starts anew, the card keeps its power. */
+void sd_model_host_restarts(sd_model_t *card);
 
 void sd_model_select(sd_model_t *card, bool is_selected);
 uint8_t sd_model_exchange(sd_model_t *card, uint8_t out);

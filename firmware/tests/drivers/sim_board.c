@@ -89,6 +89,7 @@ static uint64_t card_time_us(const sim_t *sim, size_t bytes)
 
 static void clock_bytes(sim_t *sim, const uint8_t *out, uint8_t *in, size_t length)
 {
+    sim->card.clock_hz = sim->is_card_fast ? FAST_HZ : SLOW_HZ;
     for (size_t i = 0; i < length; i++) {
         const uint8_t byte = sd_model_exchange(&sim->card, out ? out[i] : 0xFF);
         if (in)
@@ -309,7 +310,7 @@ void sim_reset(sim_t *sim)
     sim->fed_us = sim->now_us;
     sim->line_baud = 9600;
     sim->sent_until_us = 0;
-    sd_model_select(&sim->card, false);
+    sd_model_host_restarts(&sim->card);
 }
 
 void sim_power_cycle(sim_t *sim)

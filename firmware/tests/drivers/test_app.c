@@ -72,7 +72,7 @@ static void stop(void)
 static void end(void)
 {
     CHECK_EQUAL(sim.card.protocol_errors, 0);
-    CHECK_EQUAL(sim.imu.fast_writes, 0);
+    CHECK_EQUAL(sim.imu.fast_accesses, 0);
     CHECK(sim.longest_unfed_us < WATCHDOG_US);
     CHECK_EQUAL(fat_check(&sim.card, true), 0);
     sim_free(&sim);

@@ -18,7 +18,7 @@ static void begin(void)
 
 static void end(void)
 {
-    CHECK_EQUAL(sim.imu.fast_writes, 0);
+    CHECK_EQUAL(sim.imu.fast_accesses, 0);
     sim_free(&sim);
 }
 
