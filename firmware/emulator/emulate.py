@@ -51,7 +51,8 @@ class Comparison:
     """What was written directly against what came through the logger.
 
     samples of the IMU, how many of them are equal, how many the logger says it lost; losses: blocks and the like;
-    others, others_missing: readings of the magnetometer and sentences; laps (K, 3) s: truth, direct, emulated.
+    others, others_missing: readings of the magnetometer and sentences; laps (K, 3) s: truth, direct, emulated;
+    laps_missing: laps that only one of the two recordings has.
     """
 
     samples: int
@@ -61,11 +62,16 @@ class Comparison:
     others: int
     others_missing: int
     laps: Array
+    laps_missing: int = 0
 
     @property
     def worst_ms(self) -> float:
-        """Largest difference between the lap times of the two recordings; inf without laps."""
-        return float(np.max(np.abs(self.laps[:, 2] - self.laps[:, 1])) * 1e3) if len(self.laps) else np.inf
+        """Largest difference between the lap times of the two recordings; inf if one has a lap that the other has not.
+
+        0 without laps: a drive may be too short for one.
+        """
+        differences = np.abs(self.laps[:, 2] - self.laps[:, 1])
+        return np.inf if self.laps_missing else float(np.max(differences, initial=0.0)) * 1e3
 
     @property
     def is_whole(self) -> bool:
@@ -141,7 +147,7 @@ def _spanned(simulated_us: np.ndarray, recorded_us: np.ndarray, slack_us: int) -
     """Rows of the simulation from the first recorded to the last."""
     if len(recorded_us) == 0:
         return slice(0, 0)
-    ends = recorded_us[[0, -1]] - round(1e6 * emulation.LEAD_S) + [-slack_us, slack_us]
+    ends = recorded_us[[0, -1]] - round(1e6 * (emulation.LEAD_S - emulation.BOOT_S)) + [-slack_us, slack_us]
     return slice(*np.searchsorted(simulated_us, ends).tolist())
 
 
@@ -164,14 +170,19 @@ def count_missing(wanted: LogRecords, got: LogRecords) -> int:
 def compare(simulation: Simulation, direct: Path, emulated: Path, has_laps: bool = True) -> Comparison:
     """Compare what was written directly with what came through the logger."""
     (wanted, _), (got, losses) = recorded(direct), recorded(emulated)
-    rows = []
+    rows, laps_missing = [], 0
     if has_laps:
-        ours, theirs = lap_times(emulated, simulation, emulation.LEAD_S), lap_times(direct, simulation, 0.0)
+        ours, theirs = (
+            lap_times(emulated, simulation, emulation.LEAD_S - emulation.BOOT_S),
+            lap_times(direct, simulation, 0.0),
+        )
         rows = [(theirs[k][1], theirs[k][0], ours[k][0]) for k in sorted(ours.keys() & theirs.keys())]
+        laps_missing = len(ours.keys() ^ theirs.keys())
     lost = got.stop.imu_lost if got.stop else len(wanted.imu)
     others, missing = len(wanted.mag) + len(wanted.sentences), count_missing(wanted, got)
     equal = count_equal(wanted, got)
-    return Comparison(len(wanted.imu), equal, lost, losses, others, missing, np.array(rows).reshape(-1, 3))
+    laps = np.array(rows).reshape(-1, 3)
+    return Comparison(len(wanted.imu), equal, lost, losses, others, missing, laps, laps_missing)
 
 
 def prepare_folder(simulation: Simulation, folder: Path) -> tuple[Path, Path]:
@@ -219,6 +230,9 @@ def show(comparison: Comparison) -> None:
     samples = f"{comparison.equal} of {comparison.samples} unchanged, {comparison.lost_by_logger} lost"
     print(f"samples: {samples}, {comparison.losses}")
     print(f"magnetometer and sentences: {comparison.others_missing} of {comparison.others} missing")
+    if not len(comparison.laps) and not comparison.laps_missing:
+        print("no lap was completed: a drive of 60 s is too short for most tracks")
+        return
     print(" lap    truth   direct through firmware  difference ms")
     for i, (true, direct, ours) in enumerate(comparison.laps, 1):
         print(f"{i:4} {true:8.3f} {direct:8.3f} {ours:16.3f} {1e3 * (ours - direct):14.2f}")
