@@ -12,7 +12,7 @@ from pathlib import Path
 EXCEPTION_FRAME = 8 * 4 + 4  # eight words, and one more where the stack has to be aligned (PM0056, 2.3.7)
 
 # Functions called through pointers, by the file the call stands in. Functions are named "file.c:function".
-CARD_BUS = ["port/card.c:" + name for name in ("select_card", "set_fast", "exchange", "start", "is_done", "now_us")]
+CARD_BUS = ["port/card.c:" + name for name in ("select_card", "set_speed", "exchange", "start", "is_done", "now_us")]
 BOARD_ITSELF = [
     "now_us",
     "lock",

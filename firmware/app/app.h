@@ -64,7 +64,8 @@ typedef struct {
     uint8_t card_failures; /* in a row */
     int card_lost_error;
     bool has_card_been_tried;
-    uint16_t card_retries; /* of this recording */
+    uint16_t card_retries; /* of this recording; those of the driver are its own */
+    uint32_t noted_retries;
 
     /* sensors */
     board_events_t board_events;

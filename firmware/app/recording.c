@@ -105,6 +105,7 @@ void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
     app->is_calibration = is_calibration;
     app->session = make_session(app, now_us);
     app->card_retries = 0;
+    app->storage.card.retries = app->noted_retries = 0;
     app->card_failures = 0;
     app->is_stopping = app->is_stop_written = false;
     ring_init(&app->ring, app->blocks, APP_RING_BLOCKS);
@@ -145,11 +146,27 @@ static void finish(app_t *app)
                        (unsigned)app->writer.most_blocks);
 }
 
+/* What the driver mended by itself, once in a while: on bad wires it is a block in ten. */
+static void note_retries(app_t *app)
+{
+    if (app->storage.card.retries == app->noted_retries)
+        return;
+    app->noted_retries = app->storage.card.retries;
+    app_event(app, EVENT_CARD_RETRY, (uint32_t)app->storage.card.error);
+}
+
+static uint16_t count_retries(const app_t *app)
+{
+    const uint32_t retries = app->card_retries + app->storage.card.retries;
+    return (uint16_t)(retries < UINT16_MAX ? retries : UINT16_MAX);
+}
+
 static void step_stopping(app_t *app, uint64_t now_us)
 {
     if (!app->is_stop_written) {
         int result = CORE_OK;
-        LOCKED(app, result = log_writer_stop(&app->writer, now_us, app->stop_reason, app->card_retries));
+        note_retries(app);
+        LOCKED(app, result = log_writer_stop(&app->writer, now_us, app->stop_reason, count_retries(app)));
         app->is_stop_written = result == CORE_OK;
     }
     const bool is_drained = app->is_stop_written && storage_is_drained(&app->storage, &app->writer);
@@ -165,7 +182,9 @@ void app_step_recording(app_t *app, uint64_t now_us)
         step_stopping(app, now_us);
         return;
     }
-    if (now_us - app->setup_us >= APP_SETUP_US)
+    if (now_us - app->setup_us >= APP_SETUP_US) {
         write_setup(app, now_us);
+        note_retries(app);
+    }
     LOCKED(app, log_writer_flush_older(&app->writer, now_us, APP_FLUSH_US));
 }

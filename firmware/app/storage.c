@@ -19,6 +19,7 @@ static int translate(storage_t *storage, int result)
     case VOLUME_NOT_FOUND:
         return STORAGE_MISSING;
     default:
+        storage->card_error = storage->card.error;
         storage->state = STORAGE_CLOSED;
         return STORAGE_CARD;
     }
@@ -356,7 +357,7 @@ static int check_same_card(storage_t *storage)
 int storage_resume(storage_t *storage)
 {
     storage->is_block_sent = false;
-    storage->card_error = sd_open(&storage->card, storage->bus);
+    storage->card_error = sd_open_again(&storage->card);
     if (storage->card_error != SD_OK)
         return STORAGE_CARD;
     int result = check_same_card(storage);
@@ -388,9 +389,9 @@ int storage_end(storage_t *storage)
 
 int storage_halt(storage_t *storage)
 {
-    const int result = storage->state == STORAGE_RECORDING ? close_stream(storage) : STORAGE_OK;
+    const int result = storage->state == STORAGE_RECORDING ? sd_stream_halt(&storage->card) : SD_OK;
     storage->state = STORAGE_CLOSED;
-    return result;
+    return result == SD_OK ? STORAGE_OK : fail(storage, result);
 }
 
 int storage_check(storage_t *storage)

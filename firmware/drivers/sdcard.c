@@ -30,7 +30,10 @@ enum {
     ANSWER_BYTES = 10,   /* a command is answered within 8 */
     RESPONSE_BYTES = 4,  /* a data block is answered at once; leave room for a slow one */
     GO_IDLE_TRIES = 10,
+    SPIN_US = 300,       /* most cards have a sector ready by then, and a sleep may last 500 */
     POLL_BYTES = 8,      /* looked at by one sd_stream_poll */
+    STRAIN_OF_DAMAGE = 16, /* one block in seventeen may be damaged for ever */
+    STRAIN_MOST = 100,
     OCR_HIGH_CAPACITY = 0x40,
     CHECK_PATTERN = 0x1AA /* 2.7-3.6 V, and a pattern to come back */
 };
@@ -46,16 +49,16 @@ uint8_t sd_crc7(const uint8_t *data, size_t length)
     return crc | 1;
 }
 
+/* Eight steps of the division at once: the polynomial has so few bits that their sum is three shifts. */
 uint16_t sd_crc16(const uint8_t *data, size_t length)
 {
-    static const uint16_t of_nibble[16] = {0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50A5, 0x60C6, 0x70E7,
-                                           0x8108, 0x9129, 0xA14A, 0xB16B, 0xC18C, 0xD1AD, 0xE1CE, 0xF1EF};
-    uint16_t crc = 0;
+    uint32_t crc = 0;
     for (size_t i = 0; i < length; i++) {
-        crc = (uint16_t)(crc << 4 ^ of_nibble[crc >> 12 ^ data[i] >> 4]);
-        crc = (uint16_t)(crc << 4 ^ of_nibble[crc >> 12 ^ (data[i] & 15)]);
+        uint32_t x = (crc >> 8 ^ data[i]) & 0xFF;
+        x ^= x >> 4;
+        crc = (crc << 8 ^ x << 12 ^ x << 5 ^ x) & 0xFFFF;
     }
-    return crc;
+    return (uint16_t)crc;
 }
 
 /* ---- bytes ---- */
@@ -90,7 +93,8 @@ static int receive_until(sd_card_t *card, bool is_ready_wanted, uint32_t longest
         }
         if (is_last)
             return SD_TIMEOUT;
-        card->bus->wait(card->bus->context);
+        if (now(card) - since > SPIN_US)
+            card->bus->wait(card->bus->context);
     }
 }
 
@@ -138,6 +142,59 @@ static int command(sd_card_t *card, uint8_t index, uint32_t argument, uint8_t *r
             return SD_OK;
     }
     return SD_NO_ANSWER;
+}
+
+/* ---- trying again ---- */
+
+/* What was disturbed on the wire or refused may go well the next time; a card that is silent for long will not. */
+static bool is_worth_another(int result)
+{
+    return result == SD_BAD_CRC || result == SD_NO_ANSWER || result == SD_REFUSED || result == SD_WRITE_FAILED;
+}
+
+static void note_success(sd_card_t *card)
+{
+    if (card->strain > 0)
+        card->strain--;
+}
+
+static bool slow_down(sd_card_t *card)
+{
+    card->strain = 0;
+    if (card->speed >= SD_QUARTER)
+        return false;
+    card->speed++;
+    card->bus->set_speed(card->bus->context, card->speed);
+    return true;
+}
+
+/* Whether to try again what failed. Where damaged bytes come faster than successes forgive them, or nothing else comes, the
+ * clock is too fast for the wires. */
+static bool may_try_again(sd_card_t *card, int error, uint8_t *tries)
+{
+    if (!is_worth_another(error))
+        return false;
+    card->error = error;
+    card->retries++;
+    ++*tries;
+    if (error == SD_BAD_CRC)
+        card->strain += STRAIN_OF_DAMAGE;
+    const bool is_slowed = error == SD_BAD_CRC && (card->strain > STRAIN_MOST || *tries >= SD_TRIES) && slow_down(card);
+    if (is_slowed)
+        *tries = 0;
+    return *tries < SD_TRIES;
+}
+
+/* A command without data, while the card starts. */
+static int ask(sd_card_t *card, uint8_t index, uint32_t argument, uint8_t *r1)
+{
+    int result = SD_NO_ANSWER;
+    for (int i = 0; i < SD_TRIES && is_worth_another(result); i++) {
+        result = command(card, index, argument, r1);
+        if (result == SD_OK && *r1 & R1_CRC)
+            result = SD_BAD_CRC;
+    }
+    return result;
 }
 
 /* Select the card, wait until it is not busy, send a command that must be answered with 0. */
@@ -223,7 +280,7 @@ static int go_idle(sd_card_t *card)
 static int ask_version(sd_card_t *card, bool *is_v2)
 {
     uint8_t r1, echo[4];
-    int result = command(card, CMD_SEND_IF_COND, CHECK_PATTERN, &r1);
+    int result = ask(card, CMD_SEND_IF_COND, CHECK_PATTERN, &r1);
     if (result != SD_OK)
         return result;
     *is_v2 = !(r1 & R1_ILLEGAL);
@@ -235,6 +292,17 @@ static int ask_version(sd_card_t *card, bool *is_v2)
     return (echo[2] & 15) == (CHECK_PATTERN >> 8) && echo[3] == (CHECK_PATTERN & 0xFF) ? SD_OK : SD_UNSUPPORTED;
 }
 
+/* Switch the CRCs on. One "illegal" may be a flipped bit, five are a card that has none. */
+static int switch_crc_on(sd_card_t *card)
+{
+    uint8_t r1 = R1_ILLEGAL;
+    int result = SD_OK;
+    for (int i = 0; i < SD_TRIES && result == SD_OK && r1 & R1_ILLEGAL; i++)
+        result = ask(card, CMD_CRC_ON_OFF, 1, &r1);
+    card->has_crc = !(r1 & R1_ILLEGAL);
+    return result;
+}
+
 /* ACMD41 until the card has started. */
 static int start_up(sd_card_t *card, bool is_v2)
 {
@@ -242,17 +310,15 @@ static int start_up(sd_card_t *card, bool is_v2)
     for (;;) {
         const bool is_last = now(card) - since > SD_START_LONGEST_US;
         uint8_t r1;
-        int result = command(card, CMD_APP, 0, &r1);
+        int result = ask(card, CMD_APP, 0, &r1);
         if (result == SD_OK)
             result = command(card, ACMD_SEND_OP_COND, is_v2 ? 0x40000000 : 0, &r1);
-        if (result != SD_OK)
-            return result;
-        if (r1 == 0)
+        if (result == SD_OK && r1 == 0)
             return SD_OK;
-        if (r1 & R1_ILLEGAL)
-            return SD_UNSUPPORTED;
-        if (is_last)
-            return SD_TIMEOUT;
+        if (result == SD_OK && is_last)
+            return r1 & R1_ILLEGAL ? SD_UNSUPPORTED : SD_TIMEOUT;
+        if (result == SD_BUS || is_last)
+            return result;
         card->bus->wait(card->bus->context);
     }
 }
@@ -260,7 +326,7 @@ static int start_up(sd_card_t *card, bool is_v2)
 static int ask_addressing(sd_card_t *card)
 {
     uint8_t r1, ocr[4];
-    int result = command(card, CMD_READ_OCR, 0, &r1);
+    int result = ask(card, CMD_READ_OCR, 0, &r1);
     if (result == SD_OK)
         result = receive(card, ocr, sizeof ocr);
     if (result != SD_OK)
@@ -269,15 +335,28 @@ static int ask_addressing(sd_card_t *card)
     return card->has_sector_addresses ? SD_OK : command_ok(card, CMD_SET_BLOCKLEN, SD_SECTOR);
 }
 
-/* CSD, 5.3: the size of the card. */
+static int receive_csd(sd_card_t *card, uint8_t csd[16])
+{
+    int result = command_ok(card, CMD_SEND_CSD, 0);
+    if (result == SD_OK)
+        result = receive_data(card, csd, 16);
+    release(card);
+    return result;
+}
+
+/* CSD, 5.3: the size of the card. Its version says once more, and under a CRC, how sectors are addressed: a flipped bit
+ * of the OCR, which has none, would write all over the card. */
 static int ask_size(sd_card_t *card)
 {
     uint8_t csd[16];
-    int result = command_ok(card, CMD_SEND_CSD, 0);
-    if (result == SD_OK)
-        result = receive_data(card, csd, sizeof csd);
+    uint8_t tries = 0;
+    int result = receive_csd(card, csd);
+    while (may_try_again(card, result, &tries))
+        result = receive_csd(card, csd);
     if (result != SD_OK)
         return result;
+    if ((csd[0] >> 6 == 1) != card->has_sector_addresses)
+        return SD_BAD_CRC;
     if (csd[0] >> 6) {
         card->sectors = (((csd[7] & 0x3Fu) << 16 | (uint32_t)csd[8] << 8 | csd[9]) + 1) * 1024;
         return SD_OK;
@@ -293,14 +372,11 @@ static int ask_size(sd_card_t *card)
 static int identify(sd_card_t *card)
 {
     bool is_v2 = false;
-    uint8_t r1;
     int result = go_idle(card);
     if (result == SD_OK)
-        result = command(card, CMD_CRC_ON_OFF, 1, &r1);
-    if (result != SD_OK)
-        return result;
-    card->has_crc = !(r1 & R1_ILLEGAL);
-    result = ask_version(card, &is_v2);
+        result = switch_crc_on(card);
+    if (result == SD_OK)
+        result = ask_version(card, &is_v2);
     if (result == SD_OK)
         result = start_up(card, is_v2);
     if (result != SD_OK)
@@ -312,19 +388,36 @@ static int identify(sd_card_t *card)
         result = command_ok(card, CMD_SET_BLOCKLEN, SD_SECTOR);
     if (result != SD_OK)
         return result;
-    card->bus->set_fast(card->bus->context, true);
+    card->bus->set_speed(card->bus->context, card->speed);
     return ask_size(card);
+}
+
+static int fail(sd_card_t *card, int error)
+{
+    if (error != SD_OK)
+        card->error = error;
+    return error;
+}
+
+int sd_open_again(sd_card_t *card)
+{
+    int result = SD_BAD_CRC;
+    card->state = SD_CLOSED;
+    card->block = NULL;
+    for (int i = 0; i < 2 && is_worth_another(result); i++) {
+        card->bus->set_speed(card->bus->context, SD_START_UP);
+        result = identify(card);
+        release(card);
+    }
+    if (result == SD_OK)
+        card->state = SD_IDLE;
+    return fail(card, result);
 }
 
 int sd_open(sd_card_t *card, const sd_bus_t *bus)
 {
-    *card = (sd_card_t){.bus = bus, .state = SD_CLOSED};
-    bus->set_fast(bus->context, false);
-    const int result = identify(card);
-    release(card);
-    if (result == SD_OK)
-        card->state = SD_IDLE;
-    return result;
+    *card = (sd_card_t){.bus = bus, .speed = SD_FAST};
+    return sd_open_again(card);
 }
 
 /* ---- sectors ---- */
@@ -335,16 +428,26 @@ static int check_range(const sd_card_t *card, uint32_t sector, uint32_t count)
     return card->state == SD_IDLE && is_inside ? SD_OK : SD_MISUSE;
 }
 
+static int read_one(sd_card_t *card, uint32_t sector, uint8_t *data)
+{
+    int result = command_ok(card, CMD_READ_SINGLE, address(card, sector));
+    if (result == SD_OK)
+        result = receive_data(card, data, SD_SECTOR);
+    release(card);
+    return result;
+}
+
 int sd_read(sd_card_t *card, uint32_t sector, uint8_t *data, uint32_t count)
 {
     int result = check_range(card, sector, count);
     for (uint32_t i = 0; i < count && result == SD_OK; i++) {
-        result = command_ok(card, CMD_READ_SINGLE, address(card, sector + i));
-        if (result == SD_OK)
-            result = receive_data(card, data + (size_t)i * SD_SECTOR, SD_SECTOR);
-        release(card);
+        uint8_t tries = 0;
+        result = read_one(card, sector + i, data + (size_t)i * SD_SECTOR);
+        while (may_try_again(card, result, &tries))
+            result = read_one(card, sector + i, data + (size_t)i * SD_SECTOR);
+        note_success(card);
     }
-    return result;
+    return fail(card, result);
 }
 
 /* Send what stands after the data of a block and read what the card makes of it. */
@@ -389,23 +492,35 @@ static int write_one(sd_card_t *card, uint32_t sector, const uint8_t *data)
 int sd_write(sd_card_t *card, uint32_t sector, const uint8_t *data, uint32_t count)
 {
     int result = check_range(card, sector, count);
-    for (uint32_t i = 0; i < count && result == SD_OK; i++)
+    for (uint32_t i = 0; i < count && result == SD_OK; i++) {
+        uint8_t tries = 0;
         result = write_one(card, sector + i, data + (size_t)i * SD_SECTOR);
+        while (may_try_again(card, result, &tries))
+            result = write_one(card, sector + i, data + (size_t)i * SD_SECTOR);
+        note_success(card);
+    }
+    return fail(card, result);
+}
+
+/* CMD13: reading the state clears it, so a state that was read is not asked for again. */
+static int ask_status(sd_card_t *card)
+{
+    int result = SD_NO_ANSWER;
+    uint8_t second = 0;
+    for (int i = 0; i < SD_TRIES && is_worth_another(result); i++) {
+        result = command_ok(card, CMD_SEND_STATUS, 0);
+        if (result == SD_OK)
+            result = receive(card, &second, 1);
+        release(card);
+    }
+    if (result == SD_OK && second != 0)
+        result = second == READY ? SD_NO_ANSWER : SD_WRITE_FAILED;
     return result;
 }
 
 int sd_check(sd_card_t *card)
 {
-    if (card->state != SD_IDLE)
-        return SD_MISUSE;
-    uint8_t second = 0;
-    int result = command_ok(card, CMD_SEND_STATUS, 0);
-    if (result == SD_OK)
-        result = receive(card, &second, 1);
-    release(card);
-    if (result == SD_OK && second != 0)
-        result = second == READY ? SD_NO_ANSWER : SD_WRITE_FAILED;
-    return result;
+    return card->state == SD_IDLE ? fail(card, ask_status(card)) : SD_MISUSE;
 }
 
 /* ---- the stream ---- */
@@ -415,7 +530,18 @@ static int stream_fail(sd_card_t *card, int error)
 {
     release(card);
     card->state = SD_CLOSED;
-    return error;
+    card->block = NULL;
+    return fail(card, error);
+}
+
+static int begin_write(sd_card_t *card)
+{
+    const int result = command_ok(card, CMD_WRITE_MULTIPLE, address(card, card->sector));
+    if (result != SD_OK)
+        return result;
+    card->state = SD_STREAM_READY;
+    card->opened_us = now(card);
+    return SD_OK;
 }
 
 int sd_stream_open(sd_card_t *card, uint32_t sector)
@@ -423,24 +549,65 @@ int sd_stream_open(sd_card_t *card, uint32_t sector)
     int result = check_range(card, sector, 1);
     if (result != SD_OK)
         return result;
-    result = command_ok(card, CMD_WRITE_MULTIPLE, address(card, sector));
-    if (result != SD_OK)
-        return stream_fail(card, result);
-    card->state = SD_STREAM_READY;
+    card->sector = sector;
+    card->block = NULL;
+    card->tries = 0;
+    result = begin_write(card);
+    while (may_try_again(card, result, &card->tries)) {
+        release(card);
+        result = begin_write(card);
+    }
+    card->tries = 0;
+    return result == SD_OK ? SD_OK : stream_fail(card, result);
+}
+
+static int send_block(sd_card_t *card)
+{
+    static const uint8_t start[2] = {READY, TOKEN_MULTIPLE};
+    if (send(card, start, sizeof start) < 0 || card->bus->start(card->bus->context, card->block, NULL, SD_SECTOR) < 0)
+        return stream_fail(card, SD_BUS);
+    card->crc = sd_crc16(card->block, SD_SECTOR); /* while the block is on its way */
+    card->state = SD_STREAM_SENDING;
+    card->since_us = now(card);
     return SD_OK;
 }
 
 int sd_stream_put(sd_card_t *card, const uint8_t *block)
 {
-    static const uint8_t start[2] = {READY, TOKEN_MULTIPLE};
     if (card->state != SD_STREAM_READY)
         return SD_MISUSE;
-    if (send(card, start, sizeof start) < 0 || card->bus->start(card->bus->context, block, NULL, SD_SECTOR) < 0)
+    card->block = block;
+    return send_block(card);
+}
+
+/* 4.12.5.1: after an error within a multi-block write the card wants CMD12. What it answers does not matter: if it did
+ * not hear it, the next try fails too. */
+static int try_again(sd_card_t *card, int error)
+{
+    uint8_t r1;
+    if (!may_try_again(card, error, &card->tries))
+        return stream_fail(card, error);
+    if (command(card, CMD_STOP_TRANSMISSION, 0, &r1) == SD_BUS)
         return stream_fail(card, SD_BUS);
-    card->crc = sd_crc16(block, SD_SECTOR); /* while the block is on its way */
-    card->state = SD_STREAM_SENDING;
+    card->state = SD_STREAM_STOPPING;
     card->since_us = now(card);
-    return SD_OK;
+    return 0;
+}
+
+static int send_stop(sd_card_t *card)
+{
+    static const uint8_t stop[3] = {READY, TOKEN_STOP, READY};
+    card->state = SD_STREAM_STOPPING;
+    card->since_us = now(card);
+    return send(card, stop, sizeof stop);
+}
+
+static int poll_ready(sd_card_t *card)
+{
+    const bool is_at_the_end = card->sector >= card->sectors; /* where no write can begin */
+    if (now(card) - card->opened_us < SD_STREAM_LONGEST_US || is_at_the_end)
+        return 1;
+    return send_stop(card) < 0 ? stream_fail(card, SD_BUS) : 0;
 }
 
 static int poll_sending(sd_card_t *card)
@@ -451,13 +618,14 @@ static int poll_sending(sd_card_t *card)
         return 0;
     const int result = done == 1 ? finish_block(card, card->crc) : SD_BUS;
     if (result != SD_OK)
-        return stream_fail(card, result);
+        return try_again(card, result);
     card->state = SD_STREAM_BUSY;
     card->since_us = now(card);
     return 0;
 }
 
-static int poll_busy(sd_card_t *card)
+/* 1 the card is not busy any more, 0 it is. */
+static int look_whether_busy(sd_card_t *card)
 {
     const uint64_t busy_us = now(card) - card->since_us;
     uint8_t byte = 0;
@@ -468,19 +636,50 @@ static int poll_busy(sd_card_t *card)
         return busy_us > SD_BUSY_LONGEST_US ? stream_fail(card, SD_TIMEOUT) : 0;
     if (busy_us > card->longest_busy_us)
         card->longest_busy_us = (uint32_t)busy_us;
-    card->state = SD_STREAM_READY;
     return 1;
+}
+
+static int poll_busy(sd_card_t *card)
+{
+    const int result = look_whether_busy(card);
+    if (result != 1)
+        return result;
+    note_success(card);
+    card->tries = 0;
+    card->sector++;
+    card->block = NULL;
+    card->state = SD_STREAM_READY;
+    return poll_ready(card);
+}
+
+/* The write goes on with a new command, and with the block that was not taken. The card's state is read in between, which
+ * clears it: where nothing had failed yet, it is the only word of a block that was taken and then could not be kept. */
+static int poll_stopping(sd_card_t *card)
+{
+    const int ready = look_whether_busy(card);
+    if (ready != 1)
+        return ready;
+    release(card);
+    const int state = ask_status(card);
+    if (state == SD_WRITE_FAILED && card->tries == 0)
+        return stream_fail(card, state);
+    const int result = begin_write(card);
+    if (result != SD_OK)
+        return try_again(card, result);
+    return card->block ? send_block(card) : 1;
 }
 
 int sd_stream_poll(sd_card_t *card)
 {
     switch (card->state) {
     case SD_STREAM_READY:
-        return 1;
+        return poll_ready(card);
     case SD_STREAM_SENDING:
         return poll_sending(card);
     case SD_STREAM_BUSY:
         return poll_busy(card);
+    case SD_STREAM_STOPPING:
+        return poll_stopping(card);
     default:
         return SD_MISUSE;
     }
@@ -489,7 +688,7 @@ int sd_stream_poll(sd_card_t *card)
 /* The last block has to be taken before the stream can end. */
 static int drain(sd_card_t *card)
 {
-    int ready = sd_stream_poll(card);
+    int ready = card->state == SD_STREAM_READY ? 1 : sd_stream_poll(card);
     while (ready == 0) { /* ends: each state has its time-out */
         card->bus->wait(card->bus->context);
         ready = sd_stream_poll(card);
@@ -497,22 +696,30 @@ static int drain(sd_card_t *card)
     return ready < 0 ? ready : SD_OK;
 }
 
+int sd_stream_halt(sd_card_t *card)
+{
+    int result = drain(card);
+    if (result != SD_OK)
+        return result;
+    result = send_stop(card);
+    release(card);
+    card->state = SD_CLOSED;
+    return fail(card, result);
+}
+
 int sd_stream_close(sd_card_t *card)
 {
-    static const uint8_t stop[3] = {READY, TOKEN_STOP, READY};
     uint8_t byte;
     int result = drain(card);
     if (result != SD_OK)
         return result;
-    result = send(card, stop, sizeof stop);
+    result = send_stop(card);
     if (result == SD_OK)
         result = receive_until(card, true, SD_BUSY_LONGEST_US, &byte);
     if (result != SD_OK)
         return stream_fail(card, result);
     release(card);
-    card->state = SD_IDLE;
-    result = sd_check(card);
-    if (result != SD_OK)
-        card->state = SD_CLOSED;
-    return result;
+    result = ask_status(card);
+    card->state = result == SD_OK ? SD_IDLE : SD_CLOSED;
+    return fail(card, result);
 }

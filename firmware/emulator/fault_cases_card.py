@@ -116,6 +116,26 @@ CARD = (
         (recordings(1, files=1), all_kept(1.5, 12.4), event("CARD_RETRY")),
     ),
     Case(
+        "wires that flip a bit in 20,000 bytes",
+        "card's wires",
+        ((0, "card_flip 20000"), (0, "stall 700000")),
+        (recordings(1, files=1), all_kept(3, 26.4), event("CARD_RETRY"), no_event("CARD_LOST"), stopped(STOP_BUTTON)),
+        duration=30,
+    ),
+    Case(
+        "wires that flip a bit in 3,000 bytes",
+        "card's wires",
+        ((0, "card_flip 3000"),),
+        (recordings(1), all_kept(4, 26.4), event("CARD_RETRY"), led("recording", 8, 26)),
+        duration=30,
+    ),
+    Case(
+        "wires that carry 5 MHz and no more",
+        "card's wires",
+        ((0, "card_flip 500"), (0, "card_flip_above 5000000")),
+        (recordings(1, files=1), all_kept(4, 12.4), measured("the clock has come down", "card_hz", 4.5e6, 4.5e6)),
+    ),
+    Case(
         "refuses every block for 1 s",
         "card failing",
         ((6, "card_refuse 100000"), (7, "card_refuse 0")),

@@ -260,7 +260,7 @@ BUSES = (
         "        const uint8_t byte = (uint8_t)spi->registers->DR;\n        if (in)\n            in[i] = byte;",
         "        if (in)\n            in[i] = (uint8_t)spi->registers->DR;",
     ),
-    _port("card at 36 MHz", "SPI_TOO_FAST", "card.c", "FAST = 1  /*", "FAST = 0  /*"),
+    _port("card at 36 MHz", "SPI_TOO_FAST", "card.c", "[SD_FAST] = 1,", "[SD_FAST] = 0,"),
     _port("SPI mode 1 for the card", "SPI_MODE", "spi.c", ".mode = 0,", ".mode = SPI_CR1_CPHA,"),
     _port("SPI mode 2 for the IMU", "SPI_MODE", "spi.c", "SPI_CR1_CPOL | SPI_CR1_CPHA", "SPI_CR1_CPOL"),
     _port(
@@ -331,7 +331,7 @@ BUSES = (
 
 DEVICES = (
     _card("card not woken", "CARD_ASLEEP", "clocks < 80", "clocks < 16"),
-    _port("card started at 1.1 MHz", "CARD_TOO_FAST", "card.c", "SLOW = 7,", "SLOW = 5,"),
+    _port("card started at 1.1 MHz", "CARD_TOO_FAST", "card.c", "[SD_START_UP] = 7", "[SD_START_UP] = 5"),
     _card(
         "card not waited for",
         "CARD_BUSY",
@@ -341,11 +341,11 @@ DEVICES = (
     _card(
         "ACMD41 once",
         "CARD_ORDER",
-        "        if (r1 == 0)\n            return SD_OK;",
-        "        if (r1 <= R1_IDLE)\n            return SD_OK;",
+        "        if (result == SD_OK && r1 == 0)\n            return SD_OK;",
+        "        if (result == SD_OK && r1 <= R1_IDLE)\n            return SD_OK;",
     ),
     _card("token of a single block", "CARD_TOKEN", "TOKEN_MULTIPLE = 0xFC", "TOKEN_MULTIPLE = 0xFE"),
-    _card("block without its CRC", "CARD_CHECKSUM", "card->crc = sd_crc16(block, SD_SECTOR);", "card->crc = 0;"),
+    _card("block without its CRC", "CARD_CHECKSUM", "card->crc = sd_crc16(card->block, SD_SECTOR);", "card->crc = 0;"),
     _card("command without its CRC", "CARD_CHECKSUM", "frame[6] = sd_crc7(frame + 1, 5);", "frame[6] = 0x95;"),
     _card(
         "CS let go within a block",

@@ -298,6 +298,8 @@ static void do_card_mishear(world_t *world, uint64_t value) { world->card.mishea
 static void do_card_hang(world_t *world, uint64_t value) { world->card.hang_at = world->card.writes + (uint32_t)value; }
 static void do_card_misread(world_t *world, uint64_t value) { world->card.misread_at = world->card.reads + (uint32_t)value; }
 static void do_card_no_crc(world_t *world, uint64_t value) { world->card.is_crc_unknown = value != 0; }
+static void do_card_flip(world_t *world, uint64_t value) { world->card.flip_every = (uint32_t)value; }
+static void do_card_flip_above(world_t *world, uint64_t value) { world->card.flip_above_hz = (uint32_t)value; }
 static void do_card_protect(world_t *world, uint64_t value) { world->card.is_protected = value != 0; }
 static void do_card_read(world_t *world, uint64_t value) { world->card.read_us = (uint32_t)value; }
 static void do_card_stall(world_t *world, uint64_t value) { world->exact_stall_us = (uint32_t)value; }
@@ -392,7 +394,7 @@ static const verb_t verbs[] = {
     {"card_stall", do_card_stall},   {"card_other", do_card_other},   {"gps_garble", do_gps_garble},
     {"imu_wire", do_imu_wire},       {"imu_storm", do_imu_storm},     {"stick", do_stick},
     {"restart", do_restart},         {"gps_refuse", do_gps_refuse},   {"gps_restart", do_gps_restart},
-    {"poke", do_poke},
+    {"poke", do_poke},               {"card_flip", do_card_flip},     {"card_flip_above", do_card_flip_above},
 };
 
 static void act(world_t *world, const char *line)
@@ -892,7 +894,8 @@ void world_report(const world_t *world)
     printf("watchdog_us=%.0f\n", (double)world->chip.watchdog_period / us);
     printf("writes=%u\nstalls=%u\nlongest_stall_us=%u\n", world->card.writes, world->stalls, world->longest_stall_us);
     printf("metadata_writes=%u\n", world->metadata_writes);
-    printf("protocol_errors=%u\ncrc_errors=%u\n", world->card.protocol_errors, world->card.crc_errors);
+    printf("protocol_errors=%u\ncrc_errors=%u\nflips=%u\ncard_hz=%u\n", world->card.protocol_errors, world->card.crc_errors,
+           world->card.flips, world->card.clock_hz);
     printf("imu_samples=%u\nimu_overruns=%u\nimu_fast_accesses=%u\n", world->imu.sample_number, world->imu.overruns,
            world->imu.fast_accesses);
     printf("sentences=%u\nspurious=%u\nled_changes=%u\ncuts=%u\n", world->receiver.sentences, world->spurious, world->led_changes, world->cuts);

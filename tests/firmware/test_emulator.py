@@ -130,8 +130,8 @@ def test_what_a_power_cut_may_not_do_is_noticed(driven):
     def judged(data: bytes, cut_us: int) -> str:
         return campaign.judge_recording(data, whole, (begun, ended), cut_us, campaign.TAIL_MS)[0]
 
-    cut_us = int(records.imu_t[len(records.imu_t) // 2])
     blocks = campaign.find_blocks(whole)[0]
+    cut_us = int(blocks.base_us[len(blocks.base_us) // 2]) + 5_000
     written = int(np.searchsorted(blocks.base_us, cut_us)) - 2  # one is being filled, one on its way
     assert judged(whole[: 512 * written], cut_us) == ""
     assert "are lost" in judged(whole[: 512 * (written - 2)], cut_us)

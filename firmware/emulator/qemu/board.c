@@ -53,10 +53,10 @@ static void select_card(void *context, bool is_selected)
     PORT_D(PIN_0_DATA) = is_selected ? 0 : PIN_0;
 }
 
-static void set_fast(void *context, bool is_fast)
+static void set_speed(void *context, sd_speed_t speed)
 {
     (void)context;
-    SSI0(SSI_CPSR) = is_fast ? 2 : 32;
+    SSI0(SSI_CPSR) = speed == SD_START_UP ? 32 : 2u << speed;
 }
 
 static int exchange(void *context, const uint8_t *out, uint8_t *in, size_t length)
@@ -87,7 +87,7 @@ static void wait(void *context)
 const sd_bus_t *board_init(void)
 {
     static const sd_bus_t bus = {.select = select_card,
-                                 .set_fast = set_fast,
+                                 .set_speed = set_speed,
                                  .exchange = exchange,
                                  .start = exchange,
                                  .is_done = is_done,
@@ -99,7 +99,7 @@ const sd_bus_t *board_init(void)
     PORT_D(GPIO_DEN) |= PIN_0;
     select_card(NULL, false);
     SSI0(SSI_CR0) = CR0_8_BITS;
-    set_fast(NULL, false);
+    set_speed(NULL, SD_START_UP);
     SSI0(SSI_CR1) = CR1_ON;
     SYST_RVR = SYST_LONGEST;
     SYST_CVR = 0;

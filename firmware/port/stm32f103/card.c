@@ -1,11 +1,10 @@
 /* The card: SPI1 on PA5 to PA7, chip select PA4. */
 #include "port.h"
 
-enum {
-    SELECT_PIN = 4,
-    SLOW = 7, /* 72 MHz / 256 = 281 kHz */
-    FAST = 1  /* 72 MHz / 4 = 18 MHz, the most SPI1 can do */
-};
+enum { SELECT_PIN = 4 };
+
+/* 72 MHz / 2^(n + 1): 18 MHz, the most SPI1 can do, 9 and 4.5 MHz, 281 kHz. */
+static const uint8_t dividers[] = {[SD_FAST] = 1, [SD_HALF] = 2, [SD_QUARTER] = 3, [SD_START_UP] = 7};
 
 static volatile bool is_over;
 static volatile int outcome;
@@ -19,11 +18,11 @@ static void select_card(void *context, bool is_selected)
         GPIOA->BSRR = 1u << SELECT_PIN;
 }
 
-static void set_fast(void *context, bool is_fast)
+static void set_speed(void *context, sd_speed_t speed)
 {
     (void)context;
     spi_stop(&spi_card);
-    spi_init(&spi_card, is_fast ? FAST : SLOW);
+    spi_init(&spi_card, dividers[speed]);
 }
 
 static int exchange(void *context, const uint8_t *out, uint8_t *in, size_t length)
@@ -71,10 +70,10 @@ void card_init(board_t *board)
     gpio_configure(GPIOA, 5, GPIO_ALTERNATE_50MHZ);
     gpio_configure(GPIOA, 6, GPIO_PULLED);
     gpio_configure(GPIOA, 7, GPIO_ALTERNATE_50MHZ);
-    spi_init(&spi_card, SLOW);
+    spi_init(&spi_card, dividers[SD_START_UP]);
     nvic_enable(IRQ_DMA1_CHANNEL2, PRIORITY_CARD);
     board->card = (sd_bus_t){.select = select_card,
-                             .set_fast = set_fast,
+                             .set_speed = set_speed,
                              .exchange = exchange,
                              .start = start,
                              .is_done = is_done,

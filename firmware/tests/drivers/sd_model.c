@@ -5,7 +5,7 @@
 #include <string.h>
 
 /* Latencies of a card as they are sold; the specification allows 1 s, 8 bytes and 100 ms. */
-enum { START_US = 50000, LONGEST_ANSWER_BYTES = 8, READ_US = 100, READY_DELAY_BYTES = 2 };
+enum { START_US = 50000, LONGEST_ANSWER_BYTES = 8, READ_US = 100, STOP_US = 1000, READY_DELAY_BYTES = 2 };
 enum { WAKING_CLOCKS = 74, SLOW_HZ = 400000, FAST_HZ = 25000000 };
 
 /* ---- medium ---- */
@@ -78,7 +78,8 @@ int sd_model_save(const sd_model_t *card, const char *path)
 
 static void blame(sd_model_t *card, sd_model_flaw_t flaw)
 {
-    if (!card->is_awake && flaw != SD_MODEL_ASLEEP)
+    const bool is_host_misled = card->flip_every != 0;
+    if (is_host_misled || (!card->is_awake && flaw != SD_MODEL_ASLEEP))
         return;
     card->protocol_errors += flaw != SD_MODEL_CHECKSUM;
     if (card->flaw == SD_MODEL_FINE)
@@ -275,10 +276,14 @@ static void run_command(sd_model_t *card, uint8_t index, uint32_t argument)
     const uint8_t echo[4] = {0, 0, (uint8_t)(argument >> 8 & 15), (uint8_t)argument};
     if (card->is_waiting_for_token && index != 0 && index != 12 && index != 13)
         blame(card, SD_MODEL_DISORDER);
-    if (index >= 9 && index < 41 && index != 12 && !card->is_ready)
+    if (index >= 9 && index < 41 && index != 12 && !card->is_ready) {
         blame(card, SD_MODEL_DISORDER);
+        say_byte(card, 0x05); /* illegal in the idle state */
+        return;
+    }
     switch (index) {
     case 0:
+        card->is_spi = true;
         go_idle(card);
         break;
     case 8:
@@ -343,8 +348,10 @@ static void take_command(sd_model_t *card)
                               (uint32_t)card->command[3] << 8 | card->command[4];
     const bool is_sum_wrong = sum7(card->command, 5) != card->command[5];
     const bool is_app = card->is_app;
-    card->commands++;
     card->command_length = 0;
+    if (!card->is_spi && (index != 0 || is_sum_wrong))
+        return; /* until its first CMD0 it listens on other wires */
+    card->commands++;
     card->out_length = card->out_at = 0;
     card->held_until_us = 0;
     card->is_app = false;
@@ -427,7 +434,7 @@ static void take_token(sd_model_t *card, uint8_t byte)
         return;
     if (card->is_multiple && byte == 0xFD) {
         card->is_waiting_for_token = false;
-        card->busy_until_us = *card->now_us + card->busy_us;
+        card->busy_until_us = *card->now_us + STOP_US;
         card->out_length = card->out_at = 0;
         say_byte(card, 0xFF); /* one byte, then busy */
     } else if (byte == (card->is_multiple ? 0xFC : 0xFE)) {
@@ -472,14 +479,24 @@ static uint8_t answer(sd_model_t *card)
     return 0xFF;
 }
 
-uint8_t sd_model_exchange(sd_model_t *card, uint8_t out)
+/* What becomes of a byte on the way: xorshift says whether one bit of it is flipped, and which. */
+static uint8_t carry(sd_model_t *card, uint8_t byte)
 {
-    card->idle_clocks += card->is_selected ? 0 : 8;
-    if (card->is_absent || card->is_cut || !card->is_selected)
-        return 0xFF;
-    if (card->clock_hz > (card->is_ready ? FAST_HZ : SLOW_HZ))
-        blame(card, SD_MODEL_TOO_FAST);
-    const uint8_t in = answer(card);
+    if (card->flip_every == 0 || card->clock_hz <= card->flip_above_hz)
+        return byte;
+    card->chance = card->chance ? card->chance : 2463534242u;
+    card->chance ^= card->chance << 13;
+    card->chance ^= card->chance >> 17;
+    card->chance ^= card->chance << 5;
+    if (card->chance % card->flip_every)
+        return byte;
+    card->flips++;
+    return byte ^ (uint8_t)(1u << (card->chance >> 24 & 7));
+}
+
+/* The card hears a byte. */
+static void hear(sd_model_t *card, uint8_t out)
+{
     const bool is_busy = *card->now_us < card->busy_until_us;
     if (card->is_receiving) {
         card->in[card->in_length++] = out;
@@ -494,5 +511,16 @@ uint8_t sd_model_exchange(sd_model_t *card, uint8_t out)
         if (card->command_length == sizeof card->command)
             take_command(card);
     }
-    return in;
+}
+
+uint8_t sd_model_exchange(sd_model_t *card, uint8_t out)
+{
+    card->idle_clocks += card->is_selected ? 0 : 8;
+    if (card->is_absent || card->is_cut || !card->is_selected)
+        return 0xFF;
+    if (card->clock_hz > (card->is_ready ? FAST_HZ : SLOW_HZ))
+        blame(card, SD_MODEL_TOO_FAST);
+    const uint8_t in = answer(card);
+    hear(card, carry(card, out));
+    return carry(card, in);
 }

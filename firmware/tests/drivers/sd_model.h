@@ -47,6 +47,8 @@ typedef struct {
     uint32_t mishear_at;    /* a bit of this write is flipped on the way */
     uint32_t hang_at;       /* after this write the card is busy for ever, until CMD0 or power */
     uint32_t misread_at;    /* a bit of this sector read is flipped on the way */
+    uint32_t flip_every;    /* of so many bytes on the wires, in both directions, one comes with a flipped bit; 0: none */
+    uint32_t flip_above_hz; /* if the clock is faster than this */
     bool is_crc_unknown;    /* CMD59 is not implemented */
     bool is_mute;           /* initialisation never ends */
     uint32_t read_us;       /* before the data of a sector come */
@@ -55,6 +57,7 @@ typedef struct {
     uint32_t writes, reads, commands, crc_errors, protocol_errors;
     bool is_cut;
     sd_model_flaw_t flaw;
+    uint32_t flips;
 
     /* its state */
     bool is_selected, is_idle, is_ready, has_crc, is_app;
@@ -62,6 +65,7 @@ typedef struct {
     size_t command_length;
     uint8_t out[1024];
     size_t out_length, out_at;
+    uint32_t chance;
     size_t held_at; /* from here on the answer comes at held_until_us */
     uint64_t held_until_us;
     uint8_t in[SD_MODEL_SECTOR + 2];
@@ -71,7 +75,8 @@ typedef struct {
     uint64_t busy_until_us;
     uint64_t started_us;  /* the first ACMD41 came then; 0: none yet */
     uint32_t idle_clocks; /* since CS went high, whether the card was there or not */
-    bool is_awake;        /* a CMD0 has come since */
+    bool is_spi;          /* a CMD0 has come since power */
+    bool is_awake;        /* a CMD0 has come since power or the host's restart */
     bool is_disturbed;    /* a bit of what is being heard was flipped on the way */
     uint8_t status;       /* second byte of CMD13 */
 } sd_model_t;

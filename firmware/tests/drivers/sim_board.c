@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-enum { SLOW_HZ = 281250, FAST_HZ = 18000000, IMU_SLOW_HZ = 562500, IMU_FAST_HZ = 9000000, TICK_US = 500 };
+enum { START_HZ = 281250, IMU_SLOW_HZ = 562500, IMU_FAST_HZ = 9000000, TICK_US = 500 };
 
 /* ---- interrupts ---- */
 
@@ -76,20 +76,21 @@ static void card_select(void *context, bool is_selected)
     sd_model_select(&sim->card, is_selected);
 }
 
-static void card_set_fast(void *context, bool is_fast)
+static void card_set_speed(void *context, sd_speed_t speed)
 {
+    static const uint32_t hz[] = {[SD_FAST] = 18000000, [SD_HALF] = 9000000, [SD_QUARTER] = 4500000, [SD_START_UP] = START_HZ};
     sim_t *sim = context;
-    sim->is_card_fast = is_fast;
+    sim->card_hz = hz[speed];
 }
 
 static uint64_t card_time_us(const sim_t *sim, size_t bytes)
 {
-    return bytes * 8 * 1000000 / (sim->is_card_fast ? FAST_HZ : SLOW_HZ);
+    return bytes * 8 * 1000000 / sim->card_hz;
 }
 
 static void clock_bytes(sim_t *sim, const uint8_t *out, uint8_t *in, size_t length)
 {
-    sim->card.clock_hz = sim->is_card_fast ? FAST_HZ : SLOW_HZ;
+    sim->card.clock_hz = sim->card_hz;
     for (size_t i = 0; i < length; i++) {
         const uint8_t byte = sd_model_exchange(&sim->card, out ? out[i] : 0xFF);
         if (in)
@@ -310,6 +311,7 @@ void sim_reset(sim_t *sim)
     sim->fed_us = sim->now_us;
     sim->line_baud = 9600;
     sim->sent_until_us = 0;
+    sim->card_hz = START_HZ;
     sd_model_host_restarts(&sim->card);
 }
 
@@ -339,7 +341,7 @@ void sim_init(sim_t *sim, sd_model_kind_t kind, uint32_t sectors)
         .context = sim,
         .card = {.context = sim,
                  .select = card_select,
-                 .set_fast = card_set_fast,
+                 .set_speed = card_set_speed,
                  .exchange = card_exchange,
                  .start = card_start,
                  .is_done = card_is_done,

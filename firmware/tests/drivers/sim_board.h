@@ -23,7 +23,7 @@ typedef struct {
     uint64_t pulse_every_us; /* 0: PPS is not wired */
 
     /* its insides */
-    bool is_card_fast;
+    uint32_t card_hz;
     uint64_t transfer_done_us;
     bool is_transfer_running;
     const uint8_t *transfer_out;

@@ -360,7 +360,9 @@ static void test_refused_and_misheard_blocks_are_written_again(void)
     CHECK_EQUAL(log.strange, 0);
     CHECK_EQUAL(log.gaps, 0);
     CHECK_EQUAL(log.files, 1);
-    CHECK(app.card_retries >= 2);
+    CHECK_EQUAL(app.card_retries, 0);
+    CHECK_EQUAL(app.storage.card.retries, 2);
+    CHECK(log.events & 1u << EVENT_CARD_RETRY);
     end();
 }
 
