@@ -170,6 +170,9 @@ void app_init(app_t *app, const board_t *board)
     app->step_us = now_us;
     board->set_idle(board->context, serve, app);
     (void)serial_print(board->serial, "kart logger, reset cause %x\n", (unsigned)board->reset_cause);
+    if (board->fault.is_fault)
+        (void)serial_print(board->serial, "fault at %x, called from %x, status %x\n", (unsigned)board->fault.pc,
+                           (unsigned)board->fault.lr, (unsigned)board->fault.status);
 }
 
 void app_step(app_t *app)

@@ -21,6 +21,8 @@ enum {
     APP_IMU_SILENT_US = 200000,      /* no sample for so long: reset it */
     APP_IMU_TRIES = 3,               /* in quick succession */
     APP_IMU_RETRY_US = 5000000,
+    APP_MAG_SILENT_US = 1000000,     /* no reading for so long: say so, and set the sensor up anew while idle .. */
+    APP_MAG_RETRY_US = 10000000,     /* .. so often */
     APP_CARD_CHECK_US = 2000000,
     APP_CARD_RETRY_US = 20000,       /* doubles with each failure .. */
     APP_CARD_RETRY_MOST_US = 2000000, /* .. up to this */
@@ -75,6 +77,7 @@ typedef struct {
     bool is_imu_known, is_imu_working;
     uint8_t imu_failures;
     uint64_t imu_retry_us, imu_lost_us, imu_started_us;
+    bool is_mag_silent;
     neo6m_t gps;
     neo6m_events_t gps_events;
     uint32_t gps_baud, gps_refused;

@@ -19,6 +19,12 @@ typedef struct {
     void (*on_pulse)(void *context, uint64_t time_us, uint32_t number);      /* a PPS edge */
 } board_events_t;
 
+/* A fault that ended in the last reset: where, where that was called from, and why (CFSR). */
+typedef struct {
+    bool is_fault;
+    uint32_t pc, lr, status;
+} board_fault_t;
+
 typedef struct {
     void *context;
     sd_bus_t card;
@@ -48,6 +54,7 @@ typedef struct {
 
     uint16_t mark_before_reset;
     uint8_t reset_cause; /* bits 31:24 of RCC_CSR */
+    board_fault_t fault;
     uint32_t boot_number;
     uint8_t device[12];
 } board_t;

@@ -75,11 +75,33 @@ static bool is_silent(const app_t *app, uint64_t now_us)
     return (int32_t)silent_ms > APP_IMU_SILENT_US / 1000;
 }
 
+static bool is_mag_wanted(const app_t *app)
+{
+    return app->config.magnetometer && app->imu.who_am_i != MPU9250_WHO_MPU6500;
+}
+
+/* A magnetometer that hangs: six axes go on. While nothing is recorded the sensor is set up anew, which resets it. */
+static void step_magnetometer(app_t *app, uint64_t now_us)
+{
+    const uint32_t silent_ms = (uint32_t)(now_us / 1000) - app->sampler.mag_ms;
+    const bool is_new = now_us - app->imu_started_us < APP_MAG_SILENT_US;
+    const bool has_none = !is_new && (int32_t)silent_ms > APP_MAG_SILENT_US / 1000;
+    if (!is_mag_wanted(app) || is_new)
+        return;
+    if (has_none && !app->is_mag_silent && app->imu.mag_who_am_i)
+        app_event(app, EVENT_MAG_ABSENT, app->imu.mag_who_am_i);
+    app->is_mag_silent = has_none;
+    if (has_none && !app->is_recording && now_us - app->imu_started_us > APP_MAG_RETRY_US)
+        app_restart_imu(app);
+}
+
 void app_step_imu(app_t *app, uint64_t now_us)
 {
     if (app->is_imu_working) {
         if (is_silent(app, now_us) || app->sampler.is_frozen)
             lost(app, now_us);
+        else
+            step_magnetometer(app, now_us);
     } else if (now_us >= app->imu_retry_us) {
         open_imu(app);
     }

@@ -86,6 +86,11 @@ static void write_history(app_t *app)
         app_event(app, EVENT_CONFIG_REJECTED, app->config_result.line);
     if (app->board->reset_cause & RESET_BY_WATCHDOG)
         app_event(app, EVENT_WATCHDOG, app->board->mark_before_reset);
+    if (app->board->fault.is_fault) {
+        app_event(app, EVENT_FAULT_PC, app->board->fault.pc);
+        app_event(app, EVENT_FAULT_LR, app->board->fault.lr);
+        app_event(app, EVENT_FAULT_STATUS, app->board->fault.status);
+    }
     if (app->is_imu_working && app->imu.mag_who_am_i == 0 && app->config.magnetometer)
         app_event(app, EVENT_MAG_ABSENT, 0);
     if (!app->is_imu_working)

@@ -78,6 +78,20 @@ bool sampler_take(sampler_t *sampler, sampler_item_t *item)
     return true;
 }
 
+/* Whether the magnetometer's bytes are a reading: those of a master that hangs say for ever that they are new. */
+static bool is_reading(sampler_t *sampler, const mpu9250_sample_t *sample)
+{
+    bool is_equal = true;
+    if (!sample->has_mag)
+        return false;
+    for (int i = 0; i < 3; i++) {
+        is_equal = is_equal && sampler->last_mag[i] == sample->mag[i];
+        sampler->last_mag[i] = sample->mag[i];
+    }
+    sampler->mag_repeats = !is_equal ? 0 : sampler->mag_repeats < SAMPLER_MAG_FROZEN ? sampler->mag_repeats + 1 : SAMPLER_MAG_FROZEN;
+    return sampler->mag_repeats < SAMPLER_MAG_FROZEN;
+}
+
 void sampler_on_burst(void *context, uint64_t time_us, const uint8_t *burst)
 {
     sampler_t *sampler = context;
@@ -100,8 +114,11 @@ void sampler_on_burst(void *context, uint64_t time_us, const uint8_t *burst)
     sampler->is_frozen = mpu9250_is_frozen(&sampler->watch, &sample);
     sampler->samples++;
     sampler->noise = crc32_update(sampler->noise, burst, MPU9250_BURST);
-    if (sample.has_mag)
+    sample.has_mag = is_reading(sampler, &sample);
+    if (sample.has_mag) {
+        sampler->mag_ms = (uint32_t)(time_us / 1000);
         count_point(sampler, &sample);
+    }
     if (sampler->is_recording)
         append(sampler, time_us, &sample, &imu, &mag);
     offer(sampler, time_us, &sample, &imu, &mag);

@@ -13,6 +13,7 @@
 
 enum {
     SAMPLER_QUEUE = 8,           /* samples for the stream: 8 ms at 1 kHz; a power of two */
+    SAMPLER_MAG_FROZEN = 20,     /* equal readings in a row: the I2C master hangs, and its last bytes are read again and again */
     SAMPLER_MAG_STEP = 20        /* counts, 3 uT: the field must have turned so far for another point of calibration */
 };
 
@@ -30,6 +31,7 @@ typedef struct {
     bool has_begun;                /* the sample that lay there when sampling began has been read */
     volatile uint32_t samples;     /* since the start */
     volatile uint32_t last_ms;     /* of the newest sample; a word, so that it is read whole */
+    volatile uint32_t mag_ms;      /* of the magnetometer's newest reading */
     volatile uint16_t points;      /* of the magnetometer, since the calibration began */
     volatile bool has_pulse;
     uint32_t period_us;
@@ -38,7 +40,8 @@ typedef struct {
     uint32_t noise;                /* of the sensor, stirred: a source of session ids */
     uint64_t last_us;
     mpu9250_watch_t watch;
-    int16_t last_point[3];
+    int16_t last_point[3], last_mag[3];
+    uint16_t mag_repeats;
     sampler_item_t queue[SAMPLER_QUEUE];
     atomic_uint_fast32_t put, taken;
 } sampler_t;

@@ -65,7 +65,10 @@ enum {                                                                          
     EVENT_SUPPLY_LOW = 11,
     EVENT_WATCHDOG = 12,
     EVENT_BUTTON = 13,
-    EVENT_RECOVERED = 14
+    EVENT_RECOVERED = 14,
+    EVENT_FAULT_PC = 15,
+    EVENT_FAULT_LR = 16,
+    EVENT_FAULT_STATUS = 17
 };
 
 typedef struct {

@@ -33,6 +33,7 @@ enum {
     PWR_RESET = 0x80,
     PWR_CLOCK_PLL = 0x01,
     USER_I2C_MASTER = 0x20,
+    USER_RESET_MASTER = 0x02,  /* clears itself */
     USER_NO_I2C_SLAVE = 0x10,  /* this is SPI: the pins must not be taken for I2C */
     MASTER_WAIT_FOR_ES = 0x40, /* data ready only when the magnetometer's bytes are there too */
     MASTER_400_KHZ = 0x0D,
@@ -45,7 +46,7 @@ enum {
     RESET_US = 100000,
     SETTLE_US = 35000, /* gyro start-up */
     MASTER_US = 500,
-    MASTER_TRIES = 20
+    MASTER_TRIES = 20 /* 10 ms: ten samples, for the divider is set last */
 };
 
 enum {
@@ -64,8 +65,7 @@ enum {
     AK_PERIOD_US = 10000,
     ST1_READY = 0x01,
     ST1_OVERRUN = 0x02,
-    ST2_OVERFLOW = 0x08,
-    WHO_MPU6500 = 0x70 /* the same die without magnetometer */
+    ST2_OVERFLOW = 0x08
 };
 
 /* RM-MPU-9250A-00 4.5 to 4.8: one setting of DLPF_CFG and A_DLPFCFG for each */
@@ -192,6 +192,14 @@ static int mag_start(const mpu9250_bus_t *bus, mpu9250_info_t *info)
     return MPU9250_OK;
 }
 
+/* A transfer that a reset of the controller cut short leaves the master, or the magnetometer on its bus, waiting. */
+static int reset_master(const mpu9250_bus_t *bus)
+{
+    const int result = write_blind(bus, REG_USER_CTRL, USER_I2C_MASTER | USER_NO_I2C_SLAVE | USER_RESET_MASTER);
+    bus->wait_us(bus->context, MASTER_US);
+    return result;
+}
+
 /* A magnetometer that does not answer is left alone: six axes are logged and said to be six. */
 static int open_magnetometer(const mpu9250_bus_t *bus, mpu9250_info_t *info)
 {
@@ -203,7 +211,7 @@ static int open_magnetometer(const mpu9250_bus_t *bus, mpu9250_info_t *info)
         result = mag_start(bus, info);
         if (result != MPU9250_MAG_SILENT)
             return result;
-        result = MPU9250_OK;
+        result = reset_master(bus);
     }
     const write_t off[] = {{REG_I2C_SLV0_CTRL, 0}, {REG_I2C_MST_CTRL, MASTER_400_KHZ}, {REG_USER_CTRL, USER_NO_I2C_SLAVE}};
     return result == MPU9250_OK ? write_all(bus, off, sizeof off / sizeof *off) : result;
@@ -258,15 +266,15 @@ int mpu9250_open(const mpu9250_bus_t *bus, const mpu9250_settings_t *settings, m
                               {REG_GYRO_CONFIG, range_bits(settings->gyro_range_dps, 250)},
                               {REG_ACCEL_CONFIG, range_bits(settings->accel_range_g, 2)},
                               {REG_ACCEL_CONFIG_2, filters[filter].setting},
-                              {REG_SMPLRT_DIV, divider},
                               {REG_INT_PIN_CFG, 0}, /* a push-pull pulse of 50 us */
                               {REG_INT_ENABLE, INT_RAW_READY}};
     int result = reset(bus, &info->who_am_i);
     if (result == MPU9250_OK)
         result = write_all(bus, writes, sizeof writes / sizeof *writes);
-    if (result == MPU9250_OK && settings->has_magnetometer && info->who_am_i != WHO_MPU6500)
+    if (result == MPU9250_OK && settings->has_magnetometer && info->who_am_i != MPU9250_WHO_MPU6500)
         result = open_magnetometer(bus, info);
-    return result;
+    /* last: the I2C master works once a sample, and at 50 Hz each of its registers would take 20 ms */
+    return result == MPU9250_OK ? write_register(bus, REG_SMPLRT_DIV, divider) : result;
 }
 
 /* ---- samples ---- */

@@ -18,6 +18,8 @@ enum {
     MPU9250_MAG_SILENT = -4  /* the I2C master got no answer in time */
 };
 
+enum { MPU9250_WHO_MPU6500 = 0x70 }; /* the same die without magnetometer */
+
 /* The burst: its first byte out is MPU9250_BURST_COMMAND, then INT_STATUS, accel, temperature, gyro, ST1 .. ST2. */
 enum { MPU9250_BURST = 24, MPU9250_BURST_COMMAND = 0x80 | 0x3A };
 

@@ -74,6 +74,29 @@ OTHER = (
         resets=1,
     ),
     Case(
+        "the main loop jumps to where nothing is",
+        "fault of the controller",
+        ((6, "lose 1"),),
+        (
+            recordings(2),
+            all_kept(1.5, 5.94),
+            stopped(0),
+            event("FAULT_PC", "FAULT_LR", "FAULT_STATUS", "RECOVERED", index=1),
+            of_one(
+                "where: at 60000000",
+                lambda found: (
+                    "" if 0x60000000 in [e.value for e in found.records.events if e.code == 15] else "elsewhere"
+                ),
+                index=1,
+            ),
+            says("fault at 60000000"),
+            all_kept(10, 16.4, index=1),
+            measured("no watchdog", "watchdog_resets", 0, 0),
+        ),
+        duration=20,
+        resets=1,
+    ),
+    Case(
         "one call into the card takes longer than a minute",
         "main loop stuck",
         ((0, "card_read 150000"), (75, "card_read 0")),

@@ -37,6 +37,11 @@ def _flags(start_s: float, end_s: float) -> tuple[Expectation, ...]:
     return (of_one(f"exactly the MAG records from {start_s:g} to {end_s:g} s carry the flag", find_flaw),)
 
 
+def _find_repeats(found: Recording) -> str:
+    repeats = int((found.records.mag[1:] == found.records.mag[:-1]).all(axis=1).sum())
+    return f"{repeats} do" if repeats > 20 else ""
+
+
 RECEIVER = (
     Case(
         "absent",
@@ -236,6 +241,27 @@ IMU_PART = (
             event("MAG_ABSENT"),
             led("recording", 4, 12),
         ),
+    ),
+    Case(
+        "magnetometer hangs at the start: its bus is waiting",
+        "magnetometer hangs",
+        ((0, "mag_hang 1"),),
+        (recordings(1), all_kept(1.5, 12.4), setup(mag_who_am_i=0x48), no_event("MAG_ABSENT"), led("recording", 4, 12)),
+    ),
+    Case(
+        "magnetometer hangs from 6 s on, until nothing is recorded any more",
+        "magnetometer hangs",
+        ((6, "mag_hang 1"), (16, "button 1"), (16.12, "button 0")),
+        (
+            recordings(2),
+            all_kept(1.5, 10),
+            event("MAG_ABSENT"),
+            of_one("no MAG records after 6.1 s", lambda found: str((found.records.mag_t > 6.1e6).sum() or "")),
+            of_one("20 at most repeat the last", _find_repeats),
+            of_one("MAG records again", lambda found: "" if len(found.records.mag) > 100 else "none", index=1),
+        ),
+        duration=20,
+        stop=10.5,
     ),
     Case(
         "magnetometer overflows from 6 to 9 s",

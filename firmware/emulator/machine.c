@@ -20,9 +20,11 @@ enum {
     FIRST_IRQ = 16,
     NO_IRQ = -1
 };
+static const uint32_t NOWHERE = 0x60000000u;
 static const uint32_t SYSTEM_AT = 0xE000E000u, PERIPHERALS_AT = 0x40000000u, ID_AT = 0x1FFFF000u;
 enum { SYSTEM_BYTES = 0x1000, PERIPHERAL_BYTES = 0x24000, ID_BYTES = 0x1000, ID_OFFSET = 0x7E8 };
 enum { ISER = 0x100, ICER = 0x180, ISPR = 0x200, ICPR = 0x280, IPR = 0x400, VTOR = 0xD08, AIRCR = 0xD0C, CFSR = 0xD28, HFSR = 0xD2C, SYSTEM_RESET = 4 };
+enum { HARD_FAULT = 3, PRECISE_BUS_FAULT = 0x8200 };
 enum { TABLE_BYTES = 512, FIRST_WORDS = 2 };
 
 /* ---- what an instruction costs ---- */
@@ -144,7 +146,7 @@ static int find_deliverable(machine_t *machine)
 {
     latch(machine);
     const int irq = find_urgent(machine);
-    if (irq == NO_IRQ)
+    if (irq == NO_IRQ || machine->is_in_fault)
         return NO_IRQ;
     const unsigned priority = machine->priority[irq];
     if (machine->depth && priority >= machine->priority[machine->active[machine->depth - 1]])
@@ -194,27 +196,41 @@ static void set_vectors(machine_t *machine, uint32_t address)
         machine->vectors = address;
 }
 
-static void enter(machine_t *machine, int irq)
+/* The frame of an exception goes onto the stack, and its handler begins. */
+static void enter_exception(machine_t *machine, unsigned number)
 {
     const uint32_t stack = get(machine, UC_ARM_REG_SP), at = (stack - 32) & ~7u;
     uint32_t *frame = stack_at(machine, at);
-    const uint32_t from = get(machine, UC_ARM_REG_PC) - FLASH_AT;
-    if (from < FLASH_BYTES)
-        machine->interrupted[from / 2] = HIT;
     for (int i = 0; i < 8; i++)
         frame[i] = get(machine, frame_registers[i]);
     frame[6] &= ~1u;
     frame[7] = (frame[7] & ~0x200u) | (stack & 4 ? 0x200u : 0) | 0x01000000u;
     set(machine, UC_ARM_REG_SP, at);
     set(machine, UC_ARM_REG_LR, machine->depth ? 0xFFFFFFF1u : 0xFFFFFFF9u);
-    set(machine, UC_ARM_REG_XPSR, (frame[7] & 0xF8000000u) | 0x01000000u | (uint32_t)(FIRST_IRQ + irq));
-    set(machine, UC_ARM_REG_PC, vector(machine, (unsigned)(FIRST_IRQ + irq)) | 1);
+    set(machine, UC_ARM_REG_XPSR, (frame[7] & 0xF8000000u) | 0x01000000u | number);
+    set(machine, UC_ARM_REG_PC, vector(machine, number) | 1);
+    if (at < machine->lowest_stack)
+        machine->lowest_stack = at;
+}
+
+/* PM0056 2.4: a bus fault that has no handler of its own becomes a hard fault, above every interrupt. */
+static void enter_fault(machine_t *machine)
+{
+    machine->fault_status = PRECISE_BUS_FAULT;
+    machine->is_in_fault = true;
+    enter_exception(machine, HARD_FAULT);
+}
+
+static void enter(machine_t *machine, int irq)
+{
+    const uint32_t from = get(machine, UC_ARM_REG_PC) - FLASH_AT;
+    if (from < FLASH_BYTES)
+        machine->interrupted[from / 2] = HIT;
+    enter_exception(machine, (unsigned)(FIRST_IRQ + irq));
     machine->pending &= ~(1ull << irq);
     machine->active[machine->depth++] = (uint8_t)irq;
     if (machine->depth > machine->deepest)
         machine->deepest = machine->depth;
-    if (at < machine->lowest_stack)
-        machine->lowest_stack = at;
 }
 
 /* Count how long the interrupt waited, with the cycles of the entry. */
@@ -291,7 +307,7 @@ static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void 
         machine->in_it_block--;
     } else if (machine->is_attention) {
         machine->is_attention = false;
-        const bool is_to_stick = machine->is_stuck_wanted && machine->depth == 0;
+        const bool is_to_stick = (machine->is_stuck_wanted || machine->is_lost_wanted) && machine->depth == 0;
         if (machine->is_over || machine->is_reset_wanted || is_to_stick || find_deliverable(machine) != NO_IRQ) {
             machine->is_attention = true;
             uc_emu_stop(uc); /* before this instruction */
@@ -357,7 +373,9 @@ static uint64_t read_system(uc_engine *uc, uint64_t offset, unsigned size, void 
         return machine->priority[offset - IPR];
     if (offset == VTOR)
         return machine->vectors;
-    if (offset != CFSR && offset != HFSR && offset != AIRCR)
+    if (offset == CFSR)
+        return machine->fault_status;
+    if (offset != HFSR && offset != AIRCR)
         rules_break(user, RULE_NOTHING_THERE, "core");
     return 0;
 }
@@ -453,6 +471,7 @@ void machine_reset(machine_t *machine)
     set(machine, UC_ARM_REG_PC, vectors[1] | 1);
     machine->enabled = machine->pending = 0;
     memset(machine->priority, 0, sizeof machine->priority);
+    machine->is_in_fault = false;
     machine->depth = machine->in_it_block = 0;
     machine->is_waiting = machine->is_returning = machine->is_reset_wanted = machine->is_attention_after = false;
     machine->next_event = 0;
@@ -493,10 +512,18 @@ static void step(machine_t *machine)
     machine->starts++;
     if (machine->is_stuck_wanted && machine->depth == 0)
         stick(machine);
+    if (machine->is_lost_wanted && machine->depth == 0) {
+        machine->is_lost_wanted = false;
+        set(machine, UC_ARM_REG_PC, NOWHERE | 1);
+    }
     const uc_err error = uc_emu_start(machine->uc, get(machine, UC_ARM_REG_PC) | 1, 0xFFFFFFFEu, 0, 0);
     if (machine->is_returning) {
         machine->is_returning = false;
         leave(machine);
+        return;
+    }
+    if (error && machine->is_fault_delivered && !machine->is_in_fault && !*machine->fault) {
+        enter_fault(machine);
         return;
     }
     if (error == UC_ERR_READ_UNMAPPED || error == UC_ERR_WRITE_UNMAPPED || error == UC_ERR_FETCH_UNMAPPED)

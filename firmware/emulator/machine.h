@@ -51,6 +51,10 @@ struct machine {
     bool is_returning;   /* an exception return was met */
     bool is_reset_wanted, is_over;
     bool is_stuck_wanted; /* the main loop shall not come back from where it is */
+    bool is_lost_wanted;  /* the main loop shall jump to where nothing is */
+    bool is_fault_delivered; /* to the image's handler, in place of ending the run */
+    uint32_t fault_status;   /* CFSR */
+    bool is_in_fault;
     unsigned probes;      /* so many times ask for an interrupt before each instruction, until one comes */
     char fault[160]; /* why the run ended; empty: it was let end */
     uint32_t fault_pc;

@@ -319,6 +319,7 @@ static void do_imu_absent(world_t *world, uint64_t value) { world->imu.is_absent
 static void do_imu_frozen(world_t *world, uint64_t value) { world->imu.is_frozen = value != 0; }
 static void do_imu_stuck(world_t *world, uint64_t value) { world->imu.stuck_register = (uint8_t)value; }
 static void do_mag_absent(world_t *world, uint64_t value) { world->imu.is_mag_absent = value != 0; }
+static void do_mag_hang(world_t *world, uint64_t value) { world->imu.is_master_stuck = value != 0; }
 static void do_mag_overflow(world_t *world, uint64_t value) { world->imu.mag_overflow_from_us = value ? world->now_us : NEVER; }
 static void do_gps_absent(world_t *world, uint64_t value) { world->receiver.is_absent = value != 0; }
 static void do_gps_deaf(world_t *world, uint64_t value) { world->receiver.is_deaf = value != 0; }
@@ -340,6 +341,12 @@ static void do_stick(world_t *world, uint64_t value)
 {
     (void)value;
     world->machine.is_stuck_wanted = true;
+    machine_attend(&world->machine);
+}
+static void do_lose(world_t *world, uint64_t value)
+{
+    (void)value;
+    world->machine.is_lost_wanted = world->machine.is_fault_delivered = true;
     machine_attend(&world->machine);
 }
 /* A word of RAM: its offset in the upper half of the value. */
@@ -394,6 +401,7 @@ static const verb_t verbs[] = {
     {"card_stall", do_card_stall},   {"card_other", do_card_other},   {"gps_garble", do_gps_garble},
     {"imu_wire", do_imu_wire},       {"imu_storm", do_imu_storm},     {"stick", do_stick},
     {"restart", do_restart},         {"gps_refuse", do_gps_refuse},   {"gps_restart", do_gps_restart},
+    {"lose", do_lose},               {"mag_hang", do_mag_hang},
     {"poke", do_poke},               {"card_flip", do_card_flip},     {"card_flip_above", do_card_flip_above},
 };
 

@@ -69,6 +69,9 @@ EVENTS = {
     12: "WATCHDOG",
     13: "BUTTON",
     14: "RECOVERED",
+    15: "FAULT_PC",
+    16: "FAULT_LR",
+    17: "FAULT_STATUS",
 }
 
 

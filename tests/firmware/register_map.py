@@ -52,6 +52,7 @@ SINGLE_REGISTERS = {  # macros that are a register by themselves
     "FLASH_ACR": {"FLASH.ACR": "FLASH_ACR"},
     "SCB_AIRCR": {"SCB.AIRCR": "SCB_AIRCR"},
     "SCB_VTOR": {"SCB.VTOR": "SCB_VTOR"},
+    "SCB_CFSR": {"SCB.CFSR": "SCB_CFSR"},
     "UNIQUE_ID": {"UID": "*UNIQUE_ID"},
     "NVIC_ISER": {f"NVIC.ISER{n}": f"NVIC_ISER({n})" for n in range(2)},
     "NVIC_IPR": {f"NVIC.IPR[{irq}]": f"NVIC_IPR({irq})" for irq in range(43)},
@@ -195,6 +196,7 @@ def read_maker(folder: Path, sources: Path) -> Maker:
         with zipfile.ZipFile(io.BytesIO(wheel.read("pyocd/debug/svd/svd_data.zip"))) as descriptions:
             addresses, fields = _read_svd(descriptions.read("STM32F103xx.svd").decode())
         core = wheel.read("pyocd/coresight/cortex_m.py").decode()
+        status = re.search(r"CFSR = (\w+)", wheel.read("pyocd/commands/values.py").decode())
     with zipfile.ZipFile(folder / LOADER) as wheel:
         serial = re.search(
             r"UID_ADDRESS = .*?\"F1\": (\w+)", wheel.read("stm32loader/bootloader.py").decode(), re.DOTALL
@@ -204,8 +206,13 @@ def read_maker(folder: Path, sources: Path) -> Maker:
     key = re.search(r"NVIC_AIRCR_VECTKEY = \((\w+) << (\d+)\)", core)
     request = re.search(r"NVIC_AIRCR_SYSRESETREQ = \(1 << (\d+)\)", core)
     bits = re.search(r"NVIC_PRIO_BITS: u8 = (\d+)", (sources / "mod.rs").read_text())
-    assert serial and aircr and vtor and key and request and bits
-    addresses |= {"UID": int(serial[1], 0), "SCB.AIRCR": int(aircr[1], 0), "SCB.VTOR": int(vtor[1], 0)}
+    assert serial and aircr and vtor and status and key and request and bits
+    addresses |= {
+        "UID": int(serial[1], 0),
+        "SCB.AIRCR": int(aircr[1], 0),
+        "SCB.VTOR": int(vtor[1], 0),
+        "SCB.CFSR": int(status[1], 0),
+    }
     reset = int(key[1], 0) << int(key[2]) | 1 << int(request[1])
     return Maker(addresses, fields, _read_values(sources), reset, int(bits[1]))
 

@@ -74,6 +74,20 @@ def test_every_sentence_is_recorded_as_it_was_sent(driven):
     assert {sentence for _, sentence in emulate.drive_records(simulation).sentences} <= got
 
 
+def test_magnetometer_is_recorded_at_the_rate_of_the_thesis(image, tmp_path):
+    """At 50 Hz the sensor's I2C master, which set-up needs, works fifty times a second."""
+    simulation = emulate.simulated(5, 3.0, **{"imu.rate": 50.0, "imu.jitter": 0.0})
+    direct, emulated = emulate.prepare_folder(simulation, tmp_path)
+    emulate.through_firmware(simulation, emulated, image)
+    comparison = emulate.compare(simulation, direct, emulated, has_laps=False)
+    wanted, (got, _) = emulate.drive_records(simulation), emulate.recorded(emulated)
+    assert len(wanted.imu) == 150
+    assert comparison.equal == 150
+    assert len(got.mag) > 100
+    assert got.setup is not None
+    assert got.setup.mag_who_am_i == 0x48
+
+
 def test_power_cuts_leave_a_clean_volume_and_what_was_recorded(image, tmp_path):
     try:
         build.find_tools(("fsck.fat",))

@@ -7,10 +7,7 @@ enum {
     LED_PIN = 13,            /* PC13, lights when low */
     BUTTON_PIN = 0,          /* PA0, to ground */
     WATCHDOG_RELOAD = 2500,  /* 40 kHz / 64: 4 s; the oscillator spreads from 30 to 60 kHz, so 2.7 to 5.3 s */
-    BASEPRI_SAMPLING = PRIORITY_SAMPLING << 4,
-    /* backup registers */
-    BOOTS = 0,
-    MARK = 1
+    BASEPRI_SAMPLING = PRIORITY_SAMPLING << 4
 };
 
 static board_t board;
@@ -110,7 +107,7 @@ static void restart(void *context)
 static void set_mark(void *context, uint16_t mark)
 {
     (void)context;
-    BKP->DR[MARK] = mark;
+    BKP->DR[BACKUP_MARK] = mark;
 }
 
 extern const uint32_t _stack_bottom[], _stack_top[];
@@ -132,13 +129,12 @@ static void panel_pins_init(void)
     gpio_configure(GPIOA, BUTTON_PIN, GPIO_PULLED); /* up */
 }
 
-/* The detector only has to be asked: the main loop does so every half millisecond. Backup registers keep their content
- * over every reset but that of the supply. */
+/* The detector only has to be asked: the main loop does so every half millisecond. */
 static void power_init(void)
 {
     RCC->APB1ENR |= RCC_APB1ENR_PWREN | RCC_APB1ENR_BKPEN;
     PWR->CR = PWR_CR_DBP | PWR_CR_PLS_2V9 | PWR_CR_PVDE;
-    BKP->DR[BOOTS] = (BKP->DR[BOOTS] + 1) & 0xFFFF;
+    BKP->DR[BACKUP_BOOTS] = (BKP->DR[BACKUP_BOOTS] + 1) & 0xFFFF;
 }
 
 static void watchdog_init(void)
@@ -150,13 +146,28 @@ static void watchdog_init(void)
     IWDG->KR = IWDG_KR_FEED;
 }
 
+static uint32_t backup_word(unsigned first)
+{
+    return BKP->DR[first] | BKP->DR[first + 1] << 16;
+}
+
+static void remember_fault(void)
+{
+    board.fault = (board_fault_t){.is_fault = BKP->DR[BACKUP_IS_FAULT] == 1,
+                                  .pc = backup_word(BACKUP_FAULT),
+                                  .lr = backup_word(BACKUP_FAULT + 2),
+                                  .status = backup_word(BACKUP_FAULT + 4)};
+    BKP->DR[BACKUP_IS_FAULT] = 0;
+}
+
 static void remember_reset(void)
 {
     board.reset_cause = (uint8_t)(RCC->CSR >> 24);
     RCC->CSR |= RCC_CSR_RMVF;
-    board.boot_number = BKP->DR[BOOTS];
-    board.mark_before_reset = (uint16_t)BKP->DR[MARK];
+    board.boot_number = BKP->DR[BACKUP_BOOTS];
+    board.mark_before_reset = (uint16_t)BKP->DR[BACKUP_MARK];
     memcpy(board.device, UNIQUE_ID, sizeof board.device);
+    remember_fault();
 }
 
 const board_t *board_init(void)

@@ -56,6 +56,9 @@ void uart_init(board_t *board, uint32_t apb2_hz);
 /* board.c: everything. Never fails: what does not work says so when it is used. */
 const board_t *board_init(void);
 
+/* Backup registers, which keep their content over every reset but that of the supply: BKP->DR[n]. */
+enum { BACKUP_BOOTS = 0, BACKUP_MARK = 1, BACKUP_IS_FAULT = 2, BACKUP_FAULT = 3 /* six: PC, LR, CFSR */ };
+
 /* startup.c writes this over the stack; what is still there was never used. */
 #define STACK_PAINT 0xC0FFEE11u
 

@@ -20,6 +20,7 @@ typedef union {
     const void *stack;
 } vector_t;
 
+enum { FRAME_LR = 5, FRAME_PC = 6, FRAME_WORDS = 8 }; /* of an exception's frame, PM0056 2.3.7 */
 enum { AT = 16 }; /* the core's own exceptions come first */
 #define UNUSED {.handler = Fault_Handler}
 
@@ -59,10 +60,30 @@ void Reset_Handler(void)
     }
 }
 
-/* A fault or an interrupt nobody asked for: start again. The recording is on the card up to the last whole block. */
-void Fault_Handler(void)
+/* What the next start tells of a fault: where it was, where that was called from, and why. Backup registers have 16 bits. */
+static void remember_fault(const uint32_t *frame)
 {
+    const bool is_frame = frame >= _stack_bottom && frame + FRAME_WORDS <= _stack_top; /* else the stack is what failed */
+    const uint32_t words[] = {is_frame ? frame[FRAME_PC] : 0, is_frame ? frame[FRAME_LR] : 0, SCB_CFSR};
+    for (unsigned i = 0; i < sizeof words / sizeof *words; i++) {
+        BKP->DR[BACKUP_FAULT + 2 * i] = words[i] & 0xFFFF;
+        BKP->DR[BACKUP_FAULT + 2 * i + 1] = words[i] >> 16;
+    }
+    BKP->DR[BACKUP_IS_FAULT] = 1;
+}
+
+/* A fault or an interrupt nobody asked for: start again. The recording is on the card up to the last whole block. */
+void take_fault(const uint32_t *frame);
+void take_fault(const uint32_t *frame)
+{
+    remember_fault(frame);
     SCB_AIRCR = SCB_AIRCR_SYSRESET;
     for (;;) {
     }
+}
+
+/* The frame lies where the stack pointer is at entry: nothing may be pushed before that is read. */
+__attribute__((naked)) void Fault_Handler(void)
+{
+    __asm volatile("mrs r0, msp\n\tb take_fault");
 }

@@ -189,6 +189,7 @@ typedef struct {
 #define NVIC_IPR(irq) (((volatile uint8_t *)0xE000E400u)[irq])
 #define SCB_VTOR (*(reg_t *)0xE000ED08u)
 #define SCB_AIRCR (*(reg_t *)0xE000ED0Cu)
+#define SCB_CFSR (*(reg_t *)0xE000ED28u)
 #define SCB_AIRCR_SYSRESET 0x05FA0004u
 #define UNIQUE_ID ((const uint32_t *)0x1FFFF7E8u) /* 96 bits, RM0008 section 30.2 */
 

@@ -116,7 +116,7 @@ static void write_mag(mpu_model_t *chip, uint8_t reg, uint8_t value)
 
 static bool is_master_on(const mpu_model_t *chip)
 {
-    return (chip->registers[0x6A] & 0x20) != 0;
+    return (chip->registers[0x6A] & 0x20) != 0 && !chip->is_master_stuck;
 }
 
 /* The I2C master works at the sample rate: slave 0, then slave 4, register map 4.6 and 4.12. */
@@ -222,6 +222,10 @@ static void write_register(mpu_model_t *chip, uint8_t reg, uint8_t value)
     if (is_read_only || (reg == chip->stuck_register && reg))
         return;
     chip->registers[reg] = value;
+    if (reg == 0x6A && (value & 0x02)) { /* the master's reset clears itself */
+        chip->registers[reg] &= (uint8_t)~0x02;
+        chip->is_master_stuck = chip->is_slave_4_due = false;
+    }
     chip->is_slave_4_due |= reg == 0x34 && (value & 0x80);
 }
 

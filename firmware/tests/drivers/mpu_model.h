@@ -22,6 +22,7 @@ typedef struct {
     uint8_t who_am_i;       /* 0x71 */
     bool is_absent;         /* nobody drives MISO */
     bool is_mag_absent;
+    bool is_master_stuck;   /* a transfer never ends, until the master is reset */
     bool is_frozen;         /* answers, but measures the same for ever */
     uint8_t stuck_register; /* does not keep what is written (0: none) */
     uint64_t mag_overflow_from_us;

@@ -160,6 +160,31 @@ static void test_bursts_hold_each_sample_once(void)
     }
 }
 
+/* The I2C master works once a sample: at the thesis's own 50 Hz ten registers took longer than anyone waited. */
+static void test_magnetometer_is_found_at_every_rate(void)
+{
+    static const uint16_t rates[] = {1000, 500, 100, 50};
+    for (size_t i = 0; i < sizeof rates / sizeof *rates; i++) {
+        mpu9250_settings_t settings = usual;
+        settings.rate_hz = rates[i];
+        begin();
+        CHECK_EQUAL(mpu9250_open(&sim.board.imu, &settings, &info), MPU9250_OK);
+        CHECK_EQUAL(info.mag_who_am_i, 0x48);
+        CHECK_EQUAL(info.period_us, 1000000u / rates[i]);
+        CHECK_EQUAL(sim.imu.registers[0x19], 1000 / rates[i] - 1);
+        end();
+    }
+}
+
+static void test_master_that_is_stuck_is_reset(void)
+{
+    begin();
+    sim.imu.is_master_stuck = true;
+    CHECK_EQUAL(mpu9250_open(&sim.board.imu, &usual, &info), MPU9250_OK);
+    CHECK_EQUAL(info.mag_who_am_i, 0x48);
+    end();
+}
+
 static void test_overflow_of_the_magnetometer_is_flagged(void)
 {
     uint8_t burst[MPU9250_BURST] = {0};
@@ -230,6 +255,8 @@ int main(int argc, char **argv)
         TEST(without_magnetometer_six_axes_remain),
         TEST(missing_chip_and_bad_register_are_told),
         TEST(bursts_hold_each_sample_once),
+        TEST(magnetometer_is_found_at_every_rate),
+        TEST(master_that_is_stuck_is_reset),
         TEST(overflow_of_the_magnetometer_is_flagged),
         TEST(line_that_nobody_drives_is_no_sample),
         TEST(frozen_sensor_is_noticed_and_a_still_one_is_not),
