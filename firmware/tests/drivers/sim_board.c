@@ -312,6 +312,8 @@ void sim_reset(sim_t *sim)
     sim->line_baud = 9600;
     sim->sent_until_us = 0;
     sim->card_hz = START_HZ;
+    sim->next_tick_us = sim->next_serial_us = sim->now_us;
+    sim->edge_us = 0;
     sd_model_host_restarts(&sim->card);
 }
 

@@ -75,7 +75,7 @@ static void live(void)
     press();
     run(200000);
     press();
-    run(400000);
+    run(600000);
 }
 
 static void begin_life(uint32_t cut_at, uint32_t torn_bytes)
@@ -159,10 +159,13 @@ static const char *cut_and_look(uint32_t cut_at, uint32_t torn_bytes, bool is_lo
     return judge(is_loud);
 }
 
+/* Of the second life: the models' clocks begin at 0 in the first alone, which makes a block of difference. */
 static uint32_t count_writes(void)
 {
-    begin_life(SD_MODEL_INFINITE, 0);
-    live();
+    for (int i = 0; i < 2; i++) {
+        begin_life(SD_MODEL_INFINITE, 0);
+        live();
+    }
     return sim.card.writes;
 }
 
