@@ -73,6 +73,15 @@ static void serve(void *context)
 
 /* ---- the logger ---- */
 
+static card_trouble_t card_trouble(const app_t *app)
+{
+    if (app->storage.state != STORAGE_CLOSED || !app->has_card_been_tried)
+        return CARD_WELL;
+    if (app->card_result == STORAGE_FORMAT)
+        return CARD_FOREIGN;
+    return app->storage.card_error == SD_NO_ANSWER ? CARD_MISSING : CARD_FAILING;
+}
+
 static logger_inputs_t inputs(app_t *app, uint64_t now_us)
 {
     const bool is_ready = app->storage.state == STORAGE_READY && app->storage.has_spare && !app->is_recording;
@@ -82,7 +91,7 @@ static logger_inputs_t inputs(app_t *app, uint64_t now_us)
         .gesture = app->gesture,
         .is_card_ready = is_ready,
         .is_card_full = app->storage.is_full && !app->storage.has_spare && app->storage.state != STORAGE_CLOSED,
-        .has_card_failed = app->storage.state == STORAGE_CLOSED && app->has_card_been_tried,
+        .card_trouble = card_trouble(app),
         .is_imu_known = app->is_imu_known,
         .is_imu_working = app->is_imu_working,
         .is_mag_working = app->is_imu_working && app->imu.mag_who_am_i != 0,

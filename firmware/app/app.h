@@ -65,6 +65,7 @@ typedef struct {
     uint64_t card_retry_us, card_lost_us, card_checked_us;
     uint8_t card_failures; /* in a row */
     int card_lost_error;
+    int8_t card_result; /* of the last opening */
     bool has_card_been_tried;
     uint16_t card_retries; /* of this recording; those of the driver are its own */
     uint32_t noted_retries;

@@ -65,6 +65,7 @@ static void open_card(app_t *app, uint64_t now_us)
     app->board->set_mark(app->board->context, AT_CARD_OPEN);
     const int result = storage_open(&app->storage, &app->board->card);
     app->has_card_been_tried = true;
+    app->card_result = (int8_t)result;
     if (app->card_failures == 0 || result == STORAGE_OK)
         (void)serial_print(app->board->serial, "card: %d %d, file %u, recovered %u blocks\n", result,
                            app->storage.card_error, (unsigned)app->storage.last_number,

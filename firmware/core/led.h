@@ -12,7 +12,10 @@ typedef enum {
     LED_NO_FIX,       /* two, every second: recording without fix */
     LED_OFFERING,     /* three, every 2 s: press to calibrate the magnetometer */
     LED_CALIBRATING,  /* even, twice a second: turn the box */
-    LED_CARD_ERROR,   /* ten times a second */
+    LED_CARD_MISSING, /* ten times a second without a pause */
+    LED_CARD_FAILING, /* ten times a second for a second, every 2 s */
+    LED_CARD_FULL,    /* ten times a second for half a second, every 2 s */
+    LED_CARD_FOREIGN, /* two short, every 2 s: not FAT16 or FAT32 */
     LED_SENSOR_ERROR, /* four, every 2 s: recording GPS alone */
     LED_FATAL         /* on */
 } led_pattern_t;

@@ -150,7 +150,7 @@ static logger_action_t step_fatal(logger_t *logger, const logger_inputs_t *in)
 
 logger_action_t logger_step(logger_t *logger, const logger_inputs_t *inputs)
 {
-    logger->is_card_failing = inputs->has_card_failed;
+    logger->card_trouble = inputs->card_trouble;
     logger->is_imu_working = inputs->is_imu_working;
     logger->has_fix = inputs->has_fix;
     switch (logger->state) {
@@ -174,6 +174,14 @@ static led_pattern_t led_of_recording(const logger_t *logger)
     return logger->has_fix ? LED_RECORDING : LED_NO_FIX;
 }
 
+static led_pattern_t led_of_card(card_trouble_t trouble)
+{
+    if (trouble == CARD_MISSING) {
+        return LED_CARD_MISSING;
+    }
+    return trouble == CARD_FOREIGN ? LED_CARD_FOREIGN : LED_CARD_FAILING;
+}
+
 led_pattern_t logger_led(const logger_t *logger)
 {
     if (logger->state == LOGGER_FATAL) {
@@ -182,8 +190,11 @@ led_pattern_t logger_led(const logger_t *logger)
     if (logger->state == LOGGER_SAFE) {
         return LED_OFF;
     }
-    if (logger->state == LOGGER_FULL || logger->is_card_failing) {
-        return LED_CARD_ERROR;
+    if (logger->card_trouble != CARD_WELL) {
+        return led_of_card(logger->card_trouble);
+    }
+    if (logger->state == LOGGER_FULL) {
+        return LED_CARD_FULL;
     }
     switch (logger->state) {
     case LOGGER_OFFERING: return LED_OFFERING;

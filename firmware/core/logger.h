@@ -37,13 +37,16 @@ typedef enum {
     LOGGER_STOP_FAULT
 } logger_action_t;
 
+/* What keeps the card from being written; being retried. */
+typedef enum { CARD_WELL, CARD_MISSING, CARD_FAILING, CARD_FOREIGN } card_trouble_t;
+
 /* Levels, not edges: as they are now. */
 typedef struct {
     uint64_t now_us;
     gesture_t gesture;         /* since the last step */
     bool is_card_ready;        /* a file system with a spare file */
     bool is_card_full;
-    bool has_card_failed;      /* missing or failing, being retried */
+    card_trouble_t card_trouble;
     bool is_imu_known;         /* found, or given up */
     bool is_imu_working;
     bool is_mag_working;
@@ -60,7 +63,7 @@ typedef struct {
     bool autostart;
     bool was_offered;
     bool is_safe_by_supply;
-    bool is_card_failing;
+    card_trouble_t card_trouble;
     bool is_imu_working;
     bool has_fix;
 } logger_t;

@@ -33,7 +33,10 @@ LED_PATTERNS = {
     "no fix": (1.0, 0.1, 2),
     "offer": (2.0, 0.15, 3),
     "calibrating": (0.5, 0.25, 1),
-    "card error": (0.1, 0.05, 1),
+    "card missing": (0.1, 0.05, 1),
+    "card failing": (2.0, 0.05, 10),
+    "card full": (2.0, 0.05, 5),
+    "card foreign": (2.0, 0.05, 2),
     "GPS alone": (2.0, 0.15, 4),
     "on": (1.0, 1.0, 1),
 }

@@ -91,7 +91,7 @@ def test_pattern_of_the_led_is_recognised(tmp_path, name):
 
 
 def test_led_that_changes_its_pattern_shows_none(tmp_path):
-    assert blink(tmp_path, *evidence.LED_PATTERNS["card error"]).led(17.0, 23.0) == ""
+    assert blink(tmp_path, *evidence.LED_PATTERNS["card missing"]).led(17.0, 23.0) == ""
 
 
 def test_only_gaps_at_the_right_time_tell_of_a_sample():

@@ -81,7 +81,8 @@ static void patterns(void)
     const uint64_t time_us = 10000000;
     const unsigned want[] = {[LED_OFF] = 0,         [LED_WAITING] = 5,      [LED_RECORDING] = 10,
                              [LED_NO_FIX] = 20,     [LED_OFFERING] = 15,    [LED_CALIBRATING] = 20,
-                             [LED_CARD_ERROR] = 100, [LED_SENSOR_ERROR] = 20, [LED_FATAL] = 1};
+                             [LED_CARD_MISSING] = 100, [LED_CARD_FAILING] = 50,
+                             [LED_CARD_FULL] = 25, [LED_CARD_FOREIGN] = 10, [LED_SENSOR_ERROR] = 20, [LED_FATAL] = 1};
     for (led_pattern_t pattern = LED_OFF; pattern <= LED_FATAL; pattern++) {
         CHECK_EQUAL(flashes(pattern, time_us), want[pattern]);
     }

@@ -111,12 +111,18 @@ static void card_away(void)
     begin(true);
     step();
     in.is_card_ready = false;
-    in.has_card_failed = true;
+    in.card_trouble = CARD_MISSING;
     CHECK_EQUAL(step_after(100000000), LOGGER_DO_NOTHING);
     CHECK_EQUAL(logger.state, LOGGER_RECORDING);
-    CHECK_EQUAL(logger_led(&logger), LED_CARD_ERROR);
+    CHECK_EQUAL(logger_led(&logger), LED_CARD_MISSING);
+    in.card_trouble = CARD_FAILING;
+    CHECK_EQUAL(step(), LOGGER_DO_NOTHING);
+    CHECK_EQUAL(logger_led(&logger), LED_CARD_FAILING);
+    in.card_trouble = CARD_FOREIGN;
+    CHECK_EQUAL(step(), LOGGER_DO_NOTHING);
+    CHECK_EQUAL(logger_led(&logger), LED_CARD_FOREIGN);
     in.is_card_ready = true;
-    in.has_card_failed = false;
+    in.card_trouble = CARD_WELL;
     CHECK_EQUAL(step(), LOGGER_DO_NOTHING);
     CHECK_EQUAL(logger_led(&logger), LED_RECORDING);
 }
@@ -127,7 +133,7 @@ static void card_full(void)
     step();
     in.is_card_full = true;
     CHECK_EQUAL(step(), LOGGER_STOP_CARD_FULL);
-    CHECK_EQUAL(logger_led(&logger), LED_CARD_ERROR);
+    CHECK_EQUAL(logger_led(&logger), LED_CARD_FULL);
     CHECK_EQUAL(press(GESTURE_SHORT), LOGGER_DO_NOTHING);
     in.is_card_full = false; /* another card */
     CHECK_EQUAL(step(), LOGGER_DO_NOTHING);
@@ -203,7 +209,7 @@ static void anything(void)
                 const uint32_t bits = random_next(&state);
                 in.is_card_ready = (bits & 1U) != 0;
                 in.is_card_full = (bits & 0x30U) == 0;
-                in.has_card_failed = (bits & 2U) != 0;
+                in.card_trouble = (bits & 2U) != 0 ? CARD_FAILING : CARD_WELL;
                 in.is_imu_working = (bits & 4U) != 0;
                 in.is_mag_working = (bits & 8U) != 0;
                 in.is_gps_working = (bits & 0x40U) != 0;

@@ -394,7 +394,7 @@ static void test_card_pulled_out_comes_back_to_the_same_recording(void)
     sim.card.is_absent = true;
     run(4000000);
     CHECK_EQUAL(app.logger.state, LOGGER_RECORDING);
-    CHECK_EQUAL(logger_led(&app.logger), LED_CARD_ERROR);
+    CHECK_EQUAL(logger_led(&app.logger), LED_CARD_MISSING);
     sd_model_power_cycle(&sim.card);
     run(6000000);
     stop();
@@ -445,7 +445,7 @@ static void test_full_card_ends_the_recording_and_nothing_else(void)
         run(1000000);
     CHECK_EQUAL(app.logger.state, LOGGER_FULL);
     run(1000000);
-    CHECK_EQUAL(logger_led(&app.logger), LED_CARD_ERROR);
+    CHECK_EQUAL(logger_led(&app.logger), LED_CARD_FULL);
     const log_t log = read_log();
     CHECK_EQUAL(log.stop_reason, STOP_CARD_FULL);
     CHECK_EQUAL(log.stops, 1);
