@@ -169,12 +169,11 @@ void app_init(app_t *app, const board_t *board)
                                        .on_configured = on_configured,
                                        .on_silent = on_silent};
     const neo6m_settings_t gps = {.baud = app->config.gps_baud, .period_ms = (uint16_t)(1000 / app->config.gps_rate)};
-    ring_init(&app->ring, app->blocks, APP_RING_BLOCKS);
+    app_clear_ring(app);
     log_writer_start(&app->writer, &app->ring, 1, now_us);
     sampler_init(&app->sampler, &app->writer, 1000);
     logger_init(&app->logger, app->config.autostart, now_us);
     panel_init(&app->panel, &board->panel, now_us);
-    stream_init(&app->stream, board->serial);
     neo6m_init(&app->gps, &board->gps, &app->gps_events, &gps, now_us);
     app->step_us = now_us;
     board->set_idle(board->context, serve, app);

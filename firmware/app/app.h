@@ -16,6 +16,7 @@
 
 enum {
     APP_RING_BLOCKS = 28,            /* rides out 728 ms at 1 kHz: DESIGN.md section 3 */
+    APP_STREAM_BLOCKS = 2,           /* of them, lent to the stream if there is one */
     APP_SETUP_US = 5000000,          /* SETUP and CONFIG are repeated */
     APP_FLUSH_US = 1000000,          /* a block is written though not full */
     APP_IMU_SILENT_US = 200000,      /* no sample for so long: reset it */
@@ -86,8 +87,16 @@ typedef struct {
     uint64_t fix_us;
 
     uint64_t step_us, report_us;
-    uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
+    union {
+        uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
+        struct {
+            uint8_t ring[APP_RING_BLOCKS - APP_STREAM_BLOCKS][BLOCK_BYTES];
+            stream_memory_t stream;
+        } with_stream;
+    } memory;
 } app_t;
+
+_Static_assert(sizeof(stream_memory_t) <= APP_STREAM_BLOCKS * BLOCK_BYTES, "the stream needs more");
 
 /* `app` may be any memory; it must stay where it is. */
 void app_init(app_t *app, const board_t *board);
@@ -108,6 +117,7 @@ void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
 void app_step_recording(app_t *app, uint64_t now_us);
 void app_event(app_t *app, uint16_t code, uint32_t value);
 record_setup_t app_setup(const app_t *app);
+void app_clear_ring(app_t *app);
 
 /* card.c of the app: keep the card working, move blocks. */
 void app_step_card(app_t *app, uint64_t now_us);

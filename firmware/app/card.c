@@ -38,13 +38,16 @@ static void apply_config(app_t *app)
     app->board->set_serial_baud(app->board->context, app->config.stream_baud);
     neo6m_init(&app->gps, &app->board->gps, &app->gps_events, &gps, now_us);
     app->logger.autostart = app->config.autostart;
+    if (app->config.stream)
+        stream_init(&app->stream, app->board->serial, &app->memory.with_stream.stream.frame);
+    app_clear_ring(app);
     app_restart_imu(app);
 }
 
 /* Read CONFIG.TXT, once, from the first card seen; the ring is empty then and lends its memory. */
 static void read_config(app_t *app)
 {
-    char *text = (char *)app->blocks;
+    char *text = (char *)app->memory.blocks;
     size_t length = 0;
     app->is_config_known = true;
     const int result = storage_read_file(&app->storage, "CONFIG.TXT", text, CONFIG_FILE_LONGEST + 1, &length);

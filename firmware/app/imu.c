@@ -11,6 +11,7 @@ static void found(app_t *app, uint64_t now_us)
     sampler_init(&app->sampler, &app->writer, app->imu.period_us);
     const uint32_t rate = 1000000 / app->imu.period_us;
     const uint32_t every = app->config.stream ? rate / app->config.stream : 0;
+    app->sampler.queue = app->config.stream ? app->memory.with_stream.stream.queue : NULL;
     app->sampler.stream_every = app->config.stream && every == 0 ? 1 : every;
     app->imu_started_us = now_us;
     app->is_imu_working = true;

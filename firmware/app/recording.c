@@ -103,6 +103,11 @@ static void write_history(app_t *app)
     app->storage.recovered = 0;
 }
 
+void app_clear_ring(app_t *app)
+{
+    ring_init(&app->ring, app->memory.blocks, app->config.stream ? APP_RING_BLOCKS - APP_STREAM_BLOCKS : APP_RING_BLOCKS);
+}
+
 void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
 {
     if (app->config.self_test && !is_calibration && app->is_imu_working)
@@ -113,7 +118,7 @@ void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
     app->storage.card.retries = app->noted_retries = 0;
     app->card_failures = 0;
     app->is_stopping = app->is_stop_written = false;
-    ring_init(&app->ring, app->blocks, APP_RING_BLOCKS);
+    app_clear_ring(app);
     log_writer_start(&app->writer, &app->ring, app->session, now_us);
     app->is_recording = true;
     write_setup(app, now_us);

@@ -56,7 +56,7 @@ static void count_point(sampler_t *sampler, const mpu9250_sample_t *sample)
 static void offer(sampler_t *sampler, uint64_t time_us, const mpu9250_sample_t *sample, const record_imu_t *imu,
                   const record_mag_t *mag)
 {
-    if (sampler->stream_every == 0)
+    if (sampler->stream_every == 0 || !sampler->queue)
         return;
     const bool is_due = sampler->samples % sampler->stream_every == 0;
     const uint32_t put = (uint32_t)atomic_load_explicit(&sampler->put, memory_order_relaxed);

@@ -42,7 +42,7 @@ typedef struct {
     mpu9250_watch_t watch;
     int16_t last_point[3], last_mag[3];
     uint16_t mag_repeats;
-    sampler_item_t queue[SAMPLER_QUEUE];
+    sampler_item_t *queue; /* SAMPLER_QUEUE of them; NULL without a stream */
     atomic_uint_fast32_t put, taken;
 } sampler_t;
 

@@ -15,15 +15,21 @@ enum {
     STREAM_SETUP_US = 2000000
 };
 
+/* What only a stream needs: the ring lends it two blocks. */
 typedef struct {
     frame_t frame;
+    sampler_item_t queue[SAMPLER_QUEUE];
+} stream_memory_t;
+
+typedef struct {
+    frame_t *frame;
     serial_t *serial;
     uint64_t opened_us; /* first record of the frame */
     uint64_t setup_us;  /* last SETUP */
     uint8_t samples;    /* in the frame */
 } stream_t;
 
-void stream_init(stream_t *stream, serial_t *serial);
+void stream_init(stream_t *stream, serial_t *serial, frame_t *frame);
 
 /* Send what the sampler has left, and frames that have waited long enough. */
 void stream_step(stream_t *stream, sampler_t *sampler, uint64_t now_us);

@@ -5,7 +5,7 @@
 #include <string.h>
 
 enum {
-    RECEIVED = 512, /* a power of two; half a second of sentences, 44 ms of a line that never pauses at 115200 */
+    RECEIVED = 256, /* a power of two; a quarter of a second of sentences, 22 ms of a line that never pauses at 115200 */
     STAMPS = 8,
     SENT = 64
 };
