@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { SERIAL_QUEUE = 256 }; /* one of the longest frames, or two lines; a power of two */
+enum { SERIAL_QUEUE = 512 }; /* two of the longest frames; a power of two */
 
 typedef struct {
     uint8_t bytes[SERIAL_QUEUE];

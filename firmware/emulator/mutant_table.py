@@ -106,7 +106,7 @@ CORE = (
         "",
     ),
     _port("stack top not on 8", "STACK", "stm32f103c8.ld", "_stack_top = .;", "_stack_top = . - 4;"),
-    _port("stack of 512 bytes", "STACK", "stm32f103c8.ld", "_stack_size : 2304", "_stack_size : 512"),
+    _port("stack of 512 bytes", "STACK", "stm32f103c8.ld", "_stack_size : 2152", "_stack_size : 512"),
     _port("priorities in the lower bits", "PRIORITY", "stm32f103.h", "(priority << 4)", "priority"),
     _port(
         ".data copied backwards",
