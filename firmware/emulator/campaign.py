@@ -228,10 +228,17 @@ def run_turn(folder: Path, world: World, plans: list[Plan]) -> list[Cut]:
     return cuts
 
 
-def world_of(image: Path, seed: int = 1, cache: int = 0, stall_ms: int = 0, jobs: int = 1) -> World:
-    """The world of a campaign. cache: sectors that a cut may undo; stall_ms: longest stall of the card."""
+def world_of(
+    image: Path, seed: int = 1, cache: int = 0, stall_ms: int = 0, flip_every: int = 0, jobs: int = 1
+) -> World:
+    """The world of a campaign.
+
+    cache: sectors that a cut may undo; stall_ms: longest stall of the card; flip_every: bytes on its wires to one
+    flipped bit.
+    """
     stimulus = emulation.stimulus_of(drive_records(emulate.simulated(seed, 12.0)), 4.0)
-    return World(image, stimulus, {"seed": seed, "cache": cache, "stall_us": 1000 * stall_ms, "list_writes": 1}, jobs)
+    settings = {"seed": seed, "cache": cache, "stall_us": 1000 * stall_ms, "flip_every": flip_every, "list_writes": 1}
+    return World(image, stimulus, settings, jobs)
 
 
 def chunks(plans: list[Plan], size: int) -> list[list[Plan]]:
@@ -307,6 +314,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=500, help="power cuts")
     parser.add_argument("--cache", type=int, default=0, help="sectors in the card's write cache that a cut may undo")
     parser.add_argument("--stall", type=int, default=0, help="longest stall of the card during the cuts, ms")
+    parser.add_argument("--flip", type=int, default=0, help="bytes on the card's wires to a flipped bit; 0: none")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="cuts tried at the same time")
     options = parser.parse_args()
@@ -320,7 +328,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         if options.what == "bugs":
             return 0 if run_bugs(Path(name), image) else 1
-        world = world_of(image, options.seed, options.cache, options.stall, options.jobs)
+        world = world_of(image, options.seed, options.cache, options.stall, options.flip, options.jobs)
         cuts = run_cuts(Path(name), world, options.count, options.seed)
         return 0 if report_cuts(cuts) and len(cuts) == options.count else 1
 

@@ -545,6 +545,7 @@ static void power_on(world_t *world)
     memset(world->machine.ram, 0xA5, RAM_BYTES);
     sd_model_power_cycle(&world->card);
     sd_model_host_restarts(&world->card);
+    world->card.flip_every = world->flip_every;
     mpu_model_init(&world->imu, &world->now_us);
     world->imu.who_am_i = world->imu.registers[0x75] = old.who_am_i ? old.who_am_i : 0x71;
     memset(world->imu.adjustment, 128, sizeof world->imu.adjustment); /* a field is measured as it is given */
@@ -705,7 +706,8 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
         uint32_t *place;
     } places[] = {{"busy_us", &world->delays.busy_us},           {"stall_us", &world->delays.stall_us},
                   {"stall_pause_us", &world->delays.stall_pause_us}, {"stall_rest_us", &world->delays.stall_rest_us},
-                  {"cache", &world->cache},                      {"spurious_us", &world->spurious_us},
+                  {"cache", &world->cache},                      {"flip_every", &world->flip_every},
+                                      {"spurious_us", &world->spurious_us},
                   {"clusters", &world->plan.clusters},           {"free_clusters", &world->plan.free_clusters},
                   {"free_run", &world->plan.free_run},           {"blank", &world->plan.is_blank}};
     for (size_t i = 0; i < sizeof places / sizeof *places; i++)

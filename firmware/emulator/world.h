@@ -70,6 +70,7 @@ typedef struct {
     size_t action_count, action_at;
     bool is_pressed, is_supply_low, is_cut_wanted, is_restart_wanted, is_child;
     uint64_t on_us, again_us; /* in a copy: when its power came back, and after what time it goes again (0: it does not) */
+    uint32_t flip_every; /* of the card's wires, from power-on */
     uint32_t cache; /* sectors that a power cut may undo */
     unsigned cuts, cut_parallel;
     uint64_t pulse_every_us, next_pulse_us;
