@@ -220,7 +220,7 @@ class Stream:
 
 
 def _eliminated(graph: Graph, stream: Stream) -> Step:
-    """What an elimination of the graph says of the estimate of the stream, which stays where it is."""
+    """The graph linearised and eliminated at the estimate of the stream, without taking the step."""
     values = stream.values
     taken = step(graph, values)
     still = np.zeros_like(taken.keyframes), np.zeros_like(taken.constants)
