@@ -26,8 +26,9 @@ ABSURD_SPEED = 150.0  # m/s; nothing with wheels that is logged here is as fast
 class SessionClock:
     """What is known of the clock that all tables of a session share.
 
-    fixes_t (M,) s : times of the fixes, which show whether a sensor is slow or its times are in another unit. Where it has_imu,
-    times are in the unit of that, imu_unit, or in seconds; a table alone may be of any rate. restarts : of the clock.
+    fixes_t (M,) s : times of the fixes, which show whether a sensor is slow or its times are in another unit. Where it
+    has_imu, times are in the unit of that, imu_unit, or in seconds; a table alone may be of any rate. restarts : of the
+    clock.
     is_set_back : the clock was set back.
     """
 
