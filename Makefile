@@ -7,6 +7,8 @@
 #   make picture the README's picture, from the demo
 #   make notebooks  run the notebooks and put their rendered copies into docs/notebooks
 #   make firmware  the logger's image, with its budget of flash, RAM and stack
+#   make flash     writes it onto a board: ST-Link or serial adapter (PORT=/dev/ttyUSB0), by the tool that is there
+#   make release   the image as .bin and .hex with checksums, in build/release
 #   make emulate   that image, run: a simulated kart session in, lap times out
 #   make mutants   mistakes put into the firmware on purpose: the emulated board notices each
 #   make install-check  build the wheel, install it into a clean environment, run the demo from it
@@ -32,7 +34,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # of a hundred packages few modules are imported, which are compiled then: half a minute less
 WHAT_TESTS_NEED := --quiet --disable-pip-version-check --no-compile
 
-.PHONY: demo test test-fast lint bench picture notebooks firmware emulate mutants install-check bounds audit dependencies container clean
+.PHONY: demo test test-fast lint bench picture notebooks firmware flash release emulate mutants install-check bounds audit dependencies container clean
 
 demo: $(VENV)/for-running
 	@$(BIN)/smooth demo $(DEMO)
@@ -66,6 +68,12 @@ notebooks: $(VENV)/for-testing
 
 firmware: $(BIN)/python
 	@$(BIN)/python firmware/build.py
+
+flash: firmware
+	@$(BIN)/python firmware/flash.py $(if $(PORT),--port $(PORT))
+
+release: firmware
+	@$(BIN)/python firmware/flash.py --release build/release
 
 emulate: $(VENV)/for-testing
 	@$(BIN)/python firmware/emulator/emulate.py build/emulated --duration $(EMULATED_SECONDS)

@@ -17,7 +17,7 @@
 void app_event(app_t *app, uint16_t code, uint32_t value)
 {
     const uint64_t now_us = app->board->now_us(app->board->context);
-    (void)serial_print(app->board->serial, "event %u %u\n", (unsigned)code, (unsigned)value);
+    (void)serial_print(app->board->serial, "event %u %d\n", (unsigned)code, (int)value);
     if (app->is_recording && !app->is_stop_written) /* the STOP record is the last */
         LOCKED(app, (void)log_writer_event(&app->writer, now_us, code, value));
 }
