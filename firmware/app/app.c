@@ -14,6 +14,9 @@ static void on_sentence(void *context, uint64_t time_us, const uint8_t *sentence
         app->has_fix = fix == NMEA_FIX;
         app->fix_us = time_us;
     }
+    const uint32_t fat_time = nmea_fat_time(sentence, length);
+    if (fat_time)
+        app->storage.volume.fat_time = fat_time;
     if (app->is_recording && !app->is_stopping) {
         app->board->lock(app->board->context);
         (void)log_writer_gps(&app->writer, time_us, sentence, length); /* a loss is counted in there */

@@ -447,6 +447,8 @@ int volume_set_size(volume_t *volume, file_t *file, uint32_t bytes)
     if (result != VOLUME_OK)
         return result;
     bytes_put_u32(entry + ENTRY_BYTES, bytes);
+    if (volume->fat_time)
+        bytes_put_u32(entry + ENTRY_WRITTEN, volume->fat_time);
     file->bytes = bytes;
     return store(volume, file->sector);
 }

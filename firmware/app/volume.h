@@ -27,6 +27,7 @@ enum {
 
 typedef struct {
     sd_card_t *card;
+    uint32_t fat_time; /* date and time of what is written, as nmea_fat_time has them; 0: not known */
     FATFS fs;
 } volume_t;
 

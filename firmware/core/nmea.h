@@ -33,4 +33,8 @@ bool nmea_is_intact(const uint8_t *sentence, size_t length);
 typedef enum { NMEA_SAYS_NOTHING, NMEA_NO_FIX, NMEA_FIX } nmea_fix_t;
 nmea_fix_t nmea_fix(const uint8_t *sentence, size_t length);
 
+/* The date and time (UTC) of an intact RMC with a fix, as a FAT directory entry has them: time in the lower half, date in
+ * the upper. 0 if the sentence says none. */
+uint32_t nmea_fat_time(const uint8_t *sentence, size_t length);
+
 #endif

@@ -131,6 +131,22 @@ static void fixes(void)
     CHECK_EQUAL(nmea_fix((const uint8_t *)"$GPRMC,,A", 9), NMEA_SAYS_NOTHING);
 }
 
+static void dates(void)
+{
+    const uint8_t *rmc = (const uint8_t *)good;
+    const uint32_t time = nmea_fat_time(rmc, strlen(good));
+    CHECK_EQUAL(time >> 25, 2026 - 1980);
+    CHECK_EQUAL(time >> 21 & 15, 5);
+    CHECK_EQUAL(time >> 16 & 31, 16);
+    CHECK_EQUAL(time >> 11 & 31, 10);
+    CHECK_EQUAL(time >> 5 & 63, 45);
+    CHECK_EQUAL(time & 31, 0);
+    CHECK_EQUAL(nmea_fat_time(rmc, strlen(good) - 1), time);
+    CHECK_EQUAL(nmea_fat_time(rmc, strlen(good) - 4), 0);
+    const char *const gga = "$GPGGA,1045*40\r\n";
+    CHECK_EQUAL(nmea_fat_time((const uint8_t *)gga, strlen(gga)), 0);
+}
+
 const suite_t nmea_suite = {"nmea",
                             (const test_t[]){{"a sentence is found between noise, with the time of its first byte",
                                               sentence_between_noise},
@@ -139,5 +155,6 @@ const suite_t nmea_suite = {"nmea",
                                              {"the longest sentence fits, a longer one is counted", longest_sentence},
                                              {"lost bytes end a sentence", lost_bytes},
                                              {"one wrong bit or byte less breaks the checksum", checksums},
+                                             {"RMC with a fix has the date of files", dates},
                                              {"RMC and GGA tell whether there is a fix", fixes},
                                              {0}}};

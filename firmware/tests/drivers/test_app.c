@@ -240,6 +240,10 @@ static void test_every_sample_is_recorded(void)
         CHECK_EQUAL(log.damaged, 0); /* the file ends with its last block */
         CHECK(log.gps > 140);
         CHECK(log.pulses >= 11);
+        FILINFO info;
+        CHECK_EQUAL(f_stat("LOG00001.KLG", &info), FR_OK);
+        CHECK_EQUAL((uint32_t)info.fdate, app.storage.volume.fat_time >> 16); /* the receiver's, of some seconds ago */
+        CHECK(app.storage.volume.fat_time != 0 && (info.fdate >> 9) != 2026 - 1980);
         CHECK(log.temperatures > 110);
         CHECK(log.setups >= 3 && log.configs >= 3);
         CHECK_EQUAL(log.setup_flags & SETUP_IMU_INTERRUPT, wired ? SETUP_IMU_INTERRUPT : 0);
