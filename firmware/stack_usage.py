@@ -39,6 +39,7 @@ CALLED_FROM = {
     "app/app.c": BOARD,
     "app/card.c": BOARD,
     "app/imu.c": BOARD,
+    "app/journal.c": BOARD,
     "app/recording.c": BOARD,
     "app/main.c": BOARD,
     "port/board.c": ["app/app.c:serve"],

@@ -106,16 +106,24 @@ static logger_inputs_t inputs(app_t *app, uint64_t now_us)
     };
 }
 
+static void start(app_t *app, uint64_t now_us, bool is_calibration)
+{
+    if (app->config.self_test && !is_calibration && app->is_imu_working)
+        app_run_self_test(app); /* its result is kept, for nothing is recorded yet */
+    if (app_start_recording(app, now_us, is_calibration) != STORAGE_OK)
+        app_card_failed(app, now_us);
+}
+
 static void act(app_t *app, logger_action_t action, uint64_t now_us)
 {
     switch (action) {
     case LOGGER_DO_NOTHING:
         break;
     case LOGGER_START_RECORDING:
-        app_start_recording(app, now_us, false);
+        start(app, now_us, false);
         break;
     case LOGGER_START_CALIBRATION:
-        app_start_recording(app, now_us, true);
+        start(app, now_us, true);
         break;
     case LOGGER_STOP_BUTTON:
         app_stop_recording(app, now_us, STOP_BUTTON);

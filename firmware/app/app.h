@@ -79,7 +79,7 @@ typedef struct {
     bool is_imu_known, is_imu_working;
     uint8_t imu_failures;
     uint64_t imu_retry_us, imu_lost_us, imu_started_us;
-    bool is_mag_silent;
+    bool is_mag_silent, is_imu_restart_wanted;
     neo6m_t gps;
     neo6m_events_t gps_events;
     uint32_t gps_baud, gps_refused;
@@ -104,22 +104,33 @@ void app_init(app_t *app, const board_t *board);
 /* One turn of the main loop. */
 void app_step(app_t *app);
 
-/* ---- between the files of the app ---- */
+/* ---- between the files of the app: app.c knows all of them, and none of them app.c ---- */
 
-/* imu.c of the app: keep the sensor working. */
+/* Appending from the main loop keeps the sampling interrupt out: the writer has one producer at a time. */
+#define LOCKED(app, expression)                       \
+    do {                                              \
+        (app)->board->lock((app)->board->context);    \
+        (expression);                                 \
+        (app)->board->unlock((app)->board->context);  \
+    } while (0)
+
+/* imu.c of the app: keep the sensor working, set it up anew when is_imu_restart_wanted. Uses the journal. */
 void app_step_imu(app_t *app, uint64_t now_us);
-void app_restart_imu(app_t *app);
 void app_run_self_test(app_t *app);
 
-/* recording.c: sessions, and what is written besides samples. */
-void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration);
-void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
-void app_step_recording(app_t *app, uint64_t now_us);
+/* journal.c: what is written besides samples. */
 void app_event(app_t *app, uint16_t code, uint32_t value);
 record_setup_t app_setup(const app_t *app);
+void app_write_setup(app_t *app, uint64_t now_us);
+void app_write_history(app_t *app);
+
+/* recording.c: sessions. Uses the journal and the storage, not the files below; 0 or an error of the storage. */
+int app_start_recording(app_t *app, uint64_t now_us, bool is_calibration);
+void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
+void app_step_recording(app_t *app, uint64_t now_us);
 void app_clear_ring(app_t *app);
 
-/* card.c of the app: keep the card working, move blocks. */
+/* card.c of the app: keep the card working, move blocks, read the settings. Uses the journal and the storage. */
 void app_step_card(app_t *app, uint64_t now_us);
 void app_card_failed(app_t *app, uint64_t now_us);
 

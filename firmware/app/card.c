@@ -41,7 +41,7 @@ static void apply_config(app_t *app)
     if (app->config.stream)
         stream_init(&app->stream, app->board->serial, &app->memory.with_stream.stream.frame);
     app_clear_ring(app);
-    app_restart_imu(app);
+    app->is_imu_restart_wanted = true;
 }
 
 /* Read CONFIG.TXT, once, from the first card seen; the ring is empty then and lends its memory. */

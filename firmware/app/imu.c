@@ -52,8 +52,9 @@ static void open_imu(app_t *app)
     found(app, now_us);
 }
 
-void app_restart_imu(app_t *app)
+static void restart(app_t *app)
 {
+    app->is_imu_restart_wanted = false;
     stop(app);
     open_imu(app);
 }
@@ -93,12 +94,14 @@ static void step_magnetometer(app_t *app, uint64_t now_us)
         app_event(app, EVENT_MAG_ABSENT, app->imu.mag_who_am_i);
     app->is_mag_silent = has_none;
     if (has_none && !app->is_recording && now_us - app->imu_started_us > APP_MAG_RETRY_US)
-        app_restart_imu(app);
+        app->is_imu_restart_wanted = true;
 }
 
 void app_step_imu(app_t *app, uint64_t now_us)
 {
-    if (app->is_imu_working) {
+    if (app->is_imu_restart_wanted) {
+        restart(app);
+    } else if (app->is_imu_working) {
         if (is_silent(app, now_us) || app->sampler.is_frozen)
             lost(app, now_us);
         else

@@ -1,73 +1,7 @@
-/* Sessions: how a recording begins and ends, and the records that are not samples. */
+/* Sessions: how a recording begins and ends. */
 #include "app.h"
 #include "crc32.h"
 #include "error.h"
-#include "firmware_hash.h"
-
-#include <string.h>
-
-/* Appending from the main loop keeps the sampling interrupt out: the writer has one producer at a time. */
-#define LOCKED(app, expression)                       \
-    do {                                              \
-        (app)->board->lock((app)->board->context);    \
-        (expression);                                 \
-        (app)->board->unlock((app)->board->context);  \
-    } while (0)
-
-void app_event(app_t *app, uint16_t code, uint32_t value)
-{
-    const uint64_t now_us = app->board->now_us(app->board->context);
-    (void)serial_print(app->board->serial, "event %u %d\n", (unsigned)code, (int)value);
-    if (app->is_recording && !app->is_stop_written) /* the STOP record is the last */
-        LOCKED(app, (void)log_writer_event(&app->writer, now_us, code, value));
-}
-
-static uint8_t setup_flags(const app_t *app)
-{
-    const bool is_rejected = app->config_result.flaw != CONFIG_FINE;
-    return (uint8_t)((app->board->is_sampling_on_pin(app->board->context) ? SETUP_IMU_INTERRUPT : 0) |
-                     (app->sampler.has_pulse ? SETUP_PPS_SEEN : 0) |
-                     (app->gps_baud && !app->gps_refused ? SETUP_GPS_ACKNOWLEDGED : 0) |
-                     (app->has_config_file ? SETUP_CONFIG_READ : 0) | (is_rejected ? SETUP_CONFIG_REJECTED : 0));
-}
-
-record_setup_t app_setup(const app_t *app)
-{
-    record_setup_t setup = {
-        .purpose = app->is_calibration ? PURPOSE_MAG_CALIBRATION : PURPOSE_DRIVE,
-        .flags = setup_flags(app),
-        .imu_who_am_i = app->is_imu_working ? app->imu.who_am_i : 0xFF,
-        .mag_who_am_i = app->imu.mag_who_am_i,
-        .reset_cause = app->board->reset_cause,
-        .imu_period_us = app->imu.period_us,
-        .accel_range_g = app->config.accel_range,
-        .gyro_range_dps = app->config.gyro_range,
-        .accel_lowpass_hz = app->imu.accel_lowpass_hz,
-        .gyro_lowpass_hz = app->imu.gyro_lowpass_hz,
-        .accel_delay_us = app->imu.accel_delay_us,
-        .gyro_delay_us = app->imu.gyro_delay_us,
-        .mag_period_us = app->imu.mag_period_us,
-        .gps_period_us = 1000000u / app->config.gps_rate,
-        .gps_baud = app->gps_baud,
-        .boot_number = app->board->boot_number,
-        .firmware = FIRMWARE_HASH,
-    };
-    memcpy(setup.mag_adjustment, app->imu.mag_adjustment, sizeof setup.mag_adjustment);
-    memcpy(setup.device, app->board->device, sizeof setup.device);
-    return setup;
-}
-
-/* SETUP and the whole CONFIG. */
-static void write_setup(app_t *app, uint64_t now_us)
-{
-    char text[CONFIG_TEXT_LONGEST];
-    const size_t length = config_print(&app->config, text);
-    record_setup_t setup = app_setup(app);
-    setup.config_crc = crc32_update(0, (const uint8_t *)text, length);
-    LOCKED(app, (void)log_writer_setup(&app->writer, now_us, &setup));
-    LOCKED(app, (void)log_writer_config(&app->writer, now_us, text, length));
-    app->setup_us = now_us;
-}
 
 /* Not a counter, for the card may have been in another logger: whatever differs between two recordings, stirred. */
 static uint32_t make_session(const app_t *app, uint64_t now_us)
@@ -79,39 +13,13 @@ static uint32_t make_session(const app_t *app, uint64_t now_us)
     return session ? session : 1;
 }
 
-/* What happened before there was a log to say it in. */
-static void write_history(app_t *app)
-{
-    if (app->config_result.flaw != CONFIG_FINE)
-        app_event(app, EVENT_CONFIG_REJECTED, app->config_result.line);
-    if (app->board->reset_cause & RESET_BY_WATCHDOG)
-        app_event(app, EVENT_WATCHDOG, app->board->mark_before_reset);
-    if (app->board->fault.is_fault) {
-        app_event(app, EVENT_FAULT_PC, app->board->fault.pc);
-        app_event(app, EVENT_FAULT_LR, app->board->fault.lr);
-        app_event(app, EVENT_FAULT_STATUS, app->board->fault.status);
-    }
-    if (app->is_imu_working && app->imu.mag_who_am_i == 0 && app->config.magnetometer)
-        app_event(app, EVENT_MAG_ABSENT, 0);
-    if (!app->is_imu_working)
-        app_event(app, EVENT_IMU_LOST, app->imu.who_am_i);
-    if (app->gps_baud)
-        app_event(app, app->gps_refused ? EVENT_GPS_NOT_CONFIGURED : EVENT_GPS_CONFIGURED,
-                  app->gps_refused ? app->gps_refused : app->gps_baud);
-    if (app->storage.recovered)
-        app_event(app, EVENT_RECOVERED, app->storage.recovered);
-    app->storage.recovered = 0;
-}
-
 void app_clear_ring(app_t *app)
 {
     ring_init(&app->ring, app->memory.blocks, app->config.stream ? APP_RING_BLOCKS - APP_STREAM_BLOCKS : APP_RING_BLOCKS);
 }
 
-void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
+int app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
 {
-    if (app->config.self_test && !is_calibration && app->is_imu_working)
-        app_run_self_test(app); /* logs nothing yet: its result is kept */
     app->is_calibration = is_calibration;
     app->session = make_session(app, now_us);
     app->card_retries = 0;
@@ -121,8 +29,8 @@ void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
     app_clear_ring(app);
     log_writer_start(&app->writer, &app->ring, app->session, now_us);
     app->is_recording = true;
-    write_setup(app, now_us);
-    write_history(app);
+    app_write_setup(app, now_us);
+    app_write_history(app);
     if (app->has_self_test)
         LOCKED(app, (void)log_writer_self_test(&app->writer, now_us, &app->self_test));
     app->has_self_test = false;
@@ -132,8 +40,7 @@ void app_start_recording(app_t *app, uint64_t now_us, bool is_calibration)
     app->sampler.is_recording = true;
     app->board->unlock(app->board->context);
     (void)serial_print(app->board->serial, "recording %x\n", (unsigned)app->session);
-    if (storage_begin(&app->storage, app->session, is_calibration) != STORAGE_OK)
-        app_card_failed(app, now_us);
+    return storage_begin(&app->storage, app->session, is_calibration);
 }
 
 void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason)
@@ -193,7 +100,7 @@ void app_step_recording(app_t *app, uint64_t now_us)
         return;
     }
     if (now_us - app->setup_us >= APP_SETUP_US) {
-        write_setup(app, now_us);
+        app_write_setup(app, now_us);
         note_retries(app);
     }
     LOCKED(app, log_writer_flush_older(&app->writer, now_us, APP_FLUSH_US));

@@ -1,6 +1,7 @@
 """The image for the board: it builds, keeps its budget, and its registers agree with the maker's device description."""
 
 import fcntl
+import graphlib
 import os
 import re
 import struct
@@ -259,3 +260,24 @@ def test_cppcheck_has_nothing_to_say(image):
     command += [f"-I{folder}" for folder in includes] + [f"--suppress={name}" for name in silent]
     done = subprocess.run([*command, "core", "drivers", "app", "port"], cwd=FIRMWARE, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def uses_of(texts: dict[str, str]) -> dict[str, set[str]]:
+    """Which file uses functions of which other, of sources by name."""
+    owners = {
+        name: path
+        for path, text in texts.items()
+        for name in re.findall(r"^\w[\w ]*\b(app_\w+)\([^;]*?\)\n\{", text, re.MULTILINE)
+    }
+    called = {path: set(re.findall(r"\b(app_\w+)\(", text)) for path, text in texts.items()}
+    return {path: {owners[name] for name in names if name in owners} - {path} for path, names in called.items()}
+
+
+def test_files_of_the_app_use_one_another_in_no_circle():
+    texts = {path.name: path.read_text() for path in sorted((FIRMWARE / "app").glob("*.c"))}
+    uses = uses_of(texts)
+    assert uses["app.c"] >= {"card.c", "imu.c", "recording.c", "journal.c"}
+    list(graphlib.TopologicalSorter(uses).static_order())
+    texts["journal.c"] += "\nvoid app_more(void)\n{\n    app_step_card(0, 0);\n}\n"
+    with pytest.raises(graphlib.CycleError):
+        list(graphlib.TopologicalSorter(uses_of(texts)).static_order())

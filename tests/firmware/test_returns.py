@@ -82,7 +82,7 @@ def test_no_value_is_dropped(path, arguments):
     [
         ("drivers/sdcard.c", "(void)receive(", "receive(", "receive"),
         ("drivers/sdcard.c", "    if (bus->start(", "    bus->is_done(bus->context);\n    if (bus->start(", "is_done"),
-        ("app/recording.c", "LOCKED(app, (void)log_writer_event(", "LOCKED(app, log_writer_event(", "log_writer_event"),
+        ("app/journal.c", "LOCKED(app, (void)log_writer_event(", "LOCKED(app, log_writer_event(", "log_writer_event"),
         ("app/stream.c", "(void)serial_put(", "serial_put(", "serial_put"),
     ],
 )

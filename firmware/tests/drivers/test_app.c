@@ -285,7 +285,7 @@ static void test_double_press_calibrates_later(void)
     run(1500000);
     stop();
     sim.imu.is_mag_absent = false;
-    app_restart_imu(&app);
+    app.is_imu_restart_wanted = true;
     sim.is_pressed = true;
     run(60000);
     sim.is_pressed = false;
