@@ -354,17 +354,13 @@ DEVICES = (
         "    card->bus->select(card->bus->context, false);\n    card->state = SD_STREAM_SENDING;",
     ),
     _port("IMU's registers at 1.1 MHz", "IMU_TOO_FAST", "imu.c", "SLOW = 5,", "SLOW = 4,"),
-    Mutant(
-        "magnetometer not waited for",
+    _one(
+        "magnetometer's transfer started twice",
         "IMU_SLAVE",
-        (
-            Edit("drivers/mpu9250.c", "(status & SLV4_DONE))", "(status | SLV4_DONE))"),
-            Edit(
-                "drivers/mpu9250.c",
-                "        bus->wait_us(bus->context, MASTER_US);\n        result = read",
-                "        result = read",
-            ),
-        ),
+        "drivers/mpu9250.c",
+        "    int result = write_blind(bus, REG_I2C_SLV4_CTRL, SLAVE_ENABLE);",
+        "    int result = write_blind(bus, REG_I2C_SLV4_CTRL, SLAVE_ENABLE);\n"
+        "    result = result == MPU9250_OK ? write_blind(bus, REG_I2C_SLV4_CTRL, SLAVE_ENABLE) : result;",
     ),
     _one(
         "magnetometer never read",
