@@ -201,6 +201,7 @@ static void say_csd(sd_model_t *card)
         csd[9] = 7 >> 1;
         csd[10] = (uint8_t)(7 << 7);
     }
+    csd[15] = sum7(csd, 15); /* the register has one of its own */
     say_data(card, csd, sizeof csd);
 }
 
