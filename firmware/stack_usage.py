@@ -43,8 +43,8 @@ CALLED_FROM = {
     "app/recording.c": BOARD,
     "app/main.c": BOARD,
     "port/board.c": ["app/app.c:serve"],
-    "port/time.c": ["port/imu.c:on_tick", "port/imu.c:on_pulse"],
-    "port/imu.c": ["sampler_on_burst", "sampler_on_pulse"],
+    "port/time.c": ["port/imu.c:on_tick"],
+    "port/imu.c": ["sampler_on_burst"],
 }
 # Handlers by priority, as port.h has them.
 HANDLERS = {

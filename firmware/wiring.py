@@ -42,7 +42,6 @@ PINS = (
     Pin("PA7", CARD, "MOSI/DI", "data from it"),
     Pin("PA2", GPS, "RX", "lets it be configured; without it, its defaults are logged, once a second"),
     Pin("PA3", GPS, "TX", "sentences"),
-    Pin("PA1", GPS, "PPS", "optional", True),
     Pin("PA0", HAND, "button", "other side to ground"),
     Pin("PC13", HAND, "LED", "the Blue Pill's own: no wire", is_on_board=True),
     Pin("PA9", ADAPTER, "RX", "optional: live stream and messages", True),

@@ -173,7 +173,7 @@ void app_init(app_t *app, const board_t *board)
     memset(app, 0, sizeof *app);
     app->board = board;
     app->config = config_defaults();
-    app->board_events = (board_events_t){.context = &app->sampler, .on_burst = sampler_on_burst, .on_pulse = sampler_on_pulse};
+    app->board_events = (board_events_t){.context = &app->sampler, .on_burst = sampler_on_burst};
     app->gps_events = (neo6m_events_t){.context = app,
                                        .on_sentence = on_sentence,
                                        .on_lost = on_lost,

@@ -12,11 +12,10 @@
 #include "sdcard.h"
 #include "serial.h"
 
-/* Called from the interrupt of the sampling; both from one priority, so never within each other. */
+/* Called from the interrupt of the sampling. */
 typedef struct {
     void *context;
     void (*on_burst)(void *context, uint64_t time_us, const uint8_t *burst); /* MPU9250_BURST bytes */
-    void (*on_pulse)(void *context, uint64_t time_us, uint32_t number);      /* a PPS edge */
 } board_events_t;
 
 /* A fault that ended in the last reset: where, where that was called from, and why (CFSR). */

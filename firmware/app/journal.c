@@ -17,7 +17,6 @@ static uint8_t setup_flags(const app_t *app)
 {
     const bool is_rejected = app->config_result.flaw != CONFIG_FINE;
     return (uint8_t)((app->board->is_sampling_on_pin(app->board->context) ? SETUP_IMU_INTERRUPT : 0) |
-                     (app->sampler.has_pulse ? SETUP_PPS_SEEN : 0) |
                      (app->gps_baud && !app->gps_refused ? SETUP_GPS_ACKNOWLEDGED : 0) |
                      (app->has_config_file ? SETUP_CONFIG_READ : 0) | (is_rejected ? SETUP_CONFIG_REJECTED : 0));
 }

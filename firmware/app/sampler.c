@@ -125,11 +125,3 @@ void sampler_on_burst(void *context, uint64_t time_us, const uint8_t *burst)
     sampler->last_us = time_us;
     sampler->last_ms = (uint32_t)(time_us / 1000);
 }
-
-void sampler_on_pulse(void *context, uint64_t time_us, uint32_t number)
-{
-    sampler_t *sampler = context;
-    sampler->has_pulse = true;
-    if (sampler->is_recording)
-        (void)log_writer_pps(sampler->writer, time_us, number);
-}

@@ -33,7 +33,6 @@ typedef struct {
     volatile uint32_t last_ms;     /* of the newest sample; a word, so that it is read whole */
     volatile uint32_t mag_ms;      /* of the magnetometer's newest reading */
     volatile uint16_t points;      /* of the magnetometer, since the calibration began */
-    volatile bool has_pulse;
     uint32_t period_us;
     uint32_t temperature_every;    /* samples */
     uint32_t stream_every;         /* samples; 0 no stream */
@@ -51,7 +50,6 @@ void sampler_init(sampler_t *sampler, log_writer_t *writer, uint32_t period_us);
 
 /* board_events_t */
 void sampler_on_burst(void *sampler, uint64_t time_us, const uint8_t *burst);
-void sampler_on_pulse(void *sampler, uint64_t time_us, uint32_t number);
 
 /* The main loop's side of the queue: false when it is empty. */
 bool sampler_take(sampler_t *sampler, sampler_item_t *item);

@@ -6,7 +6,7 @@
 
 enum { LONGEST_SHORT_TIME_US = 65535 };
 
-static const uint8_t sources[LOG_SOURCES] = {RECORD_IMU, RECORD_MAG, RECORD_TEMPERATURE, RECORD_GPS, RECORD_PPS, 0};
+static const uint8_t sources[LOG_SOURCES] = {RECORD_IMU, RECORD_MAG, RECORD_TEMPERATURE, RECORD_GPS, 0};
 
 void log_writer_start(log_writer_t *writer, ring_t *ring, uint32_t session, uint64_t now_us)
 {
@@ -198,15 +198,6 @@ int log_writer_gps(log_writer_t *writer, uint64_t time_us, const uint8_t *senten
     }
     writer->gps_records++;
     return append(writer, record_put_gps(out, since_base(writer, time_us), sentence, length));
-}
-
-int log_writer_pps(log_writer_t *writer, uint64_t time_us, uint32_t pulse)
-{
-    uint8_t *out = reserve(writer, RECORD_PPS, time_us, RECORD_PPS_BYTES);
-    if (out == NULL) {
-        return CORE_NO_ROOM;
-    }
-    return append(writer, record_put_pps(out, since_base(writer, time_us), pulse));
 }
 
 int log_writer_setup(log_writer_t *writer, uint64_t time_us, const record_setup_t *setup)

@@ -18,7 +18,7 @@
 #include "records.h"
 #include "ring.h"
 
-enum { LOG_SOURCES = 6 }; /* IMU, MAG, TEMPERATURE, GPS, PPS, others */
+enum { LOG_SOURCES = 5 }; /* IMU, MAG, TEMPERATURE, GPS, others */
 
 typedef struct {
     uint64_t first_us;
@@ -49,7 +49,6 @@ int log_writer_imu(log_writer_t *writer, uint64_t time_us, const record_imu_t *i
 int log_writer_mag(log_writer_t *writer, uint64_t time_us, const record_mag_t *mag);
 int log_writer_temperature(log_writer_t *writer, uint64_t time_us, int16_t counts);
 int log_writer_gps(log_writer_t *writer, uint64_t time_us, const uint8_t *sentence, size_t length);
-int log_writer_pps(log_writer_t *writer, uint64_t time_us, uint32_t pulse);
 int log_writer_setup(log_writer_t *writer, uint64_t time_us, const record_setup_t *setup);
 int log_writer_config(log_writer_t *writer, uint64_t time_us, const char *text, size_t length);
 int log_writer_event(log_writer_t *writer, uint64_t time_us, uint16_t code, uint32_t value);

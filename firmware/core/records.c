@@ -55,12 +55,6 @@ size_t record_put_gps(uint8_t *out, int32_t since_base_us, const uint8_t *senten
     return RECORD_LONG_HEAD + length;
 }
 
-size_t record_put_pps(uint8_t *out, int32_t since_base_us, uint32_t pulse)
-{
-    bytes_put_u32(put_long_head(out, RECORD_PPS, RECORD_PPS_BYTES - RECORD_LONG_HEAD, since_base_us), pulse);
-    return RECORD_PPS_BYTES;
-}
-
 size_t record_put_gap(uint8_t *out, int32_t since_base_us, const record_gap_t *gap)
 {
     uint8_t *data = put_long_head(out, RECORD_GAP, RECORD_GAP_BYTES - RECORD_LONG_HEAD, since_base_us);

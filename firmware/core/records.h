@@ -13,7 +13,6 @@ enum {
     RECORD_MAG = 0x02,
     RECORD_TEMPERATURE = 0x03,
     RECORD_GPS = 0x81,
-    RECORD_PPS = 0x82,
     RECORD_GAP = 0x83,
     RECORD_SETUP = 0x84,
     RECORD_CONFIG = 0x85,
@@ -29,7 +28,6 @@ enum {
     RECORD_IMU_BYTES = 15,
     RECORD_MAG_BYTES = 10,
     RECORD_TEMPERATURE_BYTES = 5,
-    RECORD_PPS_BYTES = 10,
     RECORD_GAP_BYTES = 24,
     RECORD_SETUP_BYTES = 70,
     RECORD_EVENT_BYTES = 12,
@@ -46,7 +44,6 @@ enum { STOP_BUTTON = 1, STOP_CARD_FULL = 2, STOP_SUPPLY_LOW = 3, STOP_CALIBRATED
 enum { PURPOSE_DRIVE = 0, PURPOSE_MAG_CALIBRATION = 1 };                                  /* record_setup_t.purpose */
 enum {                                                                                    /* record_setup_t.flags */
     SETUP_IMU_INTERRUPT = 0x01,
-    SETUP_PPS_SEEN = 0x02,
     SETUP_GPS_ACKNOWLEDGED = 0x04,
     SETUP_CONFIG_READ = 0x08,
     SETUP_CONFIG_REJECTED = 0x10
@@ -131,7 +128,6 @@ size_t record_put_imu(uint8_t *out, uint16_t since_base_us, const record_imu_t *
 size_t record_put_mag(uint8_t *out, uint16_t since_base_us, const record_mag_t *mag);
 size_t record_put_temperature(uint8_t *out, uint16_t since_base_us, int16_t counts);
 size_t record_put_gps(uint8_t *out, int32_t since_base_us, const uint8_t *sentence, size_t length);
-size_t record_put_pps(uint8_t *out, int32_t since_base_us, uint32_t pulse);
 size_t record_put_gap(uint8_t *out, int32_t since_base_us, const record_gap_t *gap);
 size_t record_put_setup(uint8_t *out, int32_t since_base_us, const record_setup_t *setup);
 size_t record_put_config(uint8_t *out, int32_t since_base_us, uint16_t offset, uint16_t total, const char *piece,

@@ -73,16 +73,6 @@ static void step_timer(chip_t *chip)
     }
 }
 
-void chip_pulse(chip_t *chip)
-{
-    const bool is_captured = (look(chip, TIM2 + T_CCER) & 0x10) && (look(chip, TIM2 + T_CCMR1) >> 8 & 3) == 1;
-    if (!is_captured)
-        return;
-    *at(chip, TIM2 + T_SR) |= look(chip, TIM2 + T_SR) & CC2IF ? CC2IF | CC2OF : CC2IF;
-    *at(chip, TIM2 + T_CCR2) = timer_count(chip);
-    machine_attend(chip->machine);
-}
-
 static void write_timer(chip_t *chip, uint32_t reg, uint32_t value)
 {
     if (reg == T_SR) {
@@ -525,7 +515,7 @@ uint64_t chip_advance(chip_t *chip)
 uint64_t chip_levels(const chip_t *chip)
 {
     uint64_t lines = 0;
-    if (look(chip, TIM2 + T_SR) & look(chip, TIM2 + T_DIER) & 7)
+    if (look(chip, TIM2 + T_SR) & look(chip, TIM2 + T_DIER) & 3)
         lines |= 1ull << IRQ_TIM2;
     if (look(chip, EXTI + E_PR) & look(chip, EXTI + E_IMR) & 1)
         lines |= 1ull << IRQ_EXTI0;
@@ -594,8 +584,6 @@ uint32_t chip_read(chip_t *chip, uint32_t address, unsigned size)
     switch (offset & ~0x3FFu) {
     case TIM2:
         step_timer(chip);
-        if (reg == T_CCR2)
-            *at(chip, TIM2 + T_SR) &= ~(uint32_t)CC2IF;
         return reg == T_CNT ? timer_count(chip) : look(chip, offset);
     case SPI1:
         return read_spi(chip, CARD, reg);

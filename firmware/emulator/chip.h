@@ -75,7 +75,6 @@ void chip_write(chip_t *chip, uint32_t address, unsigned size, uint32_t value);
 
 /* From outside. */
 void chip_imu_edge(chip_t *chip);
-void chip_pulse(chip_t *chip); /* PPS */
 void chip_receive(chip_t *chip, uint8_t byte);
 uint32_t chip_receiver_baud(const chip_t *chip); /* 0: switched off */
 

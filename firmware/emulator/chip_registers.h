@@ -46,7 +46,7 @@ enum { R_CR = 0x00, R_CFGR = 0x04, R_AHBENR = 0x14, R_APB2ENR = 0x18, R_APB1ENR 
 enum { I_KR = 0x00, I_PR = 0x04, I_RLR = 0x08 };
 enum { A_MAPR = 0x04, A_EXTICR1 = 0x08 };
 
-enum { UIF = 1, CC1IF = 2, CC2IF = 4, CC2OF = 0x200 << 1 };
+enum { UIF = 1, CC1IF = 2 };
 enum { TXE = 0x80, RXNE_U = 0x20, IDLE = 0x10, ORE = 0x08, TC = 0x40, U_ON = 0x2000, U_TRANSMITS = 0x08, U_RECEIVES = 0x04 };
 enum {
     CCR_EN = 1,

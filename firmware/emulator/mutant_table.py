@@ -318,14 +318,6 @@ BUSES = (
         "    else {\n        USART1->DR = (uint32_t)byte;\n"
         "        USART1->DR = (uint32_t)serial_take(&serial) & 255;\n    }",
     ),
-    _port(
-        "capture set up while it is on",
-        "CAPTURE_CHANGED",
-        "time.c",
-        "    TIM2->CCMR1 = TIM_CCMR1_CC2S_TI2 | TIM_CCMR1_IC2F_8;\n    TIM2->CCER = TIM_CCER_CC2E;",
-        "    TIM2->CCER = TIM_CCER_CC2E;\n    TIM2->CCMR1 = TIM_CCMR1_CC2S_TI2 | TIM_CCMR1_IC2F_8;",
-    ),
-    _port("PPS of another input", "", "stm32f103.h", "TIM_CCMR1_CC2S_TI2 (1u", "TIM_CCMR1_CC2S_TI2 (2u"),
     _port("timer counts 73 for a microsecond", "", "time.c", "timer_hz / 1000000 - 1", "timer_hz / 1000000"),
 )
 

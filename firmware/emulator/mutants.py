@@ -28,7 +28,6 @@ from smoother.sim.simulation import Simulation
 DRIVE_S = 3.0
 STAMPS_US = 100  # by which stamps may follow the sensor at different distances
 WATCHDOG_US = (2e6, 6e6)
-PULSE_US = 1_000_000
 
 
 def read_rules(path: Path = HERE / "rules.h") -> dict[str, str]:
@@ -37,7 +36,7 @@ def read_rules(path: Path = HERE / "rules.h") -> dict[str, str]:
 
 
 class Drive:
-    """A short drive with stalls and PPS, which every image has to go through."""
+    """A short drive with stalls, which every image has to go through."""
 
     def __init__(self, folder: Path, seed: int = 5, duration: float = DRIVE_S) -> None:
         """Simulate it."""
@@ -47,7 +46,7 @@ class Drive:
 
     def find_flaw(self, image: Path) -> str:
         """What is wrong with a drive through an image; empty if nothing is."""
-        settings = {"seed": self.seed, "stall_us": 700_000, "pulse_every_us": PULSE_US}
+        settings = {"seed": self.seed, "stall_us": 700_000}
         try:
             outcome = emulate.through_firmware(self.simulation, self.emulated, image, **settings)
             return self.judge(outcome)
@@ -67,7 +66,6 @@ class Drive:
             "the watchdog": not WATCHDOG_US[0] < outcome.number("watchdog_us") < WATCHDOG_US[1],
             "the LED": outcome.number("led_changes") == 0,
             "no messages": b"kart logger" not in text or b"state" not in text,
-            "pulses": len(got.pps) < DRIVE_S,
             "stamps": _stamp_spread(wanted.imu, wanted.imu_t, got.imu, got.imu_t) > STAMPS_US,
         }
         return "; ".join(name for name, is_wrong in flaws.items() if is_wrong)

@@ -338,12 +338,6 @@ static bool allow_backup(chip_t *chip)
     return look(chip, PWR) & 1u << 8 || forbid(chip, RULE_BACKUP_LOCKED, "BKP");
 }
 
-static bool allow_timer(chip_t *chip, uint32_t reg, uint32_t value)
-{
-    const bool is_capture_changed = reg == T_CCMR1 && (value ^ look(chip, TIM2 + T_CCMR1)) & 3u << 8;
-    return !is_capture_changed || !(look(chip, TIM2 + T_CCER) & 0x10) || forbid(chip, RULE_CAPTURE_CHANGED, "TIM2");
-}
-
 static bool allow_write(chip_t *chip, uint32_t base, uint32_t reg, uint32_t value)
 {
     switch (base) {
@@ -367,8 +361,6 @@ static bool allow_write(chip_t *chip, uint32_t base, uint32_t reg, uint32_t valu
         return allow_watchdog(chip, reg);
     case BKP:
         return allow_backup(chip);
-    case TIM2:
-        return allow_timer(chip, reg, value);
     default:
         return true;
     }

@@ -46,7 +46,6 @@
     RULE(USART_FORMAT, "RM0008 27.6.4: not 8 bits without parity, one stop bit") \
     RULE(USART_RATE, "RM0008 27.3.5: the rate is farther than 2 % from the other side's") \
     RULE(USART_OVERWRITTEN, "RM0008 27.3.2: a byte is written while TXE is 0") \
-    RULE(CAPTURE_CHANGED, "RM0008 15.4.7: CC2S is written while the channel is on") \
     RULE(VECTOR, "PM0056 2.3.4: a vector is even, or not in the flash") \
     RULE(VECTOR_TABLE, "PM0056 4.4.4: VTOR is no multiple of 512 in flash or RAM") \
     RULE(VECTORS_AT_ZERO, "RM0008 3.4: an interrupt before VTOR is set: BOOT0 says what lies at 0") \

@@ -458,17 +458,6 @@ static uint64_t step_receiver(world_t *world)
     return due_us > world->now_us ? due_us : world->now_us + 1;
 }
 
-static uint64_t step_pulse(world_t *world)
-{
-    if (!world->pulse_every_us)
-        return NEVER;
-    if (world->now_us >= world->next_pulse_us) {
-        world->next_pulse_us += world->pulse_every_us;
-        chip_pulse(&world->chip);
-    }
-    return world->next_pulse_us;
-}
-
 /* A pin that oscillates. */
 static uint64_t step_storm(world_t *world)
 {
@@ -529,7 +518,7 @@ static uint64_t advance(void *context)
     world->now_us = world->machine.cycles / CYCLES_PER_US;
     const uint64_t chip_next = chip_advance(&world->chip);
     uint64_t next = earlier(step_imu(world), step_receiver(world));
-    next = earlier(next, earlier(step_pulse(world), step_storm(world)));
+    next = earlier(next, step_storm(world));
     const uint64_t spurious_next = step_spurious(world);
     next = earlier(next, earlier(step_actions(world), step_afterwards(world)));
     /* what came in by the steps may have brought something of the chip's nearer */
@@ -719,8 +708,6 @@ static bool apply_setting(world_t *world, const char *name, uint64_t value)
         world->random = value;
     else if (strcmp(name, "probes") == 0)
         world->machine.probes = (unsigned)value;
-    else if (strcmp(name, "pulse_every_us") == 0)
-        world->pulse_every_us = world->next_pulse_us = value;
     else if (strcmp(name, "list_writes") == 0)
         world->writes = open_in(world->out, "writes.txt");
     else

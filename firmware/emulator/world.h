@@ -73,7 +73,6 @@ typedef struct {
     uint32_t flip_every; /* of the card's wires, from power-on */
     uint32_t cache; /* sectors that a power cut may undo */
     unsigned cuts, cut_parallel;
-    uint64_t pulse_every_us, next_pulse_us;
     uint32_t spurious_us, stream_baud;
     uint64_t next_spurious; /* cycles */
     bool is_wire_broken;    /* of the IMU's interrupt */

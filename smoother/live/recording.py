@@ -209,7 +209,6 @@ def _joined(parts: list[LogRecords]) -> LogRecords:
         np.concatenate([part.temperature_t for part in parts]),
         np.concatenate([part.temperature for part in parts]),
         tuple(sentence for part in parts for sentence in part.sentences),
-        tuple(pulse for part in parts for pulse in part.pps),
         tuple(gap for part in parts for gap in part.gaps),
         tuple(event for part in parts for event in part.events),
         tuple(test for part in parts for test in part.self_tests),

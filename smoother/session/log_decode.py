@@ -33,8 +33,6 @@ from smoother.session.log_format import (
     LONG_LAYOUT,
     MAG,
     MAGIC,
-    PPS,
-    PPS_STRUCT,
     RECORDS_AT,
     SELF_TEST,
     SELF_TEST_STRUCT,
@@ -150,7 +148,7 @@ def decode(blocks: Blocks) -> tuple[LogRecords, Losses]:
     """Return the records of one recording, and what it lacks. The blocks may come in any order."""
     blocks, duplicates = in_sequence(blocks)
     short = {name: Growing(width, dtype) for name, (width, dtype) in _SHORT_COLUMNS.items()}
-    long: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(PPS, STOP + 1)}
+    long: dict[int, list[tuple[int, bytes]]] = {kind: [] for kind in range(GAP, STOP + 1)}
     sentences, in_block, unreadable = Sentences(), [], 0
     for some in [*pieces(len(blocks), TOGETHER)] or [slice(0)]:
         part = _decode_some(blocks.select(some))
@@ -273,7 +271,6 @@ def _long_records(of_kind: dict[int, list[tuple[int, bytes]]]) -> dict[str, obje
     """The long records but sentences as fields of LogRecords."""
     setups, stops = _whole(of_kind[SETUP], _setup), _whole(of_kind[STOP], _stop)
     return {
-        "pps": tuple(_whole(of_kind[PPS], _pps)),
         "gaps": tuple(_whole(of_kind[GAP], _gap)),
         "setup": setups[-1] if setups else None,
         "config": _config([data for _, data in of_kind[CONFIG]]),
@@ -295,10 +292,6 @@ def _whole(records: Sequence[tuple[int, bytes]], read: Callable[[int, bytes], T]
         except struct.error:
             continue
     return values
-
-
-def _pps(t_us: int, data: bytes) -> tuple[int, int]:
-    return t_us, PPS_STRUCT.unpack_from(data)[0]
 
 
 def _gap(_: int, data: bytes) -> Gap:

@@ -33,8 +33,6 @@ from smoother.session.log_format import (
     LONGEST_SHORT_TIME,
     MAG,
     MAGIC,
-    PPS,
-    PPS_STRUCT,
     RECORDS_AT,
     SELF_TEST,
     SELF_TEST_STRUCT,
@@ -116,7 +114,7 @@ def _short_rows(records: LogRecords) -> dict[int, tuple[IntArray, npt.NDArray[np
 
 def _long_records(records: LogRecords, setup_every: int) -> list[LongRecord]:
     """All long records, in order of when they are recorded."""
-    long = [*_sentences(records), *(LongRecord(t, t, PPS, PPS_STRUCT.pack(number)) for t, number in records.pps)]
+    long = list(_sentences(records))
     long += [LongRecord(e.t_us, e.t_us, EVENT, EVENT_STRUCT.pack(e.code, e.value)) for e in records.events]
     long += [_gap(gap) for gap in records.gaps]
     for test in records.self_tests:

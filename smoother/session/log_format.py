@@ -29,7 +29,7 @@ FRAME_CAPACITY = 240
 CRC_STRUCT = struct.Struct("<I")
 
 IMU, MAG, TEMPERATURE = 0x01, 0x02, 0x03
-GPS, PPS, GAP, SETUP, CONFIG, EVENT, SELF_TEST, STOP = range(0x81, 0x89)
+GPS, GAP, SETUP, CONFIG, EVENT, SELF_TEST, STOP = 0x81, *range(0x83, 0x89)
 FIRST_LONG = 0x80
 LONGEST_SHORT_TIME, LONGEST_LONG_TIME = 65535, 2**31 - 1  # us
 SHORT_LAYOUTS = {
@@ -40,7 +40,6 @@ SHORT_LAYOUTS = {
 LONG_LAYOUT = np.dtype([("type", "u1"), ("length", "u1"), ("since", "<i4")])
 LONG_STRUCT = struct.Struct("<BBi")
 
-PPS_STRUCT = struct.Struct("<I")
 GAP_STRUCT = struct.Struct("<BBIIHIH")  # source, reason, count, first and last (32 low, 16 high bits each)
 SETUP_STRUCT = struct.Struct("<4B3sBI6H5I8s12s")
 CONFIG_STRUCT = struct.Struct("<HH")  # offset, total
@@ -169,7 +168,7 @@ class LogRecords:
     """The records of one recording, by type, in the order in which they were recorded.
 
     imu_t (N,) us, imu (N, 6) counts accel x y z, gyro x y z; mag_t (K,) us, mag (K, 3) counts in the magnetometer's
-    axes as read, mag_flags (K,); temperature_t (M,) us, temperature (M,) counts; sentences and pps are (us, ..) pairs.
+    axes as read, mag_flags (K,); temperature_t (M,) us, temperature (M,) counts; sentences are (us, text) pairs.
     """
 
     setup: Setup | None = None
@@ -182,7 +181,6 @@ class LogRecords:
     temperature_t: IntArray = field(default_factory=_no_times)
     temperature: npt.NDArray[np.int16] = field(default_factory=lambda: np.zeros(0, dtype=np.int16))
     sentences: Sequence[tuple[int, bytes]] = ()
-    pps: tuple[tuple[int, int], ...] = ()
     gaps: tuple[Gap, ...] = ()
     events: tuple[Event, ...] = ()
     self_tests: tuple[SelfTest, ...] = ()

@@ -13,7 +13,6 @@ from smoother.session.log_format import (
     GPS,
     IMU,
     MAG,
-    PPS,
     STOP_CARD_FULL,
     STOP_FAULT,
     STOP_SUPPLY_LOW,
@@ -23,7 +22,7 @@ from smoother.session.log_format import (
 from smoother.units import MICROSECOND
 from smoother.words import counted, span
 
-_NOUNS = {IMU: "IMU sample", MAG: "compass reading", TEMPERATURE: "temperature", GPS: "GPS sentence", PPS: "pulse"}
+_NOUNS = {IMU: "IMU sample", MAG: "compass reading", TEMPERATURE: "temperature", GPS: "GPS sentence"}
 _REASONS = {
     GAP_NO_ROOM: ("log_card_stalled", "lost because the card did not take them in time"),
     GAP_SENSOR: ("log_sensor_late", "lost because the sensor was not read in time"),

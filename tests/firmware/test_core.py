@@ -152,7 +152,7 @@ def test_c_encodes_what_python_decodes_for_every_kind_of_record(log_tool):
     orders = [
         *(f"setup 10 {SETUP.pack().hex()}", f"config 10 {config.encode().hex()}"),
         *("imu 1000 1 -2 32767 -32768 5 -6", "mag 1000 7 -8 9 1", "temperature 1000 -321"),
-        *(f"gps 500 {sentence.hex()}", "pps 999 3000000000", "event 1200 11 4000000000"),
+        *(f"gps 500 {sentence.hex()}", "event 1200 11 4000000000"),
         *("selftest 1300 -1 2 -3 4 -5 6 63 x0102030405ff", "lose 1 2 2000 4000 3", "imu 5000 1 2 3 4 5 6"),
         "stop 6000 1 17",
     ]
@@ -162,7 +162,7 @@ def test_c_encodes_what_python_decodes_for_every_kind_of_record(log_tool):
     assert records.imu.tolist() == [[1, -2, 32767, -32768, 5, -6], [1, 2, 3, 4, 5, 6]]
     assert (records.mag_t.tolist(), records.mag.tolist(), records.mag_flags.tolist()) == ([1000], [[7, -8, 9]], [1])
     assert (records.temperature_t.tolist(), records.temperature.tolist()) == ([1000], [-321])
-    assert records.sentences == ((500, sentence),) and records.pps == ((999, 3000000000),)
+    assert records.sentences == ((500, sentence),)
     assert records.events == (Event(1200, 11, 4000000000),)
     assert records.self_tests == (SelfTest(1300, (-1, 2, -3, 4, -5, 6), bytes([1, 2, 3, 4, 5, 255]), 63),)
     assert records.gaps == (Gap(IMU, GAP_SENSOR, 3, 2000, 4000),)

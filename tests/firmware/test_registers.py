@@ -57,7 +57,6 @@ VALUES = {
     "FLASH_ACR_LATENCY_2": ["flash/acr.LATENCY.Ws2"],
     "AFIO_EXTICR1_EXTI0_PB": ["afio/exticr1.EXTI0.Pb"],
     "DMA_CCR_DIR_FROM_MEMORY": ["dma1/ch/cr.DIR.FromMemory"],
-    "TIM_CCMR1_CC2S_TI2": ["tim2/ccmr1_input.CC2S.Ti2"],
     "TIM_CCMR1_IC2F_8": ["tim2/ccmr1_input.ICFILTER.FckIntN8"],
     "IWDG_KR_START": ["iwdg/kr.KEY.Start"],
     "IWDG_KR_UNLOCK": ["iwdg/kr.KEY.Unlock"],
@@ -180,7 +179,7 @@ def maker() -> Maker:
 
 def test_every_register_bit_and_value_agrees(header, maker):
     assert len(header.registers) > 150
-    assert len(header.constants) > 130
+    assert len(header.constants) > 120
     assert differences(header, maker) == []
 
 
@@ -298,7 +297,7 @@ def test_every_single_wrong_address_or_value_is_found(header, maker):
         ("0x40004400u", "0x40004800u", "USART2.SR"),
         ("#define RCC_CR_PLLON (1u << 24)", "#define RCC_CR_PLLON (1u << 25)", "RCC_CR_PLLON"),
         ("(((n)-2u) << 18)", "(((n)-1u) << 18)", "RCC_CFGR_PLLMUL(2)"),
-        ("#define TIM_SR_CC2OF", "#define TIM_SR_CC5OF", "TIM_SR_CC5OF"),
+        ("#define TIM_SR_CC1IF", "#define TIM_SR_CC5IF", "TIM_SR_CC5IF"),
         ("4 * (pin % 8)", "4 * (pin % 7)", "pin 7"),
         ("CNDTR, CPAR, CMAR", "CNDTR, CMAR, CPAR", "DMA1.CMAR1"),
     ],

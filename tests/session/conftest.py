@@ -72,7 +72,6 @@ def _records(duration: float = 3.0, rate: int = 200, seed: int = 1, start_us: in
         temperature_t=t[:: max(1, rate // 10)],
         temperature=np.full(len(t[:: max(1, rate // 10)]), 1335, dtype=np.int16),
         sentences=tuple(sentences),
-        pps=((start_us + 950_000, 7),),
         gaps=(Gap(0x81, 3, 2, start_us + 500_000, start_us + 700_000),),
         events=(Event(start_us + 10, 7, 57600),),
         self_tests=(SelfTest(start_us + 20, (1, 2, 3, -4, -5, -6), b"abcdef", 63),),
@@ -81,7 +80,7 @@ def _records(duration: float = 3.0, rate: int = 200, seed: int = 1, start_us: in
 
 
 ARRAYS = ("imu_t", "imu", "mag_t", "mag", "mag_flags", "temperature_t", "temperature")
-VALUES = ("setup", "config", "sentences", "pps", "gaps", "events", "self_tests", "stop")
+VALUES = ("setup", "config", "sentences", "gaps", "events", "self_tests", "stop")
 
 
 def _assert_same(have: LogRecords, want: LogRecords) -> None:

@@ -11,7 +11,6 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 FORMAT = (FIRMWARE / "FORMAT.md").read_text(encoding="utf-8")
 HEADERS = "".join(path.read_text(encoding="utf-8") for path in sorted((FIRMWARE / "core").glob("*.h")))
 STRUCTS = {
-    "PPS": log_format.PPS_STRUCT,
     "GAP": log_format.GAP_STRUCT,
     "SETUP": log_format.SETUP_STRUCT,
     "EVENT": log_format.EVENT_STRUCT,
@@ -40,7 +39,7 @@ def tables():
 
 def test_types_and_lengths_of_records():
     rows = [row for row in tables()[3] if re.fullmatch(r"[0-9A-F]{2}", row[0])]
-    assert len(rows) == 11
+    assert len(rows) == 10
     header = constants()
     for kind, name, length, _ in rows:
         assert header[f"RECORD_{name}"] == getattr(log_format, name) == int(kind, 16)

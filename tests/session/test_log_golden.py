@@ -30,7 +30,7 @@ def test_heads_of_the_blocks(blocks):
     assert set(blocks.head["session"].tolist()) == {0x12345678}
     assert blocks.head["sequence"].tolist() == list(range(len(blocks)))
     assert blocks.base_us[0] == START
-    assert blocks.head["imu_number"].tolist() == [0, 11, 41, 62, 89, 117]
+    assert blocks.head["imu_number"].tolist() == [0, 11, 41, 62, 89, 118]
 
 
 def test_samples(records):
@@ -80,5 +80,4 @@ def test_everything_else(records):
     assert records.events == (Event(START + 1, 7, 57600), Event(START + 101_000, 13, 1))
     first, last = START + 61_000 - 3000, START + 61_000 - 1000
     assert records.gaps == (Gap(IMU, GAP_SENSOR, 3, first, last),)
-    assert records.pps == ((START + 96_000 - 400, 5),)
     assert records.stop == Stop(START + 131_000, 1, 127, 3, 3, 5, 2)

@@ -74,13 +74,6 @@ void EXTI0_IRQHandler(void)
         start_burst(edge_us);
 }
 
-static void on_pulse(uint64_t time_us_, uint32_t number)
-{
-    const board_events_t *to = events;
-    if (to)
-        to->on_pulse(to->context, time_us_, number);
-}
-
 static void stop_sampling(void *context)
 {
     (void)context;
@@ -139,7 +132,6 @@ void imu_init(board_t *board)
     nvic_enable(IRQ_EXTI0, PRIORITY_SAMPLING);
     nvic_enable(IRQ_DMA1_CHANNEL4, PRIORITY_SAMPLING);
     time_set_tick(on_tick);
-    time_set_pulse(on_pulse);
     board->imu = (mpu9250_bus_t){.transfer = transfer};
     board->start_sampling = start_sampling;
     board->stop_sampling = stop_sampling;

@@ -24,11 +24,10 @@ typedef struct {
 } clocks_t;
 clocks_t clock_init(void);
 
-/* time.c: microseconds since start, and what else hangs on the timer: the polling tick and the PPS capture. */
+/* time.c: microseconds since start, and the polling tick, which hangs on the same timer. */
 void time_init(uint32_t timer_hz);
 uint64_t time_us(void);
 void time_set_tick(void (*on_tick)(uint64_t time_us));
-void time_set_pulse(void (*on_pulse)(uint64_t time_us, uint32_t number));
 void time_wait_us(uint32_t duration_us); /* asleep; some microseconds longer */
 
 /* spi.c: both buses, polled and by DMA. */

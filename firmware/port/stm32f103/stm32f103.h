@@ -164,15 +164,9 @@ typedef struct {
 #define TIM_CR1_URS (1u << 2)
 #define TIM_DIER_UIE (1u << 0)
 #define TIM_DIER_CC1IE (1u << 1)
-#define TIM_DIER_CC2IE (1u << 2)
 #define TIM_SR_UIF (1u << 0)
 #define TIM_SR_CC1IF (1u << 1)
-#define TIM_SR_CC2IF (1u << 2)
-#define TIM_SR_CC2OF (1u << 10)
 #define TIM_EGR_UG (1u << 0)
-#define TIM_CCMR1_CC2S_TI2 (1u << 8)
-#define TIM_CCMR1_IC2F_8 (3u << 12) /* the level must last 8 timer clocks */
-#define TIM_CCER_CC2E (1u << 4)
 
 /* ---- independent watchdog, RM0008 section 19 ---- */
 typedef struct {

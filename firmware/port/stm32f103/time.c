@@ -1,28 +1,21 @@
-/* TIM2 counts microseconds, free, all 16 bits; software counts its overflows. Channel 1 compares for the polling tick,
- * channel 2 captures the PPS edge on PA1: capture and clock are one counter, so the stamp is exact. */
+/* TIM2 counts microseconds, free, all 16 bits; software counts its overflows. Channel 1 compares for the polling tick. */
 #include "port.h"
 
 enum { TICK_US = 500 };
 
 static volatile uint32_t overflows;
 static void (*volatile on_tick)(uint64_t);
-static void (*volatile on_pulse)(uint64_t, uint32_t);
-static uint32_t pulses;
 
 void time_init(uint32_t timer_hz)
 {
     RCC->APB1ENR |= RCC_APB1ENR_TIM2EN;
-    gpio_configure(GPIOA, 1, GPIO_PULLED);
-    GPIOA->BRR = 1u << 1; /* pulled down: nothing wired, no edges */
     TIM2->PSC = timer_hz / 1000000 - 1;
     TIM2->ARR = 0xFFFF;
     TIM2->CR1 = TIM_CR1_URS; /* loading the prescaler is no overflow */
     TIM2->EGR = TIM_EGR_UG;
-    TIM2->CCMR1 = TIM_CCMR1_CC2S_TI2 | TIM_CCMR1_IC2F_8;
-    TIM2->CCER = TIM_CCER_CC2E;
     TIM2->CCR[0] = TICK_US;
     TIM2->SR = 0;
-    TIM2->DIER = TIM_DIER_UIE | TIM_DIER_CC1IE | TIM_DIER_CC2IE;
+    TIM2->DIER = TIM_DIER_UIE | TIM_DIER_CC1IE;
     nvic_enable(IRQ_TIM2, PRIORITY_SAMPLING);
     TIM2->CR1 = TIM_CR1_URS | TIM_CR1_CEN;
 }
@@ -53,11 +46,6 @@ void time_set_tick(void (*handler)(uint64_t))
     on_tick = handler;
 }
 
-void time_set_pulse(void (*handler)(uint64_t, uint32_t))
-{
-    on_pulse = handler;
-}
-
 void time_wait_us(uint32_t duration_us)
 {
     const uint64_t since = time_us();
@@ -69,15 +57,6 @@ void time_wait_us(uint32_t duration_us)
 static void clear(uint32_t flags)
 {
     TIM2->SR = ~flags;
-}
-
-static void take_pulse(bool is_overflow_pending)
-{
-    const uint32_t count = TIM2->CCR[1] & 0xFFFF; /* clears CC2IF */
-    clear(TIM_SR_CC2OF);
-    pulses++;
-    if (on_pulse)
-        on_pulse(time_of(overflows, count, is_overflow_pending), pulses);
 }
 
 static void take_tick(void)
@@ -92,8 +71,6 @@ void TIM2_IRQHandler(void);
 void TIM2_IRQHandler(void)
 {
     const uint32_t flags = TIM2->SR;
-    if (flags & TIM_SR_CC2IF)
-        take_pulse((flags & TIM_SR_UIF) != 0);
     if (flags & TIM_SR_UIF) {
         clear(TIM_SR_UIF);
         overflows++;

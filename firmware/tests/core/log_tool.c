@@ -1,7 +1,7 @@
 /* log_tool RING SESSION NOW: reads orders from stdin, a line each, and writes what the consumer takes to stdout: blocks, or
  * frames. Through it other languages drive the writer.
  *
- *   imu T ax ay az gx gy gz | mag T x y z flags | temperature T counts | gps T hex | pps T pulse | event T code value
+ *   imu T ax ay az gx gy gz | mag T x y z flags | temperature T counts | gps T hex | event T code value
  *   setup T hex(64) | config T hex | selftest T 6 responses hex(6) passed | lose source reason first last count
  *   take N | flush | stop T reason retries | frame (short records that follow go into a frame) | endframe
  *
@@ -151,8 +151,6 @@ static bool do_numbers(tool_t *tool, const char *order, const int64_t *v)
         put_mag(writer, v);
     } else if (strcmp(order, "temperature") == 0) {
         (void)log_writer_temperature(writer, (uint64_t)v[0], (int16_t)v[1]);
-    } else if (strcmp(order, "pps") == 0) {
-        (void)log_writer_pps(writer, (uint64_t)v[0], (uint32_t)v[1]);
     } else if (strcmp(order, "event") == 0) {
         (void)log_writer_event(writer, (uint64_t)v[0], (uint16_t)v[1], (uint32_t)v[2]);
     } else if (strcmp(order, "lose") == 0) {

@@ -51,9 +51,9 @@ static void lengths(void)
     const record_stop_t stop = {.reason = STOP_BUTTON};
     const size_t have[] = {record_put_setup(out, 0, &setup), record_put_event(out, 0, EVENT_BUTTON, 1),
                            record_put_self_test(out, 0, &test), record_put_stop(out, 0, &stop),
-                           record_put_pps(out, 0, 1), record_put_config(out, 0, 0, 2, "a=", 2)};
+                           record_put_config(out, 0, 0, 2, "a=", 2)};
     const size_t want[] = {RECORD_SETUP_BYTES, RECORD_EVENT_BYTES, RECORD_SELF_TEST_BYTES, RECORD_STOP_BYTES,
-                           RECORD_PPS_BYTES, RECORD_LONG_HEAD + 4 + 2};
+                           RECORD_LONG_HEAD + 4 + 2};
     CHECK_SAME(have, want, sizeof want);
     CHECK_EQUAL(record_length(out, sizeof out), RECORD_LONG_HEAD + 4 + 2);
 }

@@ -32,10 +32,6 @@ static void interrupt(sim_t *sim)
     }
     if (sim->now_us >= sim->next_tick_us)
         sim->next_tick_us = sim->now_us + TICK_US;
-    if (sim->pulse_every_us && sim->now_us >= sim->next_pulse_us) {
-        sim->events->on_pulse(sim->events->context, sim->next_pulse_us, ++sim->pulses);
-        sim->next_pulse_us += sim->pulse_every_us;
-    }
     sim->is_in_interrupt = false;
 }
 
@@ -173,7 +169,6 @@ static void start_sampling(void *context, const board_events_t *events)
     sim_t *sim = context;
     sim->events = events;
     sim->next_tick_us = sim->now_us + TICK_US;
-    sim->next_pulse_us = sim->now_us + sim->pulse_every_us;
     sim->edge_us = 0;
 }
 

@@ -20,7 +20,6 @@ typedef struct {
     bool is_int_wired;
     bool is_pressed, is_led_on;
     bool is_supply_low;
-    uint64_t pulse_every_us; /* 0: PPS is not wired */
 
     /* its insides */
     uint32_t card_hz;
@@ -31,8 +30,7 @@ typedef struct {
     size_t transfer_length;
     const board_events_t *events;
     uint32_t locks;
-    uint64_t next_tick_us, next_pulse_us;
-    uint32_t pulses;
+    uint64_t next_tick_us;
     uint64_t edge_us;
     bool is_in_interrupt;
     uint32_t line_baud;

@@ -82,7 +82,7 @@ static void end(void)
 
 typedef struct {
     uint32_t files, blocks, sessions, repeated, damaged;
-    uint32_t imu, mag, gps, gaps, gap_imu, setups, configs, stops, temperatures, pulses, self_tests;
+    uint32_t imu, mag, gps, gaps, gap_imu, setups, configs, stops, temperatures, self_tests;
     uint32_t first_number, last_number; /* of the samples, recognised by their values */
     uint32_t strange;                   /* samples that are not the next one, without a gap before them */
     uint32_t events;                    /* bit set of codes */
@@ -136,9 +136,6 @@ static void read_record(log_t *log, const block_record_t *record)
         break;
     case RECORD_GPS:
         log->gps++;
-        break;
-    case RECORD_PPS:
-        log->pulses++;
         break;
     case RECORD_GAP:
         log->gaps++;
@@ -226,7 +223,6 @@ static void test_every_sample_is_recorded(void)
     for (int wired = 0; wired < 2; wired++) {
         begin(1300);
         sim.is_int_wired = wired == 1;
-        sim.pulse_every_us = 1000000;
         boot();
         run(12000000);
         CHECK_EQUAL(app.logger.state, LOGGER_RECORDING);
@@ -239,7 +235,6 @@ static void test_every_sample_is_recorded(void)
         CHECK_EQUAL(log.last_number - log.first_number + 1, log.imu);
         CHECK_EQUAL(log.damaged, 0); /* the file ends with its last block */
         CHECK(log.gps > 140);
-        CHECK(log.pulses >= 11);
         FILINFO info;
         CHECK_EQUAL(f_stat("LOG00001.KLG", &info), FR_OK);
         CHECK_EQUAL((uint32_t)info.fdate, app.storage.volume.fat_time >> 16); /* the receiver's, of some seconds ago */
@@ -748,7 +743,6 @@ static int save_recording(const char *path)
     fat_file_t files[MOST_FILES];
     begin(1300);
     sim.imu.is_mag_absent = false;
-    sim.pulse_every_us = 1000000;
     boot();
     app.logger.was_offered = true;
     run(12000000);
@@ -759,7 +753,7 @@ static int save_recording(const char *path)
     run(6000000);
     stop();
     const log_t log = read_log();
-    printf("imu %u mag %u gps %u gap %u pulses %u first %u\n", log.imu, log.mag, log.gps, log.gap_imu, log.pulses, log.first_number);
+    printf("imu %u mag %u gps %u gap %u first %u\n", log.imu, log.mag, log.gps, log.gap_imu, log.first_number);
     FILE *file = fopen(path, "wb");
     CHECK(file != NULL);
     const size_t count = fat_list(&sim.card, files, MOST_FILES);
