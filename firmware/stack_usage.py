@@ -37,6 +37,8 @@ CALLED_FROM = {
     "recovery.c": ["app/storage.c:read_block"],
     "volume.c": ["app/storage.c:look_at", "app/volume.c:write_part", "app/volume.c:check_part"],
     "app/app.c": BOARD,
+    "app/checks.c": [*BOARD, "port/board.c:wait_us"],
+    "app/storage.c": [*CARD_BUS, "port/board.c:wait"],
     "app/card.c": BOARD,
     "app/imu.c": BOARD,
     "app/journal.c": BOARD,

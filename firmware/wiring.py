@@ -45,6 +45,7 @@ PINS = (
     Pin("PA0", HAND, "button", "other side to ground"),
     Pin("PC13", HAND, "LED", "the Blue Pill's own: no wire", is_on_board=True),
     Pin("PA9", ADAPTER, "RX", "optional: live stream and messages", True),
+    Pin("PA10", ADAPTER, "TX", "optional: the command `selftest`", True),
 )
 PARTS = (IMU, CARD, GPS, HAND, ADAPTER)
 SUPPLY = {IMU: ("3.3", "GND"), CARD: ("3.3", "GND"), GPS: ("5V", "GND"), HAND: ("GND",), ADAPTER: ("GND",)}

@@ -60,7 +60,7 @@ static void serve(void *context)
     const board_t *board = app->board;
     const uint64_t now_us = board->now_us(board->context);
     neo6m_step(&app->gps, now_us);
-    const gesture_t gesture = panel_step(&app->panel, logger_led(&app->logger), now_us);
+    const gesture_t gesture = panel_step(&app->panel, app->is_checking ? LED_FATAL : logger_led(&app->logger), now_us);
     if (gesture != GESTURE_NONE)
         app->gesture = gesture;
     if (app->config.stream) {
@@ -204,5 +204,7 @@ void app_step(app_t *app)
     app_step_imu(app, board->now_us(board->context));
     app_step_recording(app, board->now_us(board->context));
     step_logger(app, board->now_us(board->context));
+    if (serial_is_self_test_asked(board->serial))
+        app_check_parts(app);
     report(app, app->step_us);
 }

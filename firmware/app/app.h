@@ -86,6 +86,7 @@ typedef struct {
     bool has_fix;
     uint64_t fix_us;
 
+    bool is_checking; /* the parts, by `selftest` */
     uint64_t step_us, report_us;
     union {
         uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
@@ -129,6 +130,9 @@ int app_start_recording(app_t *app, uint64_t now_us, bool is_calibration);
 void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
 void app_step_recording(app_t *app, uint64_t now_us);
 void app_clear_ring(app_t *app);
+
+/* checks.c: `selftest` on the serial line; a few seconds. Uses imu.c and the storage. */
+void app_check_parts(app_t *app);
 
 /* card.c of the app: keep the card working, move blocks, read the settings. Uses the journal and the storage. */
 void app_step_card(app_t *app, uint64_t now_us);

@@ -401,3 +401,32 @@ int storage_check(storage_t *storage)
     const int result = sd_check(&storage->card);
     return result == SD_OK ? STORAGE_OK : fail(storage, result);
 }
+
+/* ---- a test of the card ---- */
+
+static int write_blocks(sd_card_t *card, const uint8_t *block, uint32_t blocks)
+{
+    int result = SD_OK;
+    for (uint32_t i = 0; i < blocks && result >= 0; i++) {
+        while ((result = sd_stream_poll(card)) == 0)
+            card->bus->wait(card->bus->context);
+        if (result > 0)
+            result = sd_stream_put(card, block);
+    }
+    return result < 0 ? result : sd_stream_close(card);
+}
+
+int storage_measure(storage_t *storage, const uint8_t *block, uint32_t blocks, uint32_t *took_us, uint32_t *longest_us)
+{
+    sd_card_t *card = &storage->card;
+    const uint64_t began_us = card->bus->now_us(card->bus->context);
+    if (storage->state != STORAGE_READY || !storage->has_spare)
+        return STORAGE_FULL;
+    card->longest_busy_us = 0;
+    int result = sd_stream_open(card, volume_first_sector(&storage->volume, &storage->spare));
+    if (result == SD_OK)
+        result = write_blocks(card, block, blocks);
+    *took_us = (uint32_t)(card->bus->now_us(card->bus->context) - began_us);
+    *longest_us = card->longest_busy_us;
+    return result == SD_OK ? STORAGE_OK : fail(storage, result);
+}

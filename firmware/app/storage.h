@@ -72,6 +72,10 @@ int storage_end(storage_t *storage);
 /* Let go of the card as it is: the supply fails. The next storage_open ends the recording. */
 int storage_halt(storage_t *storage);
 
+/* How fast the card writes: so many blocks go to the spare file, whose content counts for nothing. The time they took,
+ * and the longest that the card was busy with one, in us. STORAGE_FULL without a spare file. */
+int storage_measure(storage_t *storage, const uint8_t *block, uint32_t blocks, uint32_t *took_us, uint32_t *longest_us);
+
 /* Ask whether the card is still there, while nothing is recorded. */
 int storage_check(storage_t *storage);
 

@@ -1,6 +1,5 @@
 #include "serial.h"
 
-#include <stdbool.h>
 #include <string.h>
 
 enum { LINE_LONGEST = 120 };
@@ -28,6 +27,25 @@ int serial_take(serial_t *serial)
     const uint8_t byte = serial->bytes[taken % SERIAL_QUEUE];
     atomic_store_explicit(&serial->taken, taken + 1, memory_order_release);
     return byte;
+}
+
+void serial_hear(serial_t *serial, uint8_t byte)
+{
+    static const char command[] = "selftest";
+    const bool is_end = byte == '\r' || byte == '\n';
+    if (is_end && serial->heard == sizeof command - 1)
+        atomic_store_explicit(&serial->is_command_heard, true, memory_order_release);
+    if (serial->heard < sizeof command - 1 && byte == (uint8_t)command[serial->heard])
+        serial->heard++;
+    else
+        serial->heard = byte == (uint8_t)command[0] ? 1 : 0;
+}
+
+bool serial_is_self_test_asked(serial_t *serial)
+{
+    const bool is_asked = atomic_load_explicit(&serial->is_command_heard, memory_order_acquire);
+    atomic_store_explicit(&serial->is_command_heard, false, memory_order_relaxed);
+    return is_asked;
 }
 
 /* ---- text ---- */

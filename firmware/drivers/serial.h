@@ -1,10 +1,11 @@
 /* Output that never waits: bytes queue in a ring that the board's interrupt empties. What does not fit is left out as a
- * whole and counted, never cut. */
+ * whole and counted, never cut. And one command, which a person types: `selftest`, ended by Enter. */
 #ifndef DRIVERS_SERIAL_H
 #define DRIVERS_SERIAL_H
 
 #include <stdarg.h>
 #include <stdatomic.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -17,6 +18,8 @@ typedef struct {
     uint32_t dropped;           /* messages */
     void (*kick)(void *context); /* there is something to send */
     void *context;
+    uint8_t heard;               /* letters of the command so far */
+    atomic_bool is_command_heard;
 } serial_t;
 
 enum { SERIAL_FULL = -1 };
@@ -29,5 +32,11 @@ int serial_print(serial_t *serial, const char *format, ...) __attribute__((forma
 
 /* The interrupt's side: the next byte, or -1. */
 int serial_take(serial_t *serial);
+
+/* The interrupt's side: a byte has come in. */
+void serial_hear(serial_t *serial, uint8_t byte);
+
+/* Whether the command has come since the last call. */
+bool serial_is_self_test_asked(serial_t *serial);
 
 #endif

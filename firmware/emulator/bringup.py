@@ -29,6 +29,19 @@ differs from board to board stands as `..`.
 
 """
 TAIL = """
+Type `selftest` and Enter (the adapter's TX on PA10) while nothing is recorded: the LED is on while each part is
+tried, and a line says what came of it.
+
+    selftest: heard; the LED is on until the end
+    selftest imu: well, id 71, 1000 samples in a second, on the pin INT
+    selftest magnetometer: well, id 48
+    selftest card: well, 469 kB/s, longest busy 2246 us, sent again 0
+    selftest gps: well, 57600 baud, settings refused 0, fix
+    selftest: done
+
+The rate of the card is that of single blocks, each waited for; 20 kB/s would do. A card that is
+busy for longer than 700 ms costs samples.
+
 Nothing on the line at all, LED dark: no 3.3 V, BOOT0 at 1, nothing flashed, or PA9 on the adapter's TX. LED dark, but
 text: a long press has stopped it, or the LED is another than PC13's.
 

@@ -372,6 +372,25 @@ static bool is_serial_free(const chip_t *chip)
     return now(chip) >= chip->serial_free;
 }
 
+void chip_hear(chip_t *chip, uint8_t byte)
+{
+    const uint32_t on = U_ON | U_RECEIVES;
+    if ((look(chip, USART1 + U_CR1) & on) != on)
+        return;
+    rules_pin_is_pulled(chip, GPIOA, 10, true);
+    *at(chip, USART1 + U_SR) |= look(chip, USART1 + U_SR) & RXNE_U ? ORE : RXNE_U;
+    *at(chip, USART1 + U_DR) = byte;
+    machine_attend(chip->machine);
+}
+
+static uint32_t read_serial(chip_t *chip, uint32_t reg)
+{
+    const uint32_t value = look(chip, USART1 + reg);
+    if (reg == U_DR)
+        *at(chip, USART1 + U_SR) = 0;
+    return reg == U_SR && is_serial_free(chip) ? value | TXE | TC : value;
+}
+
 static void write_serial(chip_t *chip, uint32_t reg, uint32_t value)
 {
     if (reg != U_DR) {
@@ -523,7 +542,8 @@ uint64_t chip_levels(const chip_t *chip)
     for (unsigned channel = 1; flags && channel < DMA_CHANNELS; channel++)
         if (flags >> 4 * (channel - 1) & look(chip, channel_at(channel)) & (CCR_TCIE | CCR_HTIE | CCR_TEIE))
             lines |= 1ull << (IRQ_DMA1 + channel - 1);
-    if ((look(chip, USART1 + U_CR1) & TXE) && is_serial_free(chip))
+    if (((look(chip, USART1 + U_CR1) & TXE) && is_serial_free(chip)) ||
+        (look(chip, USART1 + U_SR) & look(chip, USART1 + U_CR1) & RXNE_U))
         lines |= 1ull << IRQ_USART1;
     if (look(chip, USART2 + U_SR) & look(chip, USART2 + U_CR1) & (IDLE | RXNE_U))
         lines |= 1ull << IRQ_USART2;
@@ -590,7 +610,7 @@ uint32_t chip_read(chip_t *chip, uint32_t address, unsigned size)
     case SPI2:
         return read_spi(chip, IMU, reg);
     case USART1:
-        return reg == U_SR ? (is_serial_free(chip) ? TXE | TC : 0) : look(chip, offset);
+        return read_serial(chip, reg);
     case USART2:
         return read_receiver(chip, reg);
     case RCC:

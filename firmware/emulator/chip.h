@@ -75,6 +75,7 @@ void chip_write(chip_t *chip, uint32_t address, unsigned size, uint32_t value);
 
 /* From outside. */
 void chip_imu_edge(chip_t *chip);
+void chip_hear(chip_t *chip, uint8_t byte); /* on USART1, at its rate */
 void chip_receive(chip_t *chip, uint8_t byte);
 uint32_t chip_receiver_baud(const chip_t *chip); /* 0: switched off */
 

@@ -361,6 +361,12 @@ static void do_restart(world_t *world, uint64_t value)
     (void)value;
     world->is_restart_wanted = world->machine.is_reset_wanted = true;
 }
+static void do_type(world_t *world, uint64_t value)
+{
+    (void)value;
+    world->typed = "selftest\r\n";
+    world->next_typed_us = world->now_us;
+}
 static void do_crystal(world_t *world, uint64_t value) { world->chip.has_crystal = value != 0; }
 static void do_measure(world_t *world, uint64_t value)
 {
@@ -401,7 +407,7 @@ static const verb_t verbs[] = {
     {"card_stall", do_card_stall},   {"card_other", do_card_other},   {"gps_garble", do_gps_garble},
     {"imu_wire", do_imu_wire},       {"imu_storm", do_imu_storm},     {"stick", do_stick},
     {"restart", do_restart},         {"gps_refuse", do_gps_refuse},   {"gps_restart", do_gps_restart},
-    {"lose", do_lose},               {"mag_hang", do_mag_hang},
+    {"lose", do_lose},               {"mag_hang", do_mag_hang},       {"type", do_type},
     {"poke", do_poke},               {"card_flip", do_card_flip},     {"card_flip_above", do_card_flip_above},
 };
 
@@ -456,6 +462,20 @@ static uint64_t step_receiver(world_t *world)
     if (world->receiver.is_absent)
         return world->now_us + 100000;
     return due_us > world->now_us ? due_us : world->now_us + 1;
+}
+
+/* A person at the serial adapter. */
+static uint64_t step_typing(world_t *world)
+{
+    enum { LETTER_US = 2000 };
+    if (!world->typed)
+        return NEVER;
+    if (world->now_us >= world->next_typed_us) {
+        chip_hear(&world->chip, (uint8_t)*world->typed);
+        world->typed = world->typed[1] ? world->typed + 1 : NULL;
+        world->next_typed_us = world->now_us + LETTER_US;
+    }
+    return world->next_typed_us;
 }
 
 /* A pin that oscillates. */
@@ -518,7 +538,7 @@ static uint64_t advance(void *context)
     world->now_us = world->machine.cycles / CYCLES_PER_US;
     const uint64_t chip_next = chip_advance(&world->chip);
     uint64_t next = earlier(step_imu(world), step_receiver(world));
-    next = earlier(next, step_storm(world));
+    next = earlier(next, earlier(step_storm(world), step_typing(world)));
     const uint64_t spurious_next = step_spurious(world);
     next = earlier(next, earlier(step_actions(world), step_afterwards(world)));
     /* what came in by the steps may have brought something of the chip's nearer */

@@ -54,6 +54,8 @@ typedef struct {
     machine_t machine;
     chip_t chip;
     uint64_t now_us;
+    const char *typed; /* still to be typed; NULL: nothing */
+    uint64_t next_typed_us;
     sd_model_t card, other_card;
     card_plan_t plan;
     mpu_model_t imu;

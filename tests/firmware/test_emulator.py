@@ -1,6 +1,7 @@
 """The release image, run instruction by instruction on an emulated board: a short drive, a few power cuts."""
 
 import fcntl
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import campaign  # noqa: E402
 import emulate  # noqa: E402
 import emulation  # noqa: E402
 from emulation import build  # noqa: E402
+from evidence import check_volume, numbered_stimulus  # noqa: E402
 
 DURATION = 12.0  # s
 
@@ -153,3 +155,34 @@ def test_what_a_power_cut_may_not_do_is_noticed(driven):
     assert judged(whole, ended + 3_000_000) == ""
     assert "has changed" in judged(whole[:-512], ended + 3_000_000)
     assert campaign.judge_next([whole]) != "", "its clock did not begin anew"
+
+
+def said_by_selftest(folder: Path) -> list[str]:
+    return [line for line in (folder / "serial.txt").read_text(errors="replace").splitlines() if "selftest" in line]
+
+
+def test_selftest_tries_each_part_and_leaves_the_card_as_it_was(image, tmp_path):
+    script = emulation.Script({}, ["autostart=no"], [(5_000_000, "type"), (11_500_000, "type"), (12_500_000, "end")])
+    script.press(10_500_000)
+    outcome = emulation.run(tmp_path / "run", image, numbered_stimulus(13.0), script)
+    heard, imu, magnetometer, card, gps, done, refused = said_by_selftest(outcome.folder)
+    assert (heard, done) == ("selftest: heard; the LED is on until the end", "selftest: done")
+    samples = re.fullmatch(r"selftest imu: well, id 71, (\d+) samples in a second, on the pin INT", imu)
+    assert samples is not None and 990 <= int(samples[1]) <= 1010
+    assert magnetometer == "selftest magnetometer: well, id 48"
+    speed = re.fullmatch(r"selftest card: well, (\d+) kB/s, longest busy (\d+) us, sent again 0", card)
+    assert speed is not None and 300 < int(speed[1]) < 1000 and 1000 < int(speed[2]) < 20_000
+    assert gps == "selftest gps: well, 57600 baud, settings refused 0, fix"
+    assert refused == "selftest: stop the recording first"
+    assert check_volume(outcome.folder / "card.img") == ""
+
+
+def test_selftest_names_the_parts_that_are_missing(image, tmp_path):
+    faults = ("card_absent 1", "imu_absent 1", "gps_absent 1")
+    actions = [*((0, fault) for fault in faults), (5_000_000, "type"), (9_000_000, "end")]
+    outcome = emulation.run(tmp_path / "run", image, numbered_stimulus(10.0), emulation.Script({}, [], actions))
+    _, imu, magnetometer, card, gps, _ = said_by_selftest(outcome.folder)
+    assert imu.startswith("selftest imu: BAD, id ff, 0 samples") and magnetometer.startswith(
+        "selftest magnetometer: NONE"
+    )
+    assert card == "selftest card: BAD, -3 -1" and gps.startswith("selftest gps: SILENT, 0 baud")

@@ -29,6 +29,7 @@ FIRST_STATEMENT = {  # children of a statement from this on are statements; the 
 ATOMICS = """
 #include <stdint.h>
 typedef _Atomic(uint_fast32_t) atomic_uint_fast32_t;
+typedef _Atomic(_Bool) atomic_bool;
 #define memory_order_relaxed __ATOMIC_RELAXED
 #define memory_order_acquire __ATOMIC_ACQUIRE
 #define memory_order_release __ATOMIC_RELEASE

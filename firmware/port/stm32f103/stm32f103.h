@@ -146,10 +146,12 @@ typedef struct {
 #define USART2 ((usart_t *)0x40004400u)
 #define USART_SR_ERRORS (0xFu) /* parity, framing, noise, overrun */
 #define USART_SR_IDLE (1u << 4)
+#define USART_SR_RXNE (1u << 5)
 #define USART_SR_TXE (1u << 7)
 #define USART_CR1_RE (1u << 2)
 #define USART_CR1_TE (1u << 3)
 #define USART_CR1_IDLEIE (1u << 4)
+#define USART_CR1_RXNEIE (1u << 5)
 #define USART_CR1_TXEIE (1u << 7)
 #define USART_CR1_UE (1u << 13)
 #define USART_CR3_DMAR (1u << 6)

@@ -1,4 +1,4 @@
-/* Stream and text: USART1, TX on PA9. Its DMA channel serves SPI2 already, so bytes go out by interrupt, the last in
+/* Stream, text and the command: USART1, TX on PA9, RX on PA10. Its DMA channel serves SPI2 already, so bytes go out by interrupt, the last in
  * priority. */
 #include "port.h"
 
@@ -14,7 +14,10 @@ static void kick(void *context)
 void USART1_IRQHandler(void);
 void USART1_IRQHandler(void)
 {
-    if (!(USART1->SR & USART_SR_TXE))
+    const uint32_t status = USART1->SR;
+    if (status & USART_SR_RXNE) /* reading SR, then DR clears an overrun too */
+        serial_hear(&serial, (uint8_t)USART1->DR);
+    if (!(status & USART_SR_TXE))
         return;
     const int byte = serial_take(&serial);
     if (byte < 0)
@@ -34,8 +37,10 @@ void uart_init(board_t *board, uint32_t apb2_hz)
     bus_hz = apb2_hz;
     RCC->APB2ENR |= RCC_APB2ENR_USART1EN;
     gpio_configure(GPIOA, 9, GPIO_ALTERNATE_50MHZ);
+    GPIOA->BSRR = 1u << 10;
+    gpio_configure(GPIOA, 10, GPIO_PULLED); /* up: without an adapter the line is idle */
     set_baud(0, 115200);
-    USART1->CR1 = USART_CR1_UE | USART_CR1_TE;
+    USART1->CR1 = USART_CR1_UE | USART_CR1_TE | USART_CR1_RE | USART_CR1_RXNEIE;
     nvic_enable(IRQ_USART1, PRIORITY_SERIAL);
     serial.kick = kick;
     board->serial = &serial;
