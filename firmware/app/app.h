@@ -15,7 +15,7 @@
 #include "stream.h"
 
 enum {
-    APP_RING_BLOCKS = 28,            /* rides out 728 ms at 1 kHz: DESIGN.md section 3 */
+    APP_RING_BLOCKS = 28,            /* rides out 712 ms at 1 kHz: DESIGN.md section 3 */
     APP_STREAM_BLOCKS = 2,           /* of them, lent to the stream if there is one */
     APP_SETUP_US = 5000000,          /* SETUP and CONFIG are repeated */
     APP_FLUSH_US = 1000000,          /* a block is written though not full */

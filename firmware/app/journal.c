@@ -37,7 +37,7 @@ record_setup_t app_setup(const app_t *app)
         .accel_delay_us = app->imu.accel_delay_us,
         .gyro_delay_us = app->imu.gyro_delay_us,
         .mag_period_us = app->imu.mag_period_us,
-        .gps_period_us = 1000000u / app->config.gps_rate,
+        .gps_period_us = 1000u * app->gps.settings.period_ms,
         .gps_baud = app->gps_baud,
         .boot_number = app->board->boot_number,
         .firmware = FIRMWARE_HASH,

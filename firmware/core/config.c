@@ -18,7 +18,7 @@ static const uint32_t lowpasses[] = {184, 92, 41, 20, 10, 5, 0};
 static const uint32_t gps_bauds[] = {9600, 19200, 38400, 57600, 115200, 0};
 static const uint32_t stream_bauds[] = {9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600, 0};
 
-enum { FASTEST_IMU = 1000, SLOWEST_IMU = 50, FASTEST_GPS = 5, FASTEST_STREAM = 1000 };
+enum { FASTEST_IMU = 1000, SLOWEST_IMU = 50, FASTEST_GPS = 10, FASTEST_STREAM = 1000 };
 
 typedef struct {
     const char *start;

@@ -16,7 +16,7 @@ typedef struct {
     uint16_t gyro_range;      /* gyro_range=1000    deg/s: 250, 500, 1000, 2000 */
     uint16_t lowpass;         /* lowpass=92         Hz, of the gyro: 184, 92, 41, 20, 10, 5; accel the next to it */
     bool magnetometer;        /* magnetometer=yes   yes or no */
-    uint16_t gps_rate;        /* gps_rate=5         Hz: 1 to 5 */
+    uint16_t gps_rate;        /* gps_rate=5         Hz: 1 to 10; a receiver that refuses it: 5 */
     uint32_t gps_baud;        /* gps_baud=57600     9600, 19200, 38400, 57600, 115200 */
     bool autostart;           /* autostart=yes      record as soon as card and sensor are ready */
     bool self_test;           /* self_test=no       at the start of a recording */

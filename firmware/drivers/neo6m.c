@@ -6,8 +6,12 @@ enum { SETTING_PORT, SETTING_RATE, SETTING_MODEL, SETTING_POWER, SETTING_MESSAGE
 enum { ALL_REFUSED = (1 << NEO6M_SETTINGS) - 1, CHUNK = 32 };
 
 static const struct {
-    uint8_t id, each;
-} messages[] = {{NMEA_RMC, 1}, {NMEA_GGA, 1}, {NMEA_GST, 1}, {NMEA_GLL, 0}, {NMEA_GSA, 0}, {NMEA_GSV, 0}, {NMEA_VTG, 0}};
+    uint8_t class, id, each;
+    uint32_t key;
+} messages[] = {{NMEA_CLASS, NMEA_RMC, 1, UBX_KEY_RMC}, {NMEA_CLASS, NMEA_GGA, 1, UBX_KEY_GGA},
+                {NMEA_CLASS, NMEA_GST, 1, UBX_KEY_GST}, {UBX_CLASS_NAV, UBX_NAV_VELNED, 1, UBX_KEY_VELNED},
+                {NMEA_CLASS, NMEA_GLL, 0, UBX_KEY_GLL}, {NMEA_CLASS, NMEA_GSA, 0, UBX_KEY_GSA},
+                {NMEA_CLASS, NMEA_GSV, 0, UBX_KEY_GSV}, {NMEA_CLASS, NMEA_VTG, 0, UBX_KEY_VTG}};
 
 /* Rates to try in turn, after each the one of power-on again: that is what a receiver has when its supply comes back,
  * while it is being looked for. First the one it had if only we were reset. */
@@ -39,8 +43,26 @@ static void enter(neo6m_t *gps, neo6m_state_t state, uint64_t now_us)
 
 /* ---- commands ---- */
 
+static size_t modern_frame(const neo6m_t *gps, uint8_t setting, uint8_t *frame)
+{
+    switch (setting) {
+    case SETTING_PORT:
+        return ubx_set_value(frame, UBX_KEY_BAUD, gps->settings.baud);
+    case SETTING_RATE:
+        return ubx_set_value(frame, UBX_KEY_PERIOD, gps->settings.period_ms);
+    case SETTING_MODEL:
+        return ubx_set_value(frame, UBX_KEY_MODEL, UBX_AUTOMOTIVE);
+    case SETTING_POWER:
+        return ubx_set_value(frame, UBX_KEY_POWER, UBX_CONTINUOUS);
+    default:
+        return ubx_set_value(frame, messages[setting - SETTING_MESSAGES].key, messages[setting - SETTING_MESSAGES].each);
+    }
+}
+
 static size_t setting_frame(const neo6m_t *gps, uint8_t setting, uint8_t *frame)
 {
+    if (gps->is_modern)
+        return modern_frame(gps, setting, frame);
     switch (setting) {
     case SETTING_PORT:
         return ubx_set_port(frame, gps->settings.baud);
@@ -51,14 +73,16 @@ static size_t setting_frame(const neo6m_t *gps, uint8_t setting, uint8_t *frame)
     case SETTING_POWER:
         return ubx_set_continuous(frame);
     default:
-        return ubx_set_message(frame, NMEA_CLASS, messages[setting - SETTING_MESSAGES].id,
+        return ubx_set_message(frame, messages[setting - SETTING_MESSAGES].class, messages[setting - SETTING_MESSAGES].id,
                                messages[setting - SETTING_MESSAGES].each);
     }
 }
 
-static uint8_t setting_id(uint8_t setting)
+static uint8_t setting_id(const neo6m_t *gps, uint8_t setting)
 {
     static const uint8_t ids[] = {UBX_CFG_PRT, UBX_CFG_RATE, UBX_CFG_NAV5, UBX_CFG_RXM};
+    if (gps->is_modern)
+        return UBX_CFG_VALSET;
     return setting < SETTING_MESSAGES ? ids[setting] : UBX_CFG_MSG;
 }
 
@@ -66,6 +90,15 @@ static int send_setting(neo6m_t *gps, uint8_t setting)
 {
     uint8_t frame[UBX_FRAME_LONGEST];
     return gps->port->write(gps->port->context, frame, setting_frame(gps, setting, frame));
+}
+
+/* The wanted baud rate, in both ways: it is not known yet which one the receiver understands. */
+static int send_port(neo6m_t *gps)
+{
+    uint8_t frames[UBX_FRAME_LONGEST]; /* 28 and 20 bytes */
+    size_t length = ubx_set_port(frames, gps->settings.baud);
+    length += ubx_set_value(frames + length, UBX_KEY_BAUD, gps->settings.baud);
+    return gps->port->write(gps->port->context, frames, length);
 }
 
 /* Send gps->setting, unless the line is taken; then the next step tries again. */
@@ -85,7 +118,7 @@ static void try_candidate(neo6m_t *gps, uint64_t now_us)
 {
     enter(gps, NEO6M_SWITCHING, now_us);
     set_baud(gps, candidate_baud(gps));
-    gps->is_waiting = send_setting(gps, SETTING_PORT) == 0;
+    gps->is_waiting = send_port(gps) == 0;
 }
 
 static void try_next(neo6m_t *gps, uint64_t now_us)
@@ -99,7 +132,8 @@ static void begin_asking(neo6m_t *gps, uint64_t now_us)
 {
     set_baud(gps, gps->settings.baud);
     enter(gps, NEO6M_ASKING, now_us);
-    gps->setting = SETTING_RATE;
+    gps->setting = SETTING_MESSAGES; /* which none of those that understand it refuses */
+    gps->is_modern = false;
     ask(gps, now_us);
 }
 
@@ -120,6 +154,12 @@ static void begin_running(neo6m_t *gps, uint64_t now_us)
 
 static void next_setting(neo6m_t *gps, bool was_acknowledged, uint64_t now_us)
 {
+    if (!was_acknowledged && gps->setting == SETTING_RATE && gps->settings.period_ms < NEO6M_SURE_PERIOD_MS) {
+        gps->settings.period_ms = NEO6M_SURE_PERIOD_MS;
+        gps->tries = 0;
+        ask(gps, now_us);
+        return;
+    }
     if (!was_acknowledged)
         gps->refused |= 1u << gps->setting;
     gps->tries = 0;
@@ -136,13 +176,22 @@ static void take_answer(neo6m_t *gps, uint64_t now_us)
 {
     if (!gps->is_waiting || (gps->state != NEO6M_ASKING && gps->state != NEO6M_CONFIGURING))
         return;
-    const ubx_answer_t answer = ubx_answer(&gps->parser, UBX_CLASS_CFG, setting_id(gps->setting));
+    const ubx_answer_t answer = ubx_answer(&gps->parser, UBX_CLASS_CFG, setting_id(gps, gps->setting));
     if (answer == UBX_OTHER)
         return;
-    if (gps->state == NEO6M_ASKING)
-        begin_configuring(gps, now_us); /* refused or not: it hears and is heard */
-    else
+    if (gps->state == NEO6M_ASKING) { /* refused or not: it hears and is heard */
+        gps->is_modern = gps->is_modern == (answer == UBX_ACKNOWLEDGED);
+        begin_configuring(gps, now_us);
+    } else {
         next_setting(gps, answer == UBX_ACKNOWLEDGED, now_us);
+    }
+}
+
+static void take_velocity(neo6m_t *gps, uint64_t last_us)
+{
+    const size_t length = UBX_OVERHEAD + UBX_VELNED_BYTES;
+    const uint64_t first_us = last_us - (length - 1) * 10000000u / gps->baud;
+    gps->events->on_sentence(gps->events->context, first_us, gps->parser.frame, length);
 }
 
 static void take_sentence(neo6m_t *gps, size_t length, uint64_t now_us)
@@ -166,10 +215,14 @@ static void take_bytes(neo6m_t *gps, const uint8_t *bytes, size_t count, uint64_
 {
     for (size_t i = 0; i < count; i++) {
         const uint64_t byte_us = first_us + i * 10000000u / gps->baud;
-        const size_t length = nmea_push(&gps->framer, bytes[i], byte_us);
+        const bool is_within = ubx_is_within(&gps->parser);
+        const bool is_frame = ubx_push(&gps->parser, bytes[i]);
+        const size_t length = is_within ? 0 : nmea_push(&gps->framer, bytes[i], byte_us);
         if (length)
             take_sentence(gps, length, now_us);
-        if (ubx_push(&gps->parser, bytes[i]))
+        if (is_frame && ubx_is_velocity(&gps->parser))
+            take_velocity(gps, byte_us);
+        else if (is_frame)
             take_answer(gps, now_us);
     }
     tell_dropped(gps, first_us);
@@ -200,6 +253,7 @@ static void step_asking(neo6m_t *gps, uint64_t now_us)
     if (gps->is_waiting && now_us - gps->since_us < NEO6M_ANSWER_US)
         return;
     if (gps->tries < NEO6M_TRIES - 1) {
+        gps->is_modern = !gps->is_modern; /* it may not answer what it does not know */
         ask(gps, now_us);
         return;
     }

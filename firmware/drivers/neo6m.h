@@ -1,6 +1,8 @@
-/* NEO-6M: finds its baud rate, configures it at every start with acknowledge, hands on its sentences.
+/* NEO-6M and its successors: finds its baud rate, configures it at every start with acknowledge, hands on its sentences and
+ * velocities.
  *
- * Source: u-blox 6 Receiver Description including Protocol Specification, GPS.G6-SW-10018. The receiver forgets its
+ * Source: u-blox 6 Receiver Description including Protocol Specification, GPS.G6-SW-10018; for those that only know
+ * CFG-VALSET, u-blox M10 SPG 5.10 Interface Description, UBX-21035062. The receiver forgets its
  * settings without power, and may be reset alone: when it falls silent it is looked for again. Never waits. */
 #ifndef DRIVERS_NEO6M_H
 #define DRIVERS_NEO6M_H
@@ -30,7 +32,8 @@ typedef struct {
 
 typedef enum { NEO6M_SWITCHING, NEO6M_ASKING, NEO6M_LISTENING, NEO6M_CONFIGURING, NEO6M_RUNNING } neo6m_state_t;
 
-/* What the owner is told. `sentence` is good until the call returns; it is framed, its checksum may be wrong. */
+/* What the owner is told. `sentence` is good until the call returns: an NMEA sentence, whose checksum may be wrong, or a
+ * whole NAV-VELNED. */
 typedef struct {
     void *context;
     void (*on_sentence)(void *context, uint64_t time_us, const uint8_t *sentence, size_t length);
@@ -47,6 +50,7 @@ typedef struct {
     uint8_t candidate;   /* number of the baud rate being tried */
     uint8_t setting;     /* being sent */
     uint8_t tries;
+    bool is_modern;      /* set up by CFG-VALSET */
     bool is_waiting;     /* for the answer to it */
     bool is_heard;       /* an intact sentence, in this state */
     bool is_second_try;  /* of the same baud rate */
@@ -60,11 +64,12 @@ typedef struct {
 } neo6m_t;
 
 enum {
-    NEO6M_SETTINGS = 11,          /* sent one after the other, bit numbers of `refused` */
+    NEO6M_SETTINGS = 12,          /* sent one after the other, bit numbers of `refused` */
     NEO6M_SWITCH_US = 150000,     /* for the command at the old rate to leave and be obeyed */
     NEO6M_ANSWER_US = 400000,     /* an acknowledge comes within a navigation epoch */
     NEO6M_LISTEN_US = 1300000,    /* a sentence a second is the default */
     NEO6M_SILENT_US = 3000000,
+    NEO6M_SURE_PERIOD_MS = 200,   /* that every receiver takes; not all are faster */
     NEO6M_TRIES = 3
 };
 

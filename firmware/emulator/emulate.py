@@ -82,7 +82,7 @@ class Comparison:
 
 def simulated(seed: int, duration: float, track: str = "larkfield", **others: Any) -> Simulation:
     """A kart session at 1 kHz, with `others` of the scenario's figures. No jitter: the logger makes its own stamps."""
-    changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0, **others}
+    changes = {"imu.rate": SIMULATED_HZ, "imu.jitter": 0.0, "gnss.has_vertical_velocity": True, **others}
     return simulate_preset("kart", seed, track=track, duration=duration, **changes)
 
 

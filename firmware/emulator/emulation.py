@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from smoother.session import velned
 from smoother.session.log_format import LogRecords, Setup
 
 HERE = Path(__file__).resolve().parent
@@ -66,7 +67,9 @@ def stimulus_of(records: LogRecords, lead_s: float = LEAD_S) -> Stimulus:
     imu_lead = lead + GYRO_DELAY_US - setup.imu_period_us // 2
     fixes: list[tuple[int, bytes]] = []
     last = b""
-    for t, sentence in records.sentences:
+    for t, told in records.sentences:
+        is_velocity = told.startswith(velned.HEAD)  # in hex for the model, whose texts end at a zero
+        sentence = b"$UBX," + told[len(velned.HEAD) :].hex().encode() + b"\r\n" if is_velocity else told
         if fixes and sentence[3:6] != last:
             fixes[-1] = (fixes[-1][0], fixes[-1][1] + sentence)
         else:

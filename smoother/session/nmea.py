@@ -27,6 +27,7 @@ from smoother.session.rows import over_midnight
 from smoother.session.sentence_days import on_their_days
 from smoother.session.sentence_leaps import clock_set_by
 from smoother.session.time_unit import in_seconds, unit_by_utc
+from smoother.session.velned import Velocities
 from smoother.units import DAY, KMH, KNOT
 from smoother.words import counted
 
@@ -133,11 +134,12 @@ def read_nmea(path: Path) -> NmeaReading:
 def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> NmeaReading:
     """Merge sentences into fixes.
 
-    received : (receive time in s or NaN, bytes with any number of sentences); a `t_s,` prefix overrules the time.
-    Without receive times t counts from the first sentence with a time. Raises SessionError if no sentence is usable.
+    received : (receive time in s or NaN, bytes with any number of sentences, or one NAV-VELNED); a `t_s,` prefix
+    overrules the time. Without receive times t counts from the first sentence with a time. Raises SessionError if no
+    sentence is usable.
     """
-    tally = _Tally()
-    sentences = _parse_all(received, tally)
+    tally, velocities = _Tally(), Velocities()
+    sentences = _parse_all(velocities.taken_out_of(received), tally)
     timed = np.isfinite(sentences.time_of_day)
     if not np.any(timed):
         flaws = "; ".join(problem.text for problem in tally.problems(file))
@@ -150,7 +152,7 @@ def fixes_from_sentences(received: Iterable[tuple[float, bytes]], file: str) -> 
     sentences = replace(sentences, received=received_s)
     ahead, said_of_steps = _utc_ahead(sentences, timed, utc, file)
     said += said_of_steps
-    columns, has_receive_times = _merge(sentences, timed, utc - ahead, ahead, tally)
+    columns, has_receive_times = _merge(sentences, timed, utc - ahead, ahead, tally, velocities)
     gnss, problems = screen_fixes(columns, file)
     return NmeaReading(gnss, [*said, *tally.problems(file), *problems], has_receive_times)
 
@@ -377,7 +379,9 @@ def _utc_ahead(sentences: _Sentences, timed: BoolArray, utc: Array, file: str) -
     return ahead, [Problem("gps_utc_against_places", text, by_motion)]
 
 
-def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, ahead: Array, tally: _Tally) -> tuple[FixColumns, bool]:
+def _merge(
+    sentences: _Sentences, timed: BoolArray, utc: Array, ahead: Array, tally: _Tally, velocities: Velocities
+) -> tuple[FixColumns, bool]:
     """One row per UTC. utc belongs to the sentences that have a time; VTG, which has none, to the one before it.
 
     ahead (N,) s : by how much what is written is ahead of `utc` (N,) s, which goes on where the clock was set.
@@ -400,15 +404,11 @@ def _merge(sentences: _Sentences, timed: BoolArray, utc: Array, ahead: Array, ta
     unix = written + _midnight(values["day"], written)
     position_missing = ~np.isfinite(values["lat_deg"])
     columns = {name: values[name] for name in _COLUMNS if name != "day"}
-    unknown = np.full(epochs.size, np.nan)
     return (
         FixColumns(
             t=t,
             **columns,
-            velocity_north=unknown,
-            velocity_east=unknown,
-            velocity_up=unknown,
-            sigma_velocity=unknown,
+            **velocities.columns_at(t),
             unix_s=unix,
             is_blank=position_missing,
         ),

@@ -1,7 +1,7 @@
 """Simulations as the logger would have recorded them: `*.klg` files (firmware/FORMAT.md), with the truth beside them.
 
-What the logger cannot hold is left out as it would leave it out: velocities and their sigmas are not in its sentences,
-values are counts of its sensors.
+What the logger cannot hold is left out as it would leave it out: values are counts of its sensors. Velocities
+are those of NAV-VELNED, which has three components and a sigma; a receiver simulated without a vertical one sends none.
 """
 
 import zlib
@@ -27,6 +27,7 @@ from smoother.session.log_format import (
     Setup,
     Stop,
 )
+from smoother.session.velned import message
 from smoother.sim.record import nmea_sentences, write_truth
 from smoother.sim.simulation import Simulation
 from smoother.units import DEG, STANDARD_GRAVITY
@@ -37,6 +38,7 @@ ACCEL_RANGES, GYRO_RANGES = (2, 4, 8, 16), (250, 500, 1000, 2000)  # g, deg/s
 FASTEST_IMU = 1000.0  # Hz
 _BAUD, _FAST_BAUD, _SLOW_RATE = 57600, 115200, 10.0  # above this rate of fixes the three sentences need the faster line
 _CALIBRATION_RATE = 100.0  # Hz, of the AK8963
+_GPS_EPOCH, _LEAP_SECONDS = 315_964_800.0, 18.0  # s: 6 January 1980, and by how much GPS time is ahead of UTC
 _LONGEST_EARLY = 1.0  # s; stamps this much before power-on are jitter
 
 
@@ -170,7 +172,18 @@ def _sentences(fixes: GnssFixes, baud: int) -> tuple[tuple[int, bytes], ...]:
             sentence = f"{text}\r\n".encode("ascii")
             sentences.append((at, sentence))
             at += len(sentence) * 10_000_000 // baud
+        sentences += [(at, velocity) for velocity in _velocity(fixes, i)]
     return tuple(sentences)
+
+
+def _velocity(fixes: GnssFixes, i: int) -> list[bytes]:
+    """NAV-VELNED of fix i, none where a part of it is unknown."""
+    assert fixes.sigma_velocity is not None and fixes.unix_s is not None
+    sigma = float(fixes.sigma_velocity[i])
+    if not np.isfinite([*fixes.velocity_n[i], sigma]).all():
+        return []
+    week_ms = round((fixes.unix_s[i] - _GPS_EPOCH + _LEAP_SECONDS) * 1000.0) % (7 * 86_400_000)
+    return [message(week_ms, fixes.velocity_n[i], sigma)]
 
 
 def _gaps(simulation: Simulation, imu_t: IntArray, setup: Setup) -> tuple[Gap, ...]:

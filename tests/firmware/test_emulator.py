@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from smoother.session.load import load_raw
+
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 OUT = FIRMWARE.parent / "build"
 sys.path.insert(0, str(FIRMWARE / "emulator"))
@@ -74,6 +76,15 @@ def test_every_sentence_is_recorded_as_it_was_sent(driven):
     simulation, _, outcome = driven
     got = {sentence for _, sentence in emulate.recorded(outcome.folder)[0].sentences}
     assert {sentence for _, sentence in emulate.drive_records(simulation).sentences} <= got
+
+
+def test_fixes_of_the_card_have_velocities_with_their_accuracy(driven):
+    simulation, _, outcome = driven
+    fixes, true = load_raw(outcome.folder).gnss, simulation.raw.gnss
+    own, of = np.nonzero(np.abs(fixes.unix_s[:, None] - true.unix_s) < 0.005)
+    assert len(own) >= len(true) - 1  # one without a fix follows each outage, in sentences without a time
+    np.testing.assert_allclose(fixes.velocity_n[own], true.velocity_n[of], atol=0.0051)
+    np.testing.assert_allclose(fixes.sigma_velocity[own], true.sigma_velocity[of], atol=0.0051)
 
 
 def test_magnetometer_is_recorded_at_the_rate_of_the_thesis(image, tmp_path):

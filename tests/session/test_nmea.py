@@ -2,6 +2,7 @@
 
 import functools
 import operator
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -311,3 +312,31 @@ def test_random_damage_raises_nothing_but_a_session_error(data: st.DataObject) -
         assert "\n" not in str(error)
     else:
         assert np.all(np.diff(reading.gnss.t) > 0)
+
+
+def velned(north: float, east: float, down: float, sacc: float, week_ms: int = 0) -> bytes:
+    """NAV-VELNED as the receiver's description has it, in cm/s."""
+    level = (round(100 * v) for v in (north, east, down))
+    payload = struct.pack("<IiiiIIiII", week_ms, *level, 0, 0, 0, round(100 * sacc), 0)
+    body = b"\x01\x12\x24\x00" + payload
+    first = sum(body) & 255
+    second = sum((len(body) - i) * byte for i, byte in enumerate(body)) & 255
+    return b"\xb5\x62" + body + bytes((first, second))
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_velocity_among_sentences_belongs_to_the_fix_it_comes_with(is_first: bool) -> None:
+    received: list[tuple[float, bytes]] = []
+    for k, text in enumerate(epochs(20)):
+        velocity = velned(k, -2.0, -0.5, 0.25)
+        if k == 7:
+            velocity = velocity[:-1] + bytes((velocity[-1] ^ 1,))
+        parts = [text.encode(), velocity]
+        times = (5.0 + 0.2 * k, 5.0 + 0.2 * k + 0.04)
+        received += zip(times, parts[::-1] if is_first else parts, strict=True)
+    fixes = fixes_from_sentences(received, "LOG.KLG").gnss
+    has = np.arange(20) != 7
+    np.testing.assert_allclose(fixes.velocity_n[has], [(k, 2.0, 0.5) for k in range(20) if k != 7])
+    np.testing.assert_allclose(fixes.sigma_velocity[has], 0.25)
+    assert np.isnan(fixes.sigma_velocity[7]) and np.isnan(fixes.velocity_n[7, 2])
+    assert fixes.velocity_n[7, 1] == pytest.approx(-19.4 * KNOT)  # that of RMC

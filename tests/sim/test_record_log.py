@@ -38,8 +38,17 @@ def test_the_session_is_that_of_the_simulation(kart):
     np.testing.assert_allclose(raw.gnss.t, true.gnss.t, atol=1e-6)
     for name, tolerance in (("lat_deg", 1e-9), ("alt_m", 1e-6), ("speed", 1e-6), ("sigma_horizontal", 0.051)):
         np.testing.assert_allclose(getattr(raw.gnss, name), getattr(true.gnss, name), atol=tolerance, err_msg=name)
-    assert np.all(np.isnan(raw.gnss.sigma_velocity))  # no sentence of a NEO-6M tells it
+    assert np.all(np.isnan(raw.gnss.sigma_velocity))  # without a vertical velocity there is no NAV-VELNED
     assert (directory / "truth.csv").exists() and (directory / "truth_laps.csv").exists()
+
+
+def test_velocity_with_its_accuracy_is_that_of_the_simulation(tmp_path):
+    simulation = simulate_preset("kart", 4, track="tinbarn", duration=20.0, gnss_has_vertical_velocity=True)
+    write_klg(simulation, tmp_path)
+    fixes, true = load_raw(tmp_path).gnss, simulation.raw.gnss
+    np.testing.assert_allclose(fixes.velocity_n, true.velocity_n, atol=0.0051)
+    np.testing.assert_allclose(fixes.sigma_velocity, true.sigma_velocity, atol=0.0051)
+    np.testing.assert_allclose(fixes.t, true.t, atol=1e-6)
 
 
 @pytest.mark.parametrize(("preset", "accel", "gyro"), [("white", 16, 2000), ("kart", 16, 1000), ("kart_harsh", 8, 500)])

@@ -7,7 +7,7 @@
 enum {
     RECEIVED = 256, /* a power of two; a quarter of a second of sentences, 22 ms of a line that never pauses at 115200 */
     STAMPS = 8,
-    SENT = 48 /* the longest message has 44 */
+    SENT = 48 /* the longest: the baud rate in both ways */
 };
 
 typedef struct {

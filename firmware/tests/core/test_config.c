@@ -77,7 +77,7 @@ static void flaws(void)
         {"accel_range=16g", CONFIG_BAD_VALUE, 1},
         {"autostart=maybe", CONFIG_BAD_VALUE, 1},
         {"autostart=yess", CONFIG_BAD_VALUE, 1},
-        {"gps_rate=6", CONFIG_BAD_VALUE, 1},
+        {"gps_rate=11", CONFIG_BAD_VALUE, 1},
         {"stream=1 0", CONFIG_BAD_VALUE, 1},
         {"# caf\xC3\xA9", CONFIG_BAD_TEXT, 1},
     };

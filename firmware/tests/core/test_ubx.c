@@ -12,6 +12,17 @@ static void rate(void)
     CHECK_SAME(out, want, sizeof want);
 }
 
+static void values(void)
+{
+    /* as published for the dynamic model 6: key 20110021, one byte */
+    const uint8_t want[] = {0xB5, 0x62, 0x06, 0x8A, 0x09, 0x00, 0x00, 0x01, 0x00, 0x00, 0x21, 0x00, 0x11, 0x20, 0x06, 0xF2, 0x4F};
+    uint8_t out[UBX_FRAME_LONGEST];
+    CHECK_EQUAL(ubx_set_value(out, UBX_KEY_MODEL, 6), sizeof want);
+    CHECK_SAME(out, want, sizeof want);
+    CHECK_EQUAL(ubx_set_value(out, UBX_KEY_PERIOD, 100), sizeof want + 1);
+    CHECK_EQUAL(ubx_set_value(out, UBX_KEY_BAUD, 57600), sizeof want + 3);
+}
+
 static bool push_all(ubx_parser_t *parser, const uint8_t *bytes, size_t length)
 {
     bool is_whole = false;
@@ -34,7 +45,7 @@ static void commands(void)
         CHECK_EQUAL(length[i], payload[i] + UBX_OVERHEAD);
         CHECK(push_all(&parser, out[i], length[i]));
         CHECK(parser.class == UBX_CLASS_CFG && parser.id == id[i] && parser.length == payload[i]);
-        CHECK_SAME(parser.payload, out[i] + 6, payload[i]);
+        CHECK_SAME(parser.frame, out[i], length[i]);
     }
     CHECK_SAME(out[0] + 6 + 8, "\x00\xE1\x00\x00", 4); /* 57600 */
     CHECK(out[1][6] == 1 && out[1][8] == 4);
@@ -83,6 +94,29 @@ static void damage(void)
     }
 }
 
+/* What may be in a frame that is understood is in no sentence; what only looks like one keeps nothing from them. */
+static void within(void)
+{
+    const uint8_t payload[UBX_VELNED_BYTES] = {'$'};
+    uint8_t frame[UBX_FRAME_LONGEST];
+    ubx_parser_t parser;
+    ubx_init(&parser);
+    const size_t length = ubx_frame(frame, UBX_CLASS_NAV, UBX_NAV_VELNED, payload, sizeof payload);
+    for (size_t i = 0; i < length; i++) {
+        CHECK_EQUAL(ubx_is_within(&parser), i >= 2);
+        CHECK_EQUAL(ubx_push(&parser, frame[i]), i + 1 == length);
+    }
+    CHECK(ubx_is_velocity(&parser) && !ubx_is_within(&parser));
+    CHECK_SAME(parser.frame, frame, length);
+    const uint8_t noise[] = {UBX_SYNC_0, UBX_SYNC_1, '$', 'G', 'P'};
+    (void)push_all(&parser, noise, sizeof noise);
+    CHECK(!ubx_is_within(&parser));
+    ubx_init(&parser);
+    const uint8_t long_one[] = {UBX_SYNC_0, UBX_SYNC_1, UBX_CLASS_NAV, 7, 92, 0, 1};
+    (void)push_all(&parser, long_one, sizeof long_one);
+    CHECK(!ubx_is_within(&parser));
+}
+
 static void longer_than_kept(void)
 {
     uint8_t frame[200 + UBX_OVERHEAD];
@@ -96,6 +130,8 @@ static void longer_than_kept(void)
 
 const suite_t ubx_suite = {"ubx",
                            (const test_t[]){{"the 5 Hz command has the bytes of u-blox", rate},
+                                            {"a value has the bytes that others published", values},
+                                            {"a frame that is understood is in no sentence", within},
                                             {"every command is a good frame with its values", commands},
                                             {"answers are told apart", answers},
                                             {"a frame is found between sentences", between_sentences},

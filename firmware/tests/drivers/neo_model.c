@@ -9,6 +9,7 @@ static void power_on(neo_model_t *receiver)
     receiver->period_ms = 1000;
     receiver->dynamic_model = 0;
     receiver->power_mode = 0;
+    receiver->has_velocity = false;
     for (int i = 0; i < 16; i++)
         receiver->messages[i] = i < 6; /* GGA GLL GSA GSV RMC VTG */
     receiver->in_length = 0;
@@ -18,7 +19,7 @@ static void power_on(neo_model_t *receiver)
 
 void neo_model_init(neo_model_t *receiver, const uint64_t *now_us)
 {
-    *receiver = (neo_model_t){.now_us = now_us, .has_fix = true};
+    *receiver = (neo_model_t){.now_us = now_us, .has_fix = true, .shortest_ms = 200};
     power_on(receiver);
 }
 
@@ -51,6 +52,39 @@ static void sentence(neo_model_t *receiver, const char *body)
     receiver->sentences++;
 }
 
+static void say_frame(neo_model_t *receiver, uint8_t class, uint8_t id, const uint8_t *payload, uint8_t length)
+{
+    uint8_t frame[64] = {0xB5, 0x62, class, id, length, 0};
+    memcpy(frame + 6, payload, length);
+    uint8_t *sum = frame + 6 + length;
+    for (int i = 2; i < 6 + length; i++) {
+        sum[0] = (uint8_t)(sum[0] + frame[i]);
+        sum[1] = (uint8_t)(sum[1] + sum[0]);
+    }
+    say(receiver, frame, 8u + length);
+}
+
+static void say_velocity(neo_model_t *receiver, const uint8_t payload[36])
+{
+    if (!receiver->has_velocity)
+        return;
+    say_frame(receiver, 1, 0x12, payload, 36);
+    receiver->velocities++;
+}
+
+/* Bytes in hex, as the text of a fix has them. */
+static void say_hex(neo_model_t *receiver, const char *hex)
+{
+    uint8_t payload[36];
+    unsigned byte;
+    for (size_t i = 0; i < sizeof payload; i++) {
+        if (sscanf(hex + 2 * i, "%2x", &byte) != 1)
+            return;
+        payload[i] = (uint8_t)byte;
+    }
+    say_velocity(receiver, payload);
+}
+
 static const char *const message_names[] = {"GGA", "GLL", "GSA", "GSV", "RMC", "VTG", "", "GST"};
 
 static bool is_wanted(const neo_model_t *receiver, const char *sentence)
@@ -67,7 +101,9 @@ static void say_wanted(neo_model_t *receiver, const char *text)
     while (*text) {
         const char *end = strchr(text, '\n');
         const size_t length = end ? (size_t)(end + 1 - text) : strlen(text);
-        if (is_wanted(receiver, text)) {
+        if (strncmp(text, "$UBX,", 5) == 0) {
+            say_hex(receiver, text + 5);
+        } else if (is_wanted(receiver, text)) {
             say(receiver, (const uint8_t *)text, length);
             receiver->sentences++;
         }
@@ -94,6 +130,10 @@ static void epoch(neo_model_t *receiver)
                  seconds / 3600, seconds / 60 % 60, seconds % 60, tenths % 10, receiver->has_fix ? 'A' : 'V', receiver->epochs - 1);
         sentence(receiver, body);
     }
+    uint8_t velocity[36] = {0};
+    memcpy(velocity, &receiver->epochs, 4);
+    memset(velocity + 4, '$', 8); /* what begins a sentence too */
+    say_velocity(receiver, velocity);
 }
 
 /* Fixes come when they come; one that is not due yet at the rate that is set is left out. */
@@ -163,12 +203,49 @@ bool neo_model_next(neo_model_t *receiver, uint32_t baud, uint8_t *byte, uint64_
 
 static void answer(neo_model_t *receiver, uint8_t class, uint8_t id, bool is_good)
 {
-    uint8_t frame[10] = {0xB5, 0x62, 0x05, is_good ? 1 : 0, 2, 0, class, id};
-    for (int i = 2; i < 8; i++) {
-        frame[8] = (uint8_t)(frame[8] + frame[i]);
-        frame[9] = (uint8_t)(frame[9] + frame[8]);
+    const uint8_t of[2] = {class, id};
+    say_frame(receiver, 5, is_good ? 1 : 0, of, sizeof of);
+}
+
+static bool set_period(neo_model_t *receiver, unsigned period_ms)
+{
+    if (period_ms < receiver->shortest_ms)
+        return false;
+    receiver->period_ms = (uint16_t)period_ms;
+    return true;
+}
+
+/* CFG-VALSET of one key: version, layers, two reserved, key, value. */
+static bool set_value(neo_model_t *receiver, const uint8_t *p, size_t length)
+{
+    static const uint32_t keys[8] = {0x209100BB, 0x209100CA, 0x209100C0, 0x209100C5, 0x209100AC, 0x209100B1, 0, 0x209100D4};
+    static const uint8_t sizes[8] = {0, 1, 1, 2, 4, 8};
+    const uint32_t key = p[4] | (uint32_t)p[5] << 8 | (uint32_t)p[6] << 16 | (uint32_t)p[7] << 24;
+    if (length != 8u + sizes[key >> 28 & 7] || p[0] != 0 || p[1] != 1)
+        return false;
+    for (int i = 0; i < 8; i++)
+        if (key == keys[i]) {
+            receiver->messages[i] = p[8] != 0;
+            return true;
+        }
+    switch (key) {
+    case 0x40520001:
+        receiver->baud = (uint32_t)(p[8] | p[9] << 8 | p[10] << 16);
+        return true;
+    case 0x30210001:
+        return set_period(receiver, p[8] | (unsigned)p[9] << 8);
+    case 0x20110021:
+        receiver->dynamic_model = p[8];
+        return true;
+    case 0x20D00001:
+        receiver->power_mode = p[8];
+        return true;
+    case 0x20910043:
+        receiver->has_velocity = p[8] != 0;
+        return true;
+    default:
+        return false;
     }
-    say(receiver, frame, sizeof frame);
 }
 
 static bool obey(neo_model_t *receiver, uint8_t id, const uint8_t *p, size_t length)
@@ -180,15 +257,16 @@ static bool obey(neo_model_t *receiver, uint8_t id, const uint8_t *p, size_t len
         receiver->baud = (uint32_t)(p[8] | p[9] << 8 | p[10] << 16);
         return true;
     case 0x01:
+        if (length == 3 && p[0] == 1 && p[1] == 0x12) {
+            receiver->has_velocity = p[2] != 0;
+            return true;
+        }
         if (length != 3 || p[0] != 0xF0 || p[1] > 15)
             return false;
         receiver->messages[p[1]] = p[2] != 0;
         return true;
     case 0x08:
-        if (length != 6 || (p[0] | p[1] << 8) < 200)
-            return false;
-        receiver->period_ms = (uint16_t)(p[0] | p[1] << 8);
-        return true;
+        return length == 6 && set_period(receiver, p[0] | (unsigned)p[1] << 8);
     case 0x11:
         receiver->power_mode = p[1];
         return length == 2;
@@ -205,9 +283,13 @@ static void take_frame(neo_model_t *receiver, const uint8_t *frame, size_t lengt
     const uint8_t class = frame[2], id = frame[3];
     const bool is_refused = receiver->refuse_class_id == (uint32_t)(class << 8 | id);
     const uint32_t baud = receiver->baud;
-    const bool is_good = class == 6 && !is_refused && obey(receiver, id, frame + 6, length - 8);
+    const bool is_known = receiver->is_modern == (id == 0x8A);
+    const bool is_good = class == 6 && is_known && !is_refused &&
+                         (id == 0x8A ? set_value(receiver, frame + 6, length - 8) : obey(receiver, id, frame + 6, length - 8));
     if (receiver->baud != baud)
         receiver->out_taken = receiver->out_put;
+    if (!is_known && receiver->is_mute_to_old)
+        return;
     answer(receiver, class, id, is_good);
 }
 

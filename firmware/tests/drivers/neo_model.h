@@ -1,4 +1,4 @@
-/* A NEO-6M on a serial line: speaks NMEA once a second at 9600 baud until it is told otherwise by UBX. What is sent at
+/* A NEO-6M, or one of its successors, on a serial line: speaks NMEA once a second at 9600 baud until it is told otherwise by UBX. What is sent at
  * another rate than its own arrives as noise. */
 #ifndef TESTS_NEO_MODEL_H
 #define TESTS_NEO_MODEL_H
@@ -9,7 +9,7 @@
 
 enum { NEO_QUEUE = 8192 };
 
-/* The sentences of one fix, one after the other, and when the first begins. */
+/* The sentences of one fix, one after the other, and when the first begins; `$UBX,` and 36 bytes in hex is a NAV-VELNED. */
 typedef struct {
     uint64_t time_us;
     const char *text;
@@ -25,10 +25,14 @@ typedef struct {
     uint32_t chatter;      /* so many bytes of noise before each epoch */
     bool is_garbled;       /* all it says arrives as noise */
     bool has_fix;
+    bool is_modern;        /* an M10: knows CFG-VALSET alone */
+    bool is_mute_to_old;   /* and says nothing to what it does not know */
+    uint16_t shortest_ms;  /* period that it takes */
 
     uint32_t baud;
     uint16_t period_ms;
     bool messages[16];     /* of class F0 */
+    bool has_velocity;     /* NAV-VELNED is on */
     uint8_t dynamic_model, power_mode;
     uint64_t next_epoch_us;
     uint32_t epochs;
@@ -38,7 +42,7 @@ typedef struct {
     uint8_t out[NEO_QUEUE];      /* on their way, at the line's rate */
     uint32_t out_put, out_taken; /* free-running */
     uint64_t out_us;             /* when byte out_taken begins */
-    uint32_t sentences;          /* sent */
+    uint32_t sentences, velocities; /* sent */
 } neo_model_t;
 
 void neo_model_init(neo_model_t *receiver, const uint64_t *now_us);

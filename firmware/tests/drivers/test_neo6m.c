@@ -8,7 +8,7 @@
 static sim_t sim;
 static neo6m_t gps;
 static struct {
-    uint32_t sentences, intact, lost, configured, silent, baud, refused;
+    uint32_t sentences, intact, velocities, lost, configured, silent, baud, refused;
     uint64_t last_us, worst_error_us;
     char last[RECORD_GPS_LONGEST + 1];
 } seen;
@@ -16,6 +16,13 @@ static struct {
 static void on_sentence(void *context, uint64_t time_us, const uint8_t *sentence, size_t length)
 {
     (void)context;
+    if (sentence[0] == UBX_SYNC_0) {
+        CHECK_EQUAL(length, UBX_OVERHEAD + UBX_VELNED_BYTES);
+        CHECK(memcmp(sentence + 10, "$$$$$$$$", 8) == 0);
+        CHECK(time_us > seen.last_us); /* the model says it last */
+        seen.velocities++;
+        return;
+    }
     seen.sentences++;
     seen.intact += nmea_is_intact(sentence, length);
     seen.last_us = time_us;
@@ -54,10 +61,15 @@ static void begin(void)
     memset(&seen, 0, sizeof seen);
 }
 
+static void start_at(uint32_t baud, uint16_t period_ms)
+{
+    const neo6m_settings_t settings = {.baud = baud, .period_ms = period_ms};
+    neo6m_init(&gps, &sim.board.gps, &events, &settings, sim.now_us);
+}
+
 static void start(uint32_t baud)
 {
-    const neo6m_settings_t settings = {.baud = baud, .period_ms = 200};
-    neo6m_init(&gps, &sim.board.gps, &events, &settings, sim.now_us);
+    start_at(baud, 200);
 }
 
 static void run(uint64_t duration_us)
@@ -78,6 +90,7 @@ static void check_settings(uint32_t baud)
     CHECK_EQUAL(sim.gps.dynamic_model, 4);
     CHECK_EQUAL(sim.gps.power_mode, 0);
     CHECK(memcmp(sim.gps.messages, wanted, sizeof wanted) == 0);
+    CHECK(sim.gps.has_velocity);
 }
 
 static void test_receiver_is_configured_from_power_on_within_2_s(void)
@@ -89,9 +102,10 @@ static void test_receiver_is_configured_from_power_on_within_2_s(void)
     CHECK_EQUAL(seen.configured, 1);
     CHECK_EQUAL(seen.refused, 0);
     CHECK_EQUAL(seen.baud, 57600);
-    const uint32_t before = seen.sentences;
+    const uint32_t before = seen.sentences, velocities = seen.velocities;
     run(4000000);
     CHECK(seen.sentences - before >= 58 && seen.sentences - before <= 62);
+    CHECK(seen.velocities - velocities >= 19 && seen.velocities - velocities <= 21);
     CHECK_EQUAL(seen.sentences, seen.intact);
     CHECK_EQUAL(seen.lost, 0);
     sim_free(&sim);
@@ -106,6 +120,47 @@ static void test_receiver_is_found_at_every_rate_it_may_have(void)
         start(115200);
         run(30000000);
         check_settings(115200);
+        sim_free(&sim);
+    }
+}
+
+/* An M10 knows CFG-VALSET alone; what it does not know it refuses, or passes over. */
+static void test_receiver_of_today_is_configured_too(void)
+{
+    static const uint32_t rates[] = {9600, 38400, 57600};
+    for (size_t i = 0; i < 6; i++) {
+        begin();
+        sim.gps.is_modern = true;
+        sim.gps.is_mute_to_old = i % 2;
+        sim.gps.shortest_ms = 50;
+        sim.gps.baud = rates[i / 2];
+        start_at(57600, 100);
+        run(9000000);
+        CHECK_EQUAL(gps.state, NEO6M_RUNNING);
+        CHECK(gps.is_modern && seen.refused == 0 && seen.configured == 1);
+        CHECK_EQUAL(sim.gps.period_ms, 100);
+        sim.gps.period_ms = 200; /* the rest is as always */
+        check_settings(57600);
+        sim_free(&sim);
+    }
+}
+
+static void test_ten_fixes_a_second_come_whole_or_five_where_they_are_refused(void)
+{
+    for (int is_fast = 0; is_fast < 2; is_fast++) {
+        begin();
+        sim.gps.shortest_ms = is_fast ? 100 : 200;
+        start_at(57600, 100);
+        run(3000000);
+        CHECK_EQUAL(seen.refused, 0);
+        CHECK_EQUAL(gps.settings.period_ms, is_fast ? 100 : 200);
+        CHECK_EQUAL(sim.gps.period_ms, gps.settings.period_ms);
+        const uint32_t before = seen.intact, velocities = seen.velocities;
+        run(4000000);
+        const uint32_t epochs = is_fast ? 40 : 20;
+        CHECK(seen.velocities - velocities >= epochs - 1 && seen.velocities - velocities <= epochs + 1);
+        CHECK(seen.intact - before >= 3 * epochs - 3);
+        CHECK_EQUAL(seen.lost, 0);
         sim_free(&sim);
     }
 }
@@ -226,6 +281,8 @@ int main(int argc, char **argv)
     static const test_t tests[] = {
         TEST(receiver_is_configured_from_power_on_within_2_s),
         TEST(receiver_is_found_at_every_rate_it_may_have),
+        TEST(receiver_of_today_is_configured_too),
+        TEST(ten_fixes_a_second_come_whole_or_five_where_they_are_refused),
         TEST(receiver_that_does_not_hear_is_logged_as_it_is),
         TEST(refused_setting_is_told_and_the_rest_is_set),
         TEST(receiver_that_was_reset_alone_is_configured_again),
