@@ -141,6 +141,7 @@ static void begin_configuring(neo6m_t *gps, uint64_t now_us)
 {
     enter(gps, NEO6M_CONFIGURING, now_us);
     gps->refused = 0;
+    gps->is_unanswered = false;
     gps->setting = SETTING_PORT;
     ask(gps, now_us);
 }
@@ -271,6 +272,7 @@ static void step_heard(neo6m_t *gps, uint64_t now_us)
         return;
     }
     gps->refused = ALL_REFUSED;
+    gps->is_unanswered = false; /* it does not hear */
     begin_running(gps, now_us);
 }
 
@@ -278,15 +280,21 @@ static void step_configuring(neo6m_t *gps, uint64_t now_us)
 {
     if (gps->is_waiting && now_us - gps->since_us < NEO6M_ANSWER_US)
         return;
-    if (gps->is_waiting && gps->tries >= NEO6M_TRIES)
+    if (gps->is_waiting && gps->tries >= NEO6M_TRIES) {
+        gps->is_unanswered = true;
         next_setting(gps, false, now_us);
-    else
+    } else {
         ask(gps, now_us);
+    }
 }
 
 static void step_running(neo6m_t *gps, uint64_t now_us)
 {
     const uint64_t silent_us = now_us - gps->heard_us;
+    if (gps->is_unanswered && now_us - gps->since_us >= NEO6M_AGAIN_US) {
+        begin_configuring(gps, now_us); /* it was away, for less than would count as silent */
+        return;
+    }
     if (silent_us < NEO6M_SILENT_US)
         return;
     gps->events->on_silent(gps->events->context, (uint32_t)(silent_us / 1000));

@@ -54,6 +54,7 @@ typedef struct {
     bool is_waiting;     /* for the answer to it */
     bool is_heard;       /* an intact sentence, in this state */
     bool is_second_try;  /* of the same baud rate */
+    bool is_unanswered;  /* a setting got no answer: it is not known whether it holds */
     uint32_t baud;       /* in use */
     uint32_t refused;
     uint64_t since_us;   /* of the state, or of the last command */
@@ -69,6 +70,7 @@ enum {
     NEO6M_ANSWER_US = 400000,     /* an acknowledge comes within a navigation epoch */
     NEO6M_LISTEN_US = 1300000,    /* a sentence a second is the default */
     NEO6M_SILENT_US = 3000000,
+    NEO6M_AGAIN_US = 10000000,    /* then settings that got no answer are sent once more */
     NEO6M_SURE_PERIOD_MS = 200,   /* that every receiver takes; not all are faster */
     NEO6M_TRIES = 3
 };

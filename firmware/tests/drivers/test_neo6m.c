@@ -206,6 +206,24 @@ static void test_receiver_that_was_reset_alone_is_configured_again(void)
     sim_free(&sim);
 }
 
+/* Its wires let go for a moment, in the midst of its settings. */
+static void test_receiver_that_missed_settings_gets_them_later(void)
+{
+    for (uint8_t setting = 1; setting < NEO6M_SETTINGS; setting++) {
+        begin();
+        start(57600);
+        while (gps.state != NEO6M_CONFIGURING || gps.setting < setting)
+            run(5000);
+        sim.gps.is_absent = true;
+        run(2500000);
+        sim.gps.is_absent = false;
+        run(16000000);
+        check_settings(57600);
+        CHECK_EQUAL(seen.refused, 0);
+        sim_free(&sim);
+    }
+}
+
 static void test_absent_receiver_is_looked_for_without_end_or_waiting(void)
 {
     begin();
@@ -286,6 +304,7 @@ int main(int argc, char **argv)
         TEST(receiver_that_does_not_hear_is_logged_as_it_is),
         TEST(refused_setting_is_told_and_the_rest_is_set),
         TEST(receiver_that_was_reset_alone_is_configured_again),
+        TEST(receiver_that_missed_settings_gets_them_later),
         TEST(absent_receiver_is_looked_for_without_end_or_waiting),
         TEST(receiver_whose_supply_comes_back_is_running_within_6_s),
         TEST(noise_between_sentences_costs_none),
