@@ -31,7 +31,7 @@ CALLED_FROM = {
     "sdcard.c": [*CARD_BUS, "port/board.c:wait"],
     "mpu9250.c": ["port/imu.c:transfer", "port/board.c:wait_us"],
     "neo6m.c": ["port/gps.c:set_baud", "port/gps.c:write", "port/gps.c:read"]
-    + ["app/app.c:" + name for name in ("on_sentence", "on_lost", "on_configured", "on_silent")],
+    + ["app/gps.c:" + name for name in ("on_sentence", "on_lost", "on_configured", "on_silent")],
     "panel.c": ["port/board.c:set_led", "port/board.c:is_pressed"],
     "serial.c": ["port/uart.c:kick"],
     "recovery.c": ["app/storage.c:read_block"],
@@ -40,6 +40,7 @@ CALLED_FROM = {
     "app/checks.c": [*BOARD, "port/board.c:wait_us"],
     "app/storage.c": [*CARD_BUS, "port/board.c:wait"],
     "app/card.c": BOARD,
+    "app/gps.c": BOARD,
     "app/imu.c": BOARD,
     "app/journal.c": BOARD,
     "app/recording.c": BOARD,

@@ -37,64 +37,82 @@ enum {
 typedef enum { AT_LOOP = 1, AT_CARD_OPEN, AT_CARD_STEP, AT_CARD_RESUME, AT_CARD_END, AT_IMU } app_mark_t;
 
 typedef struct {
-    const board_t *board;
     config_t config;
-    config_result_t config_result;
-    bool is_config_known; /* a card was looked at */
-    bool has_config_file;
+    config_result_t result;
+    bool is_known; /* a card was looked at */
+    bool has_file;
+} app_settings_t;
 
-    logger_t logger;
-    gesture_t gesture; /* not yet seen by the logger */
-    panel_t panel;
-
-    ring_t ring;
-    log_writer_t writer;
-    sampler_t sampler;
-    stream_t stream;
-    storage_t storage;
-
-    /* recording */
-    bool is_recording;   /* a session is open, up to its last block */
-    bool is_stopping;    /* it is being ended */
+typedef struct {
+    bool is_open;     /* a session, up to its last block */
+    bool is_stopping; /* it is being ended */
     bool is_stop_written;
     bool is_calibration;
     uint8_t stop_reason;
     uint32_t session;
     uint64_t setup_us, stop_us;
-
-    /* card */
-    uint64_t card_retry_us, card_lost_us, card_checked_us;
-    uint8_t card_failures; /* in a row */
-    int card_lost_error;
-    int8_t card_result; /* of the last opening */
-    bool has_card_been_tried;
-    uint16_t card_retries; /* of this recording; those of the driver are its own */
+    uint16_t card_retries; /* those of the driver are its own */
     uint32_t noted_retries;
+} app_recording_t;
 
-    /* sensors */
-    board_events_t board_events;
-    mpu9250_info_t imu;
+typedef struct {
+    uint64_t retry_us, lost_us, checked_us;
+    uint8_t failures; /* in a row */
+    int lost_error;
+    int8_t result; /* of the last opening */
+    bool has_been_tried;
+} app_card_t;
+
+typedef struct {
+    board_events_t events;
+    mpu9250_info_t chip;
+    sampler_t sampler;
     record_self_test_t self_test;
     bool has_self_test;
-    bool is_imu_known, is_imu_working;
-    uint8_t imu_failures;
-    uint64_t imu_retry_us, imu_lost_us, imu_started_us;
-    bool is_mag_silent, is_imu_restart_wanted;
-    neo6m_t gps;
-    neo6m_events_t gps_events;
-    uint32_t gps_baud, gps_refused;
+    bool is_known, is_working;
+    bool is_mag_silent, is_restart_wanted;
+    uint8_t failures;
+    uint64_t retry_us, lost_us, started_us;
+} app_imu_t;
+
+typedef struct {
+    neo6m_t receiver;
+    neo6m_events_t events;
+    uint32_t baud, refused;
     bool has_fix;
     uint64_t fix_us;
+} app_gps_t;
 
-    bool is_checking; /* the parts, by `selftest` */
+typedef struct {
+    panel_t pins;
+    gesture_t gesture; /* not yet seen by the logger */
+    bool is_checking;  /* the parts, by `selftest` */
+} app_panel_t;
+
+/* Of the ring, a stream borrows some blocks. */
+typedef union {
+    uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
+    struct {
+        uint8_t ring[APP_RING_BLOCKS - APP_STREAM_BLOCKS][BLOCK_BYTES];
+        stream_memory_t stream;
+    } with_stream;
+} app_memory_t;
+
+typedef struct {
+    const board_t *board;
+    app_settings_t settings;
+    logger_t logger; /* what is to be done, from what all the others say */
+    app_panel_t panel;
+    app_imu_t imu;
+    app_gps_t gps;
+    app_card_t card;
+    app_recording_t recording;
+    ring_t ring;
+    log_writer_t writer;
+    storage_t storage;
+    stream_t stream;
     uint64_t step_us, report_us;
-    union {
-        uint8_t blocks[APP_RING_BLOCKS][BLOCK_BYTES];
-        struct {
-            uint8_t ring[APP_RING_BLOCKS - APP_STREAM_BLOCKS][BLOCK_BYTES];
-            stream_memory_t stream;
-        } with_stream;
-    } memory;
+    app_memory_t memory;
 } app_t;
 
 _Static_assert(sizeof(stream_memory_t) <= APP_STREAM_BLOCKS * BLOCK_BYTES, "the stream needs more");
@@ -115,7 +133,7 @@ void app_step(app_t *app);
         (app)->board->unlock((app)->board->context);  \
     } while (0)
 
-/* imu.c of the app: keep the sensor working, set it up anew when is_imu_restart_wanted. Uses the journal. */
+/* imu.c of the app: keep the sensor working, set it up anew when imu.is_restart_wanted. Uses the journal. */
 void app_step_imu(app_t *app, uint64_t now_us);
 void app_run_self_test(app_t *app);
 
@@ -131,10 +149,13 @@ void app_stop_recording(app_t *app, uint64_t now_us, uint8_t reason);
 void app_step_recording(app_t *app, uint64_t now_us);
 void app_clear_ring(app_t *app);
 
+/* gps.c of the app: begin to look for the receiver and set it up. Uses the journal. */
+void app_start_gps(app_t *app, uint64_t now_us);
+
 /* checks.c: `selftest` on the serial line; a few seconds. Uses imu.c and the storage. */
 void app_check_parts(app_t *app);
 
-/* card.c of the app: keep the card working, move blocks, read the settings. Uses the journal and the storage. */
+/* card.c of the app: keep the card working, move blocks, read the settings. Uses recording.c, gps.c, the journal and the storage. */
 void app_step_card(app_t *app, uint64_t now_us);
 void app_card_failed(app_t *app, uint64_t now_us);
 

@@ -66,7 +66,7 @@ static void stop(void)
 {
     press();
     run(1500000);
-    CHECK(!app.is_recording);
+    CHECK(!app.recording.is_open);
 }
 
 static void end(void)
@@ -280,7 +280,7 @@ static void test_double_press_calibrates_later(void)
     run(1500000);
     stop();
     sim.imu.is_mag_absent = false;
-    app.is_imu_restart_wanted = true;
+    app.imu.is_restart_wanted = true;
     sim.is_pressed = true;
     run(60000);
     sim.is_pressed = false;
@@ -359,7 +359,7 @@ static void test_refused_and_misheard_blocks_are_written_again(void)
     CHECK_EQUAL(log.strange, 0);
     CHECK_EQUAL(log.gaps, 0);
     CHECK_EQUAL(log.files, 1);
-    CHECK_EQUAL(app.card_retries, 0);
+    CHECK_EQUAL(app.recording.card_retries, 0);
     CHECK_EQUAL(app.storage.card.retries, 2);
     CHECK(log.events & 1u << EVENT_CARD_RETRY);
     end();
@@ -415,7 +415,7 @@ static void test_another_card_takes_the_recording_on(void)
     fat_format(&other.card, &(fat_image_t){.bits = 32, .cluster_sectors = 128, .free_clusters = 1300});
     boot();
     run(3000000);
-    const uint32_t session = app.session;
+    const uint32_t session = app.recording.session;
     sim.card.is_absent = true;
     run(2000000);
     sd_model_t first = sim.card;
@@ -482,12 +482,12 @@ static void test_recording_goes_on_in_the_next_file(void)
     begin(8500); /* 512 MB, and some for the next */
     boot();
     run(1500000);
-    const uint32_t session = app.session;
+    const uint32_t session = app.recording.session;
     app.storage.blocks = 200; /* of 512 MB */
     for (int i = 0; i < 20 && app.storage.current.number < 2; i++)
         run(1000000);
     run(5000000);
-    CHECK_EQUAL(app.session, session);
+    CHECK_EQUAL(app.recording.session, session);
     stop();
     const log_t log = read_log();
     CHECK_EQUAL(log.files, 2);
@@ -539,7 +539,7 @@ static void test_imu_that_freezes_or_falls_silent_is_reset(void)
         run(1500000);
         sim.imu.is_frozen = sim.imu.is_absent = false;
         run(8000000);
-        CHECK(app.is_imu_working);
+        CHECK(app.imu.is_working);
         stop();
         const log_t log = read_log();
         CHECK(log.events & 1u << EVENT_IMU_LOST);
@@ -593,7 +593,7 @@ static void test_self_test_stands_in_the_recording(void)
     CHECK_EQUAL(log.self_tests, 1);
     CHECK(log.imu > 3000);
     CHECK_EQUAL(log.strange, 0);
-    CHECK_EQUAL(app.self_test.passed, 0x1F);
+    CHECK_EQUAL(app.imu.self_test.passed, 0x1F);
     end();
 }
 
@@ -604,7 +604,7 @@ static void test_low_supply_ends_the_recording_and_its_return_begins_another(voi
     run(3000000);
     sim.is_supply_low = true;
     const uint64_t since_us = sim.now_us;
-    while (app.is_recording && sim.now_us - since_us < 1000000)
+    while (app.recording.is_open && sim.now_us - since_us < 1000000)
         run(1000);
     CHECK(sim.now_us - since_us < 20000); /* with what is left in the capacitors */
     run(500000);
@@ -627,7 +627,7 @@ static void test_long_press_makes_it_safe_to_switch_off(void)
     press_for(2000000);
     run(1000000);
     CHECK_EQUAL(app.logger.state, LOGGER_SAFE);
-    CHECK(!app.is_recording);
+    CHECK(!app.recording.is_open);
     CHECK_EQUAL(read_log().stops, 1);
     end();
 }

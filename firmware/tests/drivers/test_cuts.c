@@ -53,7 +53,7 @@ static size_t promise_count;
 
 static void promise(void)
 {
-    promises[promise_count++] = (promise_t){app.session, app.storage.next_block};
+    promises[promise_count++] = (promise_t){app.recording.session, app.storage.next_block};
 }
 
 static void press(void)
