@@ -51,6 +51,21 @@ def test_image_keeps_its_budget(image, capsys):
     assert sizes.worst_stack > 1000, "less than the deepest call is known to need"
 
 
+def test_readme_has_what_the_image_takes(image):
+    sizes = build.measure(image)
+    rows = re.findall(
+        r"^\| (flash|RAM|stack)[^|]*\| ([\d,]+) \| ([\d,]+) \|$", (FIRMWARE / "README.md").read_text(), re.M
+    )
+    stated = {name: (int(taken.replace(",", "")), int(of.replace(",", ""))) for name, taken, of in rows}
+    assert {name: of for name, (_, of) in stated.items()} == {
+        "flash": build.FLASH_BYTES,
+        "RAM": build.RAM_BYTES,
+        "stack": sizes.stack_reserved,
+    }
+    for name, taken in (("flash", sizes.flash), ("RAM", sizes.ram), ("stack", sizes.worst_stack)):
+        assert stated[name][0] == pytest.approx(taken, rel=0.01)  # another compiler's differs by less
+
+
 @pytest.mark.parametrize(
     "sizes",
     [
