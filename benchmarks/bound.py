@@ -3,8 +3,8 @@
 The batch problem is linearised at the truth: inertial errors propagate from keyframe to keyframe, fixes and Doppler
 velocities measure at keyframes of their own times, latencies and lever arm are unknown constants, biases walk, the slow
 GPS offset is a Gauss-Markov process. Its information matrix does not depend on the measured values, and the inverse is
-the smallest covariance (Cramer-Rao). Nothing here knows what a smoother identifies; only the chain's linear algebra is
-shared with it. Outages and gaps of the session count, jumps count as lost fixes, the magnetometer is not used.
+the smallest covariance (Cramer-Rao). Nothing here knows what a smoother identifies; its linear algebra is its own
+(chain.py). Outages and gaps of the session count, jumps count as lost fixes, the magnetometer is not used.
 
 Errors are truth minus estimate: attitude in n (`R_true = exp(phi) @ R_estimate`), velocity and position of the IMU in
 n, biases in s. Source: Van Trees, Bell & Tian 2013, 4.2.3; error dynamics of Groves 2013, 14.2.4.
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from chain import ChainSolution, ChainSystem, solve_chain
 from smoother import so3
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.estimate.chain import ChainSolution, ChainSystem, solve_chain
 from smoother.frames import GRAVITY_N, euler_jacobian
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation

@@ -27,7 +27,6 @@ PLAIN = (  # modules that docs/python.md names as stable
 DRAWING = ("report.style", "report.calibration_figures", "sim.bench", "sim.sensors")  # notebooks, beside PLAIN
 PARTS = ("batch", "export", "laps", "live", "report", "sim")  # benchmarks measure these themselves, beside PLAIN
 EXCEPTIONS = {  # of benchmarks
-    "bound": ("estimate.chain",),  # the solver of chains, which goes with the paths through fixes alone
     "ablations": ("estimate.factors",),  # whose table has what can be left out
     "calibration_honesty": ("fit.allan",),  # the fit of calib that its sigmas are tested of
 }

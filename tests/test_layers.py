@@ -37,7 +37,17 @@ LAYERS = [  # lowest first; a file or a package of smoother/
     "__main__",
 ]
 
-ESTIMATE = ("model", "factors", "solvers", "preprocess", "initial", "output", "baseline", "judge")  # lowest first
+ESTIMATE = (
+    "model",
+    "factors",
+    "solvers",
+    "fixes",
+    "preprocess",
+    "initial",
+    "output",
+    "baseline",
+    "judge",
+)  # lowest first
 MOST_IMPORTS = 25  # modules of estimate that one of them uses
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.estimate.averages import averages_of, in_gap
-from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity
+from smoother.estimate.fixes.screen import MEDIAN_TO_SIGMA, says_velocity
 from smoother.estimate.initial.align import Alignment, gyro_yaw, initial_attitude
 from smoother.estimate.path_motion import LAGS, PathMotion
 from smoother.samples import ImuSamples, Problem, Session

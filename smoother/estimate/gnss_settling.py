@@ -13,7 +13,7 @@ until the kart drives off: then it steps to where it has settled meanwhile, and 
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
-from smoother.estimate.gnss_screen import beside_dead_reckoning, running_median, says_velocity, unbroken_runs
+from smoother.estimate.fixes.screen import beside_dead_reckoning, running_median, says_velocity, unbroken_runs
 from smoother.samples import Problem, Session
 from smoother.words import counted, span
 

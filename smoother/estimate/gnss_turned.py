@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array, IntArray, median
-from smoother.estimate.gnss_screen import MEDIAN_TO_SIGMA, says_velocity, unbroken_runs
+from smoother.estimate.fixes.screen import MEDIAN_TO_SIGMA, says_velocity, unbroken_runs
 from smoother.fit.spline import CubicSpline
 from smoother.samples import Problem, Session
 from smoother.units import DEG

@@ -6,7 +6,7 @@ not as the places do.
 
 import numpy as np
 
-from smoother.estimate.gnss_screen import says_velocity
+from smoother.estimate.fixes.screen import says_velocity
 from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion
 from smoother.frames import Origin

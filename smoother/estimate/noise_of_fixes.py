@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_offset import BIN, TIMES, OffsetModel, is_told
-from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.fixes.offset import BIN, TIMES, OffsetModel, is_told
+from smoother.estimate.fixes.path import GnssPath
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.trajectory import Identified
 

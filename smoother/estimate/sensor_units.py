@@ -12,7 +12,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.averages import averages_of
-from smoother.estimate.gnss_screen import says_velocity
+from smoother.estimate.fixes.screen import says_velocity
 from smoother.estimate.initial.align import Alignment, align
 from smoother.estimate.path_motion import PathMotion
 from smoother.samples import VIBRATION, GnssFixes, ImuSamples, Problem, RawImu, RawSession

@@ -7,8 +7,8 @@ import pytest
 
 import bound as bound_module
 from bound import BoundOptions, information_bound, scored_span
+from chain import ChainSystem, solve_chain
 from smoother import so3
-from smoother.estimate.chain import ChainSystem, solve_chain
 from smoother.frames import GRAVITY_N
 from smoother.sim.scenario import Interval
 from smoother.sim.simulation import Simulation, simulate_preset

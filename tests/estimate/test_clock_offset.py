@@ -8,7 +8,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.estimate.clock_offset import DELAY, NO_OFFSET, ClockOffset, clock_offset, offset_problems
-from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.path_motion import PathMotion

@@ -8,7 +8,7 @@ import pytest
 
 from smoother.arrays import Array
 from smoother.estimate.clock_steps import ClockStep, moves_of, of_both_sides, session_steps, step_problems
-from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.initial.align import align
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.path_motion import PathMotion

@@ -15,7 +15,7 @@ from smoother.estimate.clocks import (
     identified_drift,
     on_clock_of_fixes,
 )
-from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.initial import begin as begin_module
 from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion

@@ -7,8 +7,8 @@ import pytest
 
 from smoother import so3
 from smoother.arrays import Array
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.force_size import MODEL, size_delay
-from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.initial.align import align
 from smoother.estimate.path_motion import PathMotion
 from smoother.prepare import prepare

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_only import GnssSmoother
+from smoother.estimate.fixes.alone import GnssSmoother
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.quality import assess
 from smoother.estimate.smoother import GraphSmoother

@@ -7,8 +7,8 @@ import pytest
 
 from smoother import so3
 from smoother.estimate import on_wheel
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.force_size import size_delay
-from smoother.estimate.gnss_pieces import fit_path
 from smoother.estimate.initial.align import align
 from smoother.estimate.on_wheel import is_on_wheel, turns_with_bends, without_the_wheels
 from smoother.estimate.path_motion import PathMotion

@@ -37,8 +37,8 @@ def linear_factors(rows: Sequence[Rows], intervals: int, unknown: Sequence[str])
     unknown: names of the constants that are solved for. (In Python a GaussianConditional is the cheapest way to hand
     GTSAM a Jacobian: one array that is copied once.)
     """
-    _, size = places(unknown)
-    graph, sizes = gtsam.GaussianFactorGraph(), [KEYFRAME_SIZE, KEYFRAME_SIZE, *([size] if size else []), 1]
+    (_, size), own = places(unknown), rows[0].left.shape[2]
+    graph, sizes = gtsam.GaussianFactorGraph(), [own, own, *([size] if size else []), 1]
     blocks = [block(k) for k in range(intervals + 1)]
     for k, A in by_interval(rows, 0, intervals, unknown):
         keys = [blocks[k], blocks[k + 1], CONSTANTS_BLOCK][: len(sizes) - 1]
@@ -50,8 +50,8 @@ def by_interval(rows: Sequence[Rows], begin: int, end: int, unknown: Sequence[st
     """The intervals from `begin` to `end`, exclusive, each with all its rows whitened: both keyframes, the constants
     `unknown` and the right-hand side. A few intervals at a time stay in the processor's cache.
     """
-    starts, size = places(unknown)
-    starts, width = {name: 2 * KEYFRAME_SIZE + k for name, k in starts.items()}, 2 * KEYFRAME_SIZE + size + 1
+    (starts, size), own = places(unknown), rows[0].left.shape[2]
+    starts, width = {name: 2 * own + k for name, k in starts.items()}, 2 * own + size + 1
     for first in range(begin, end, AT_ONCE):
         last = min(first + AT_ONCE, end)
         some = [r.take(slice(*np.searchsorted(r.interval, (first, last)))) for r in rows]

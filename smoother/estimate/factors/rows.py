@@ -23,7 +23,8 @@ class Rows:
     """N measurements of r components between keyframes `interval` (N,) and `interval + 1`.
 
     residual, sigma (N, r); a component that was not measured has an infinite sigma and no residual. left, right
-    (N, r, 18): Jacobians by the two keyframes; constants: by constant, each (N, r, size). weight (N,): robust weight.
+    (N, r, 18): Jacobians by the two keyframes (12 columns where the unknowns are those of a path, fixes/path_graph.py);
+    constants: by constant, each (N, r, size). weight (N,): robust weight.
     """
 
     name: str
@@ -42,10 +43,10 @@ class Rows:
 
     def jacobian(self) -> Array:
         """Jacobian (N, r, 36 + C) by left keyframe, right keyframe and all constants."""
-        n, r = self.residual.shape
-        J = np.zeros((n, r, 2 * KEYFRAME_SIZE + CONSTANTS_SIZE))
-        J[:, :, :KEYFRAME_SIZE], J[:, :, KEYFRAME_SIZE : 2 * KEYFRAME_SIZE] = self.left, self.right
-        by_constants = J[:, :, 2 * KEYFRAME_SIZE :]
+        n, r, size = self.left.shape
+        J = np.zeros((n, r, 2 * size + CONSTANTS_SIZE))
+        J[:, :, :size], J[:, :, size : 2 * size] = self.left, self.right
+        by_constants = J[:, :, 2 * size :]
         for name, block in self.constants.items():
             by_constants[:, :, COLUMNS[name]] = block
         return J
@@ -60,8 +61,8 @@ class Rows:
 
         starts: first columns of the constants that are unknown; those of the keyframes are first.
         """
-        out = np.zeros((*self.residual.shape, width))
-        out[:, :, :KEYFRAME_SIZE], out[:, :, KEYFRAME_SIZE : 2 * KEYFRAME_SIZE] = self.left, self.right
+        out, size = np.zeros((*self.residual.shape, width)), self.left.shape[2]
+        out[:, :, :size], out[:, :, size : 2 * size] = self.left, self.right
         for name in self.constants.keys() & starts.keys():
             J = self.constants[name]
             out[:, :, starts[name] : starts[name] + J.shape[2]] = J

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, median
-from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
-from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
+from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.claims import RTK, claimed_accuracy
 from smoother.estimate.initial.options import GraphOptions

@@ -12,10 +12,10 @@ from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, P
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.factors.wheel_speed import readings_of
+from smoother.estimate.fixes.path import GnssPath
+from smoother.estimate.fixes.pieces import fit_path
+from smoother.estimate.fixes.screen import most_say_velocity
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
-from smoother.estimate.gnss_path import GnssPath
-from smoother.estimate.gnss_pieces import fit_path
-from smoother.estimate.gnss_screen import most_say_velocity
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.at_rest import scale_at_rest
 from smoother.estimate.initial.claims import claims_of

@@ -7,7 +7,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.config import SessionConfig
 from smoother.estimate.factors.graph import TABLE
-from smoother.estimate.gnss_offset import OffsetModel
+from smoother.estimate.fixes.offset import OffsetModel
 from smoother.estimate.model.heading import ANY_HARD_IRON, ANY_IRON, Heading
 from smoother.estimate.model.state import COLUMNS, CONSTANTS, Constant
 from smoother.estimate.noise_of_fixes import OBSERVABLE, noise_of_fixes, scatter_of_fixes, wander_of_fixes

@@ -12,7 +12,7 @@ with the sigma of o that is likeliest, by the most probable o, w and b of a chai
 Where fixes wander by a metre, that is next to nothing, where they hardly do, it is most of y.
 
 Sources: Gelb 1974, 3.8 (both processes); Schweppe 1965 (the likelihood); Rauch, Tung and Striebel 1965 (that the most
-probable states are those of least squares, here of a banded system).
+probable states are those of least squares).
 """
 
 import math
@@ -22,12 +22,12 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.disc import roomy
-from smoother.estimate.factors.rows import Rows
-from smoother.estimate.gnss_chains import factor_chain, substituted
-from smoother.estimate.gnss_offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
+from smoother.estimate.factors.rows import Rows, rows_of
+from smoother.estimate.fixes.offset import ANYWHERE, BIN, FEWEST, Drift, log_likelihood
 from smoother.estimate.model.state import State
 from smoother.estimate.resample import bracket, hermite, hermite_slope
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+from smoother.estimate.solvers.linear import solve_rows
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
 SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from none to what is larger than receivers'
@@ -88,31 +88,47 @@ def likeliest_sigma(seen: Drift, tau: float, slow: SlowVelocity = DOPPLER) -> fl
 def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array, Array]:
     """Own offset o m, way w m and velocity b m/s of Doppler's slow error, each (B, 2), of the offset `seen`.
 
-    sigma m and tau s are those of o. Least squares over all nodes, a chain of blocks of UNKNOWNS.
+    sigma m and tau s are those of o. Least squares over all nodes, of UNKNOWNS for each level axis.
     """
-    F, W = _steps(np.diff(seen.t), sigma, tau, slow)
-    back = F.transpose(0, 2, 1) @ W
-    on = np.zeros((len(seen.t), UNKNOWNS, UNKNOWNS))
-    on[:, :2, :2] += (1.0 / seen.white)[:, None, None]
-    on[0] += np.diag([1.0 / sigma**2, 1.0 / ANYWHERE**2, 1.0 / slow.sigma**2])
-    on[:-1] += back @ F
-    on[1:] += W
-    wanted = np.zeros((len(seen.t), UNKNOWNS, 2))
-    wanted[:, :2] = (seen.drift / seen.white[:, None])[:, None]
-    found = substituted(factor_chain(on, -back), wanted)
-    own, way, velocity = found.transpose(1, 0, 2)
+    transition, root = _steps(np.diff(seen.t), sigma, tau, slow)
+    nodes, eye = np.arange(len(seen.t)), np.eye(2)
+    level = [np.kron(root, eye), np.kron(-root @ transition, eye), np.kron(np.array([[1.0, 1.0, 0.0]]), eye)]
+    both = (len(seen.t), 2, 2 * UNKNOWNS)
+    sees = np.broadcast_to(level[2], both)
+    sees_last = nodes == nodes[-1]  # by the interval before it
+    rows = [
+        rows_of("steps", nodes[:-1], np.zeros((len(nodes) - 1, 2 * UNKNOWNS)), 1.0, level[1], level[0]),
+        rows_of(
+            "seen",
+            np.minimum(nodes, nodes[-1] - 1),
+            -seen.drift,
+            np.sqrt(seen.white)[:, None],
+            np.where(sees_last[:, None, None], 0.0, sees),
+            np.where(sees_last[:, None, None], sees, 0.0),
+        ),
+        rows_of(
+            "start",
+            nodes[:1],
+            np.zeros((1, 2 * UNKNOWNS)),
+            np.repeat([sigma, ANYWHERE, slow.sigma], 2),
+            np.eye(2 * UNKNOWNS)[None],
+            np.zeros((1, 2 * UNKNOWNS, 2 * UNKNOWNS)),
+        ),
+    ]
+    found, _, _ = solve_rows(rows, len(nodes), ())
+    own, way, velocity = found.reshape(-1, UNKNOWNS, 2).transpose(1, 0, 2)
     return own, way, velocity
 
 
 def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Array, Array]:
-    """Transitions and weights (S, 3, 3) of (o, w, b) over steps h (S,) s."""
+    """Transitions and roots of the information (S, 3, 3) of (o, w, b) over steps h (S,) s."""
     F, Q = np.zeros((2, len(h), UNKNOWNS, UNKNOWNS))
     F[:, 0, 0], F[:, 1, 1] = np.exp(-h / tau), 1.0
     F[:, 1, 2], F[:, 2, 2] = ([part(float(step)) for step in h] for part in (slow.gone, slow.kept))
     Q[:, 0, 0] = sigma**2 * -np.expm1(-2.0 * h / tau)
     Q[:, 1, 1], Q[:, 1, 2], Q[:, 2, 2] = np.reshape([slow.noise(float(step)) for step in h], (-1, 3)).T
     Q[:, 2, 1] = Q[:, 1, 2]
-    return F, np.asarray(np.linalg.inv(Q), dtype=np.float64)
+    return F, np.asarray(np.linalg.inv(np.linalg.cholesky(Q)), dtype=np.float64)
 
 
 def _offset_at_fixes(state: State, fixes: Rows) -> Drift:

@@ -14,7 +14,7 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block
-from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE
+from smoother.estimate.model.state import CONSTANTS_SIZE
 
 NONE = np.empty(0, np.int64)
 
@@ -52,10 +52,11 @@ class Chain:
 
         columns (m,): those of the constants that were solved for; priors (C,): variances of all others.
         """
-        m, size = len(columns), KEYFRAME_SIZE
+        m = len(columns)
         n = net.size() - bool(m)
         conditionals = [net.at(k) for k in range(n)]
         root: Array = np.asarray(np.linalg.inv(np.array([c.R() for c in conditionals])))
+        size = root.shape[1]
         of_next, of_constants = _columns(conditionals[0].keys()[1:], {block(1): size, CONSTANTS_BLOCK: m})
         gain, influence = np.empty((n - 1, size, size)), np.empty((n, size, m))
         for k, conditional in enumerate(conditionals[:-1]):
@@ -97,7 +98,7 @@ class Chain:
         by_constants += np.einsum("qi,qim->qm", right, self.influence[first + 1])
         order = np.argsort(first, kind="stable")
         starts = np.flatnonzero(np.diff(first[order], prepend=-1))
-        P, carried, at = self.given_constants, np.empty((len(first), KEYFRAME_SIZE)), 0
+        P, carried, at = self.given_constants, np.empty((len(first), self.root.shape[1])), 0
         inner = np.empty((len(first), len(first)))
         for begin, end in pairwise([*starts.tolist(), len(first)]):
             k, some = int(first[order[begin]]), order[begin:end]

@@ -18,11 +18,10 @@ from smoother.estimate.factors.wheels import MEMORY
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.inertial_noise import InertialNoise, Shape, shared_densities
 from smoother.estimate.model.noise import Noise
-from smoother.estimate.model.state import ACCEL_BIAS, COLUMNS, GYRO_BIAS, KEYFRAME_SIZE, ROTATION
+from smoother.estimate.model.state import ACCEL_BIAS, COLUMNS, GYRO_BIAS, ROTATION
 from smoother.estimate.solvers.batch import Step
 from smoother.estimate.solvers.covariance import Covariances
 
-LEFT, RIGHT = slice(0, KEYFRAME_SIZE), slice(KEYFRAME_SIZE, 2 * KEYFRAME_SIZE)
 USUAL_POSITION, SMALLEST_POSITION = np.array([0.05, 0.05, 0.1]), 0.02  # m; receivers filter, and a digit is 0.02
 USUAL_VELOCITY, SMALLEST_VELOCITY = np.array([0.15, 0.15, 0.3]), 0.02  # m/s
 POSITION_COUNT, UPWARDS_COUNT, OFFSET_COUNT, SLIP_COUNT, WALK_COUNT = 1.0, 20.0, 1.0, 5.0, 2.0  # residuals
@@ -77,10 +76,10 @@ def posterior_variance(rows: Rows, covariances: Covariances) -> Array:
 
 def posterior_covariance(J: Array, k: IntArray, c: Covariances) -> Array:
     """Covariance (N, r, r) that the solution leaves in J (N, r, 36 + C) times keyframes k, k + 1 and the constants."""
-    used = np.any(J, axis=(0, 1))
-    of_left, of_right, of_constants = (np.flatnonzero(part) for part in np.split(used, [LEFT.stop, RIGHT.stop]))
-    left, right = J[:, :, LEFT][:, :, of_left], J[:, :, RIGHT][:, :, of_right]
-    by_constants = J[:, :, RIGHT.stop :][:, :, of_constants]
+    used, size = np.any(J, axis=(0, 1)), c.keyframes.shape[1]
+    of_left, of_right, of_constants = (np.flatnonzero(part) for part in np.split(used, [size, 2 * size]))
+    left, right = J[:, :, :size][:, :, of_left], J[:, :, size : 2 * size][:, :, of_right]
+    by_constants = J[:, :, 2 * size :][:, :, of_constants]
 
     def product(a: Array, block: Array, at: IntArray, rows: IntArray, columns: IntArray, b: Array) -> Array:
         return a @ block[np.ix_(at, rows, columns)] @ b.transpose(0, 2, 1) if a.size and b.size else np.zeros(1)

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_offset import Drift
+from smoother.estimate.fixes.offset import Drift
 from smoother.estimate.output import trajectory as output
 from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity

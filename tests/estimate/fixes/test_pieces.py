@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smoother.estimate import gnss_pieces
-from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
-from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.fixes import pieces
+from smoother.estimate.fixes.path import GnssPath, fit_gnss_path
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.prepare import prepare
 from smoother.samples import Session
 from smoother.sim.scenario import Interval
@@ -23,8 +23,8 @@ def drive(**changes: Any) -> Session:
 
 
 def in_pieces(session: Session, monkeypatch: pytest.MonkeyPatch) -> GnssPath:
-    monkeypatch.setattr(gnss_pieces, "PIECE", LENGTH / 3.0)
-    monkeypatch.setattr(gnss_pieces, "LONG", LENGTH / 2.0)
+    monkeypatch.setattr(pieces, "PIECE", LENGTH / 3.0)
+    monkeypatch.setattr(pieces, "LONG", LENGTH / 2.0)
     return fit_path(session)
 
 
@@ -56,7 +56,7 @@ def test_an_hour_without_fixes_goes_with_the_one_before(monkeypatch: pytest.Monk
 
 def test_over_a_pause_of_hours_the_path_stays_where_it_stopped_and_says_that_it_may_be_elsewhere() -> None:
     session = drive()
-    pause = 3.0 * gnss_pieces.PIECE
+    pause = 3.0 * pieces.PIECE
     late = session.gnss.t > 0.5 * LENGTH
     gnss = replace(session.gnss, t=session.gnss.t + np.where(late, pause, 0.0))
     path = fit_path(replace(session, gnss=gnss))

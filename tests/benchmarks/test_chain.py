@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.chain import ChainSystem, NotPositiveDefiniteError, solve_chain
+from chain import ChainSystem, NotPositiveDefiniteError, solve_chain
 
 SIZES = [(1, 1, 0), (1, 3, 2), (2, 2, 0), (2, 3, 1), (3, 1, 1), (3, 4, 2), (4, 2, 3), (5, 3, 0), (7, 2, 2), (8, 3, 6)]
 SIZES += [(K, 4, 3) for K in (9, 15, 16, 17, 31, 33)] + [(40, 18, 24)]

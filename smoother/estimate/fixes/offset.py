@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, median
-from smoother.estimate.gnss_path import GnssPath
+from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.slow_doppler import SlowVelocity
 
 UNFILTERED = 1.0  # m of white noise, more than any filtered fix shows

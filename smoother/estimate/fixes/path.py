@@ -1,6 +1,6 @@
 """A smooth path through the fixes alone: positions and Doppler velocity, no inertial sensor.
 
-State in n at every node: position, velocity, acceleration, driven by white jerk (damped, see motion_prior); the fixes
+State in n at every node: position, velocity, acceleration, driven by white jerk (damped, see white_jerk.py); the fixes
 carry a slow Gauss-Markov offset. White noise, Doppler noise and jerk density are identified by variance component
 estimation, outliers lose their weight, and the lag of Doppler behind position and its bias are constants of the
 session. It is the GPS-only smoothing of sessions without a usable IMU, and the starting point and outlier screen of
@@ -15,11 +15,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, IntArray
-from smoother.estimate import gnss_noise as noise
-from smoother.estimate import gnss_system as system
-from smoother.estimate.chain import ChainSolution, NotPositiveDefiniteError
-from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
-from smoother.estimate.motion_prior import MotionPrior, quintic_basis
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.fixes import path_noise as noise
+from smoother.estimate.fixes.path_graph import (
+    ACCELERATION,
+    KINDS,
+    OFFSET,
+    POSITION,
+    VELOCITY,
+    Measured,
+    Nodes,
+    PathPrior,
+    Solution,
+    fix_rows,
+    prior_rows,
+    solve,
+)
+from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities
+from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
+from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.samples import Session
 
 GRADUATION = (2.0, 2.0, 1.5, 1.2)  # factors on the limits for outliers in the first rounds, while the path is rough
@@ -184,31 +198,27 @@ class GnssPath:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What stays the same through the rounds; start and constants as in PathPrior."""
+    """What stays the same through the rounds. scale (M, 4): sigma of each fix over the usual; start as in PathPrior."""
 
-    rows: system.FixRows
-    true_t: Array
-    nodes: Array
-    start: Array
-    start_sigma: Array
-    constants: Array
-    constants_sigma: Array
+    measured: Measured
+    scale: Array
+    start: tuple[Array, Array]
+    lag: tuple[float, float]
     options: GnssPathOptions
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the rounds stand: unknowns with the rows at them, weight (M, 4) per group, noise; sigma of constants.
+    """Where the rounds stand: nodes and the rows of the fixes there, weight (M, 4) by kind, noise.
 
-    is_clean: no measurement has lost any weight, so there is nothing to approach with care.
+    solution: what led there. is_clean: no measurement has lost any weight, so there is nothing to approach with care.
     """
 
-    at: system.Unknowns
-    design: system.Design
+    nodes: Nodes
+    rows: list[Rows]
     weight: Array
-    noise: noise.FixNoise
-    constants_sigma: Array
-    covariance: Array  # (A, K, 4, 4)
+    noise: noise.PathNoise
+    solution: Solution | None = None
     is_clean: bool = False
 
 
@@ -220,42 +230,37 @@ def fit_gnss_path(session: Session, options: GnssPathOptions | None = None) -> G
     options = GnssPathOptions() if options is None else options
     try:
         return _fit(session, options)
-    except NotPositiveDefiniteError:  # rounding spoils long stretches that hardly measure; wider steps suffer less
+    except IndeterminateError:  # rounding spoils long stretches that hardly measure; wider steps suffer less
         return _fit(session, replace(options, min_node_gap=options.max_node_gap))
 
 
 def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
-    latency, constants, constants_sigma = _constants(session, options)
+    latency, lag = _delays(session, options)
     fixes, position_n = session.gnss, session.fix_position_n
     true_t = fixes.t - latency
-    scales = noise.relative_sigmas(fixes)
-    rows = system.fix_rows(position_n, fixes.velocity_n, *scales)
-    weight = _first_weights(true_t, position_n, fixes.velocity_n)
-    nodes = _nodes(true_t, fixes.t[-1], constants[0], options)
-    anchor = _anchor(position_n, weight)
-    known = _Known(rows, true_t, nodes, *anchor, constants, constants_sigma, options)
-    state = _first_state(known, position_n, weight)
+    measured = Measured(true_t, position_n, fixes.velocity_n)
+    weight = _first_weights(measured)
+    known = _Known(measured, noise.relative_sigmas(fixes), _anchor(position_n, weight), lag, options)
+    state = _first_state(known, _node_times(true_t, fixes.t[-1], lag[0], options), weight)
     rounds = 0
     for rounds in range(1, options.max_iterations + 1):
         before = state
         state = _improve(known, before, rounds)
         if (rounds > len(GRADUATION) or state.is_clean) and _is_settled(before, state):
             break
-    return _result(known, state, scales, latency, rounds)
+    return _result(known, state, latency, rounds)
 
 
-def _constants(session: Session, options: GnssPathOptions) -> tuple[float, Array, Array]:
-    """Position latency, and the expectation and sigma of the session's constants (zero for a configured lag)."""
+def _delays(session: Session, options: GnssPathOptions) -> tuple[float, tuple[float, float]]:
+    """Position latency, s; and Doppler's lag behind it with its sigma, zero where it is configured."""
     timing = session.config.gps
     position = options.position_latency if options.position_latency is not None else timing.position_latency
     velocity = options.velocity_latency if options.velocity_latency is not None else timing.velocity_latency
     position = 0.0 if position is None else position
-    lag, lag_sigma = options.lag_prior if velocity is None else (velocity - position, 0.0)
-    bias_sigma = options.velocity_bias_sigma
-    return position, np.array([lag, 0.0, 0.0, 0.0]), np.array([lag_sigma, bias_sigma, bias_sigma, bias_sigma])
+    return position, options.lag_prior if velocity is None else (velocity - position, 0.0)
 
 
-def _nodes(true_t: Array, end: float, lag: float, options: GnssPathOptions) -> Array:
+def _node_times(true_t: Array, end: float, lag: float, options: GnssPathOptions) -> Array:
     """Times of the nodes: at the fixes where they are far enough apart, a margin at the ends, gaps filled evenly."""
     before, after = max(LAG_RANGE[1], lag) + END_MARGIN, max(-LAG_RANGE[0], -lag) + END_MARGIN
     chosen = true_t if np.all(np.diff(true_t) >= options.min_node_gap) else _thinned(true_t, options.min_node_gap)
@@ -273,83 +278,76 @@ def _thinned(t: Array, gap: float) -> Array:
     return np.asarray(t[chosen])
 
 
-def _first_weights(true_t: Array, position_n: Array, velocity_n: Array) -> Array:
+def _first_weights(measured: Measured) -> Array:
     """Weights (M, 4) to start with: out is what does not fit its neighbours."""
-    weight = np.ones((true_t.size, system.GROUPS))
-    velocity = plausible_velocities(true_t, velocity_n)
-    position = plausible_positions(true_t, position_n, velocity_n, velocity)
-    weight[:, [system.HORIZONTAL_POSITION, system.UP_POSITION]] = position[:, None]
-    weight[:, [system.HORIZONTAL_VELOCITY, system.UP_VELOCITY]] = velocity[:, None]
-    return weight
+    velocity = plausible_velocities(measured.true_t, measured.velocity_n)
+    position = plausible_positions(measured.true_t, measured.position_n, measured.velocity_n, velocity)
+    return np.stack([position, position, velocity, velocity], axis=1).astype(np.float64)
 
 
 def _anchor(position_n: Array, weight: Array) -> tuple[Array, Array]:
     """Where the path may start (3,) m and how far from it (3,) m: anywhere among the fixes."""
-    centre, spread = np.zeros(system.AXES), np.full(system.AXES, UNKNOWN_HEIGHT)
-    for axis in range(system.AXES):
-        values = position_n[np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0), axis]
+    centre, spread = np.zeros(3), np.full(3, UNKNOWN_HEIGHT)
+    for axis in range(3):
+        values = position_n[np.isfinite(position_n[:, axis]) & (weight[:, 0] > 0.0), axis]
         if values.size:
             centre[axis], spread[axis] = np.median(values), 1000.0 + np.ptp(values)
-    spread[:2] = spread[:2].max()  # then north and west are known alike, and one factor serves both
+    spread[:2] = spread[:2].max()  # north and west are known alike
     return centre, spread
 
 
-def _first_state(known: _Known, position_n: Array, weight: Array) -> _State:
+def _first_state(known: _Known, t: Array, weight: Array) -> _State:
     """Straight lines between the fixes to start from; the problem is all but linear, so nothing better is needed."""
-    x = np.zeros((known.rows.n_axes, known.nodes.size, system.N_STATE))
-    for axis in range(known.rows.n_axes):
-        good = np.isfinite(position_n[:, axis]) & (weight[:, system.HORIZONTAL_POSITION] > 0.0)
-        x[axis, :, 0] = np.interp(known.nodes, known.true_t[good], position_n[good, axis]) if good.any() else 0.0
-    at = system.Unknowns(x, known.constants)
-    design = system.design(known.rows, known.nodes, known.true_t, at)
-    return _State(at, design, weight, noise.first_noise(), np.zeros(system.N_CONSTANTS), np.empty(0))
+    x, measured = np.zeros((len(t), OFFSET.stop)), known.measured
+    for axis in range(3):
+        good = np.isfinite(measured.position_n[:, axis]) & (weight[:, 0] > 0.0)
+        if good.any():
+            x[:, axis] = np.interp(t, measured.true_t[good], measured.position_n[good, axis])
+    nodes = Nodes(t, x, known.lag[0], np.zeros(3))
+    return _State(nodes, fix_rows(nodes, measured), weight, noise.first_noise())
 
 
 def _improve(known: _Known, now: _State, number: int) -> _State:
     """One round: solve, then weigh, then identify the noise."""
-    rows, prior = known.rows, _prior(known, now.noise)
-    between = system.transitions(known.nodes, prior, rows.n_axes)
-    variance = (now.noise.sigma[rows.group] * rows.scale) ** 2
-    weight = now.weight[rows.fix, rows.group]
-    solution = system.solve(now.design, weight / variance, between, prior, now.at)
-    at, constants_sigma = _corrected(now.at, prior, solution)
-    design = system.design(rows, known.nodes, known.true_t, at)
-    leverage = system.leverage(now.design, prior, solution)
-    done = noise.Round(rows, design.residual, weight, variance, leverage)
-    size = noise.normalised_sizes(done, known.true_t.size)
-    new_weight = noise.robust_weights(size, now.weight, GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0)
-    is_clean = bool(np.all(now.weight == 1.0) and np.all(new_weight == 1.0))
+    prior = _prior(known, now.noise)
+    before = [
+        replace(rows, sigma=rows.sigma * now.noise.sigma[kind] * known.scale[:, kind, None], weight=now.weight[:, kind])
+        for kind, rows in enumerate(now.rows)
+    ]
+    assumed = prior_rows(now.nodes, prior)
+    solution = solve(now.nodes, before, assumed, prior.unknown)
+    nodes = _relaxed(now.nodes, solution.nodes)
+    rows = fix_rows(nodes, known.measured)
+    judged = [noise.Judged.of(*both, solution) for both in zip(before, rows, strict=True)]
+    size = noise.normalised_sizes(judged)
+    weight = noise.robust_weights(size, now.weight, GRADUATION[number - 1] if number <= len(GRADUATION) else 1.0)
+    is_clean = bool(np.all(now.weight == 1.0) and np.all(weight == 1.0))
     found = now.noise
     if is_clean or number > FIRST_ROUNDS:
-        found = _as_configured(noise.identify(done, between, at.x, solution, found), known.options)
-    covariance = solution.covariance.reshape(*at.x.shape, system.N_STATE)
-    return _State(at, design, new_weight, found, constants_sigma, covariance, is_clean)
+        jerks = [
+            noise.Judged.of(*both, solution) for both in zip(assumed[:2], prior_rows(nodes, prior)[:2], strict=True)
+        ]
+        found = _as_configured(noise.identify(judged, known.scale, solution, jerks, found), known.options)
+    return _State(nodes, rows, weight, found, solution, is_clean)
 
 
-def _corrected(at: system.Unknowns, prior: system.PathPrior, solution: ChainSolution) -> tuple[system.Unknowns, Array]:
-    """Unknowns with the solution added, and the sigma of the constants (4,)."""
-    constants, sigma = at.constants.copy(), np.zeros(system.N_CONSTANTS)
-    constants[prior.is_free] += RELAXATION * solution.constants
-    if prior.is_free[0]:
-        constants[0] = np.clip(constants[0], *LAG_RANGE)  # the nodes reach no farther
-    sigma[prior.is_free] = np.sqrt(np.diag(solution.constants_covariance))
-    return system.Unknowns(at.x + solution.x.reshape(at.x.shape), constants), sigma
+def _relaxed(before: Nodes, after: Nodes) -> Nodes:
+    """The nodes after a step that goes a part of the way for the constants."""
+    lag = float(np.clip(before.lag + RELAXATION * (after.lag - before.lag), *LAG_RANGE))  # nodes reach no farther
+    lag = before.lag if after.lag == before.lag else lag
+    return replace(after, lag=lag, bias=before.bias + RELAXATION * (after.bias - before.bias))
 
 
-def _prior(known: _Known, now: noise.FixNoise) -> system.PathPrior:
-    horizontal, up = (MotionPrior(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
-    return system.PathPrior(
-        motion=(horizontal, up),
-        offset_sigma=known.options.offset_sigma,
-        offset_tau=known.options.offset_tau,
-        start=known.start,
-        start_sigma=known.start_sigma,
-        constants=known.constants,
-        constants_sigma=known.constants_sigma,
+def _prior(known: _Known, now: noise.PathNoise) -> PathPrior:
+    level, up = (WhiteJerk(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
+    options, (start, start_sigma) = known.options, known.start
+    offset = np.asarray(options.offset_sigma)
+    return PathPrior(
+        (level, up), offset, options.offset_tau, start, start_sigma, known.lag, options.velocity_bias_sigma
     )
 
 
-def _as_configured(found: noise.FixNoise, options: GnssPathOptions) -> noise.FixNoise:
+def _as_configured(found: noise.PathNoise, options: GnssPathOptions) -> noise.PathNoise:
     sigma = found.sigma.copy()
     for given, groups in ((options.position_sigma, [0, 1]), (options.velocity_sigma, [2, 3])):
         if given is not None:
@@ -366,57 +364,44 @@ def _is_settled(before: _State, after: _State) -> bool:
     return bool(sigma < SETTLED_SIGMA and jerk < SETTLED_JERK and weight < SETTLED_WEIGHT)
 
 
-def _result(known: _Known, state: _State, scales: tuple[Array, Array], latency: float, rounds: int) -> GnssPath:
-    rows, n_fixes = known.rows, known.true_t.size
-    residuals, measured = np.full((n_fixes, 6), np.nan), np.zeros((n_fixes, system.GROUPS), dtype=np.bool_)
-    residuals[rows.fix, rows.axis + system.AXES * rows.is_velocity] = state.design.residual
-    measured[rows.fix, rows.group] = True
-    weight = np.where(measured, state.weight, 0.0)
-    x, covariance = _with_height(known, state)
-    position, velocity, acceleration, offset = x.transpose(2, 1, 0)
-    sigma = state.noise.sigma
+def _result(known: _Known, state: _State, latency: float, rounds: int) -> GnssPath:
+    solution, nodes, sigma = state.solution, state.nodes, state.noise.sigma
+    assert solution is not None
+    measured = [np.isfinite(rows.sigma).any(axis=1) for rows in state.rows]
+    residual = [np.where(np.isfinite(rows.sigma), rows.residual, np.nan) for rows in state.rows]
+    weight = np.where(np.stack(measured, axis=1), state.weight, 0.0)
+    own = np.arange(3)[:, None] + 3 * np.arange(4)
+    covariance = solution.covariances.keyframes[:, own[:, :, None], own[:, None, :]].transpose(1, 0, 2, 3)
     return GnssPath(
-        t=known.nodes,
-        position_n=position,
-        velocity_n=velocity,
-        acceleration_n=acceleration,
-        offset_n=offset,
+        t=nodes.t,
+        position_n=nodes.x[:, POSITION],
+        velocity_n=nodes.x[:, VELOCITY],
+        acceleration_n=nodes.x[:, ACCELERATION],
+        offset_n=nodes.x[:, OFFSET],
         covariance=covariance,
-        position_residual_n=residuals[:, :3],
-        velocity_residual_n=residuals[:, 3:],
-        position_weight=weight[:, system.HORIZONTAL_POSITION],
-        velocity_weight=weight[:, system.HORIZONTAL_VELOCITY],
-        up_weight=weight[:, system.UP_POSITION],
-        position_scale=scales[0][:, 0],
-        up_scale=scales[0][:, 2],
-        velocity_scale=scales[1][:, 0],
+        position_residual_n=np.hstack(residual[:2]),
+        velocity_residual_n=np.hstack(residual[2:]),
+        position_weight=weight[:, KINDS.index("position")],
+        velocity_weight=weight[:, KINDS.index("velocity")],
+        up_weight=weight[:, KINDS.index("height")],
+        position_scale=known.scale[:, KINDS.index("position")],
+        up_scale=known.scale[:, KINDS.index("height")],
+        velocity_scale=known.scale[:, KINDS.index("velocity")],
         position_sigma=sigma[[0, 0, 1]],
         velocity_sigma=sigma[[2, 2, 3]],
         position_spread=state.noise.spread[[0, 0, 1]],
         velocity_spread=state.noise.spread[[2, 2, 3]],
         jerk_density=state.noise.jerk[[0, 0, 1]],
         position_latency=latency,
-        velocity_lag=_lag(known, state),
-        velocity_bias=state.at.constants[1:],
-        velocity_bias_sigma=state.constants_sigma[1:],
+        velocity_lag=_lag(known, nodes.lag, solution.lag_sigma),
+        velocity_bias=nodes.bias,
+        velocity_bias_sigma=solution.bias_sigma,
         iterations=rounds,
     )
 
 
-def _with_height(known: _Known, state: _State) -> tuple[Array, Array]:
-    """Values (3, K, 4) and covariance (3, K, 4, 4) of all axes; what nothing measures stays where it was assumed."""
-    missing = system.AXES - state.at.x.shape[0]
-    if missing == 0:
-        return state.at.x, state.covariance
-    velocity, acceleration = state.noise.vehicle[1]
-    sigma = np.array([UNKNOWN_HEIGHT, velocity, acceleration, known.options.offset_sigma[2]])
-    x = np.concatenate([state.at.x, np.zeros((missing, *state.at.x.shape[1:]))])
-    unknown = np.broadcast_to(np.diag(sigma**2), (missing, *state.covariance.shape[1:]))
-    return x, np.concatenate([state.covariance, unknown])
-
-
-def _lag(known: _Known, state: _State) -> VelocityLag:
-    value, sigma, prior_sigma = float(state.at.constants[0]), float(state.constants_sigma[0]), known.constants_sigma[0]
+def _lag(known: _Known, value: float, sigma: float) -> VelocityLag:
+    prior_sigma = known.lag[1]
     if prior_sigma <= 0.0:
         return VelocityLag(value, 0.0, False, "configured")
     found = sigma < 0.9 * prior_sigma

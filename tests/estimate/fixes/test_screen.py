@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smoother.estimate.gnss_screen import plausible_positions, plausible_velocities
+from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities
 
 JUMPS = ((20.0, 21.0, 30.0), (50.0, 55.0, 20.0), (70.0, 73.0, -12.0), (80.0, 80.3, 50.0))
 

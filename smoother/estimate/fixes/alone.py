@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_noise import LEAST_SIGMA
-from smoother.estimate.gnss_offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
-from smoother.estimate.gnss_path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
-from smoother.estimate.gnss_pieces import fit_path
+from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, offset_model, unseen_variance
+from smoother.estimate.fixes.path import GnssMotion, GnssPath, GnssPathOptions, GnssPathSigmas
+from smoother.estimate.fixes.path_noise import LEAST_SIGMA
+from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.gnss_settling import settling_problems, unsettled
 from smoother.estimate.left_out import without_positions
 from smoother.estimate.noise_of_fixes import (

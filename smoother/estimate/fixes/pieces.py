@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_noise import relative_sigmas
-from smoother.estimate.gnss_path import GnssPath, GnssPathOptions, VelocityLag, fit_gnss_path
+from smoother.estimate.fixes.path import GnssPath, GnssPathOptions, VelocityLag, fit_gnss_path
+from smoother.estimate.fixes.path_noise import relative_sigmas
 from smoother.samples import Session
 
 PIECE = 3600.0  # s
@@ -25,7 +25,7 @@ PER_NODE = ("t", "position_n", "velocity_n", "acceleration_n", "offset_n")
 
 
 def fit_path(session: Session, options: GnssPathOptions | None = None) -> GnssPath:
-    """Return what :func:`smoother.estimate.gnss_path.fit_gnss_path` does, for sessions of any length."""
+    """Return what :func:`smoother.estimate.fixes.path.fit_gnss_path` does, for sessions of any length."""
     t = session.gnss.t
     if t[-1] - t[0] < LONG:
         return fit_gnss_path(session, options)
@@ -79,15 +79,15 @@ def _joined(parts: list[GnssPath], session: Session) -> GnssPath:
     }
     for name in ("position_sigma", "velocity_sigma", "jerk_density"):
         changes[name] = np.median([getattr(part, name) for part in parts], axis=0)
-    position, velocity = relative_sigmas(session.gnss)
+    position, height, velocity, _ = relative_sigmas(session.gnss).T
     bias, bias_sigma = _mean([part.velocity_bias for part in parts], [part.velocity_bias_sigma for part in parts])
     return replace(
         parts[0],
         **changes,
         covariance=np.concatenate([part.covariance for part in parts], axis=1),
-        position_scale=position[:, 0],
-        up_scale=position[:, 2],
-        velocity_scale=velocity[:, 0],
+        position_scale=position,
+        up_scale=height,
+        velocity_scale=velocity,
         velocity_lag=_lag([part.velocity_lag for part in parts]),
         velocity_bias=bias,
         velocity_bias_sigma=bias_sigma,

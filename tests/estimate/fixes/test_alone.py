@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from smoother.arrays import Array
 from smoother.config import GnssTiming, SessionConfig
 from smoother.estimate.evaluate import evaluate
-from smoother.estimate.gnss_only import GnssOnlyOptions, GnssSmoother
+from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.gps_alone import GpsAlone
 from smoother.estimate.quality import assess
 from smoother.frames import Origin, nwu_to_geodetic

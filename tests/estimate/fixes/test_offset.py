@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.gnss_offset import (
+from smoother.estimate.fixes.offset import (
     ANYWHERE,
     FEWEST,
     PRICE,
@@ -20,7 +20,7 @@ from smoother.estimate.gnss_offset import (
     tells_offset,
     unseen_variance,
 )
-from smoother.estimate.gnss_path import GnssPath, fit_gnss_path
+from smoother.estimate.fixes.path import GnssPath, fit_gnss_path
 from smoother.frames import nwu_to_geodetic
 
 Made = tuple[np.ndarray, GnssPath]

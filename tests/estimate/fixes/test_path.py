@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from smoother.arrays import Array
 from smoother.config import GnssTiming, SessionConfig
-from smoother.estimate.gnss_path import GnssPathOptions, fit_gnss_path
-from smoother.estimate.motion_prior import MotionPrior
+from smoother.estimate.fixes.path import GnssPathOptions, fit_gnss_path
+from smoother.estimate.fixes.white_jerk import WhiteJerk
 from smoother.frames import Origin, nwu_to_geodetic
 from smoother.samples import GnssFixes, Session
 
@@ -211,14 +211,15 @@ def test_latency_moves_the_path_in_time(lap_fixes: Make, lap_motion: Make) -> No
     assert horizontal_rms(fit_gnss_path(session).at(t).track_n - lap_motion(t)) < 0.1  # 0.3 s are 6 m
 
 
-def sampled_session(seed: int, motion: MotionPrior, duration: float, rate: float) -> tuple[Session, Array, Array]:
+def sampled_session(seed: int, motion: WhiteJerk, duration: float, rate: float) -> tuple[Session, Array, Array]:
     """Fixes of a path drawn from the prior itself, and its true states (N, 3, 2), offset (N, 2); no height."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(duration * rate)) / rate
     step = np.array([1.0 / rate])
-    Phi, root = motion.transition(step)[0], np.linalg.cholesky(motion.covariance(step)[0])
+    Phi, covariance = (part[0] for part in motion.discrete(step))
+    root = np.linalg.cholesky(covariance)
     states, offset = np.zeros((t.size, 3, 2)), np.zeros((t.size, 2))
-    states[0, 1:] = rng.normal(size=(2, 2)) * np.array([[motion.velocity_sigma], [motion.acceleration_sigma]])
+    states[0, 1:] = rng.normal(size=(2, 2)) * np.array([[motion.velocity], [motion.acceleration]])
     offset[0] = rng.normal(0.0, 2.0, 2)
     keep = np.exp(-1.0 / (rate * 60.0))
     for k in range(1, t.size):
@@ -234,7 +235,7 @@ def sampled_session(seed: int, motion: MotionPrior, duration: float, rate: float
 
 def test_sigmas_are_honest_where_the_model_is_true() -> None:
     """Mean squared error over sigma squared near 1, over 24 sessions of 60 s with noise and lag identified."""
-    motion = MotionPrior(5.0, 12.0, 6.0)
+    motion = WhiteJerk(5.0, 12.0, 6.0)
     options = GnssPathOptions(velocity_bias_sigma=0.0)
     squares, jerk = [], []
     for seed in range(24):

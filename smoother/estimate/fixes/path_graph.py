@@ -1,0 +1,166 @@
+"""The linear graph of a path through fixes: nodes that move by white jerk, the fixes, and a slow error of theirs.
+
+A node has 12 unknowns in n: position, velocity, acceleration and slow error of the fixes (fix = position + error). The
+constants of a session are the lag of Doppler velocity behind position and Doppler's bias. All of it is rows as in the
+graph of a session (factors/rows.py), which GTSAM eliminates.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from smoother.arrays import Array, IntArray
+from smoother.estimate.factors.gaussian import columns_of
+from smoother.estimate.factors.rows import Rows, rows_of
+from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
+from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE
+from smoother.estimate.solvers.covariance import Chain, Covariances
+from smoother.estimate.solvers.linear import solve_rows
+
+NODE_SIZE = 12
+POSITION, VELOCITY, ACCELERATION, OFFSET = (slice(3 * i, 3 * i + 3) for i in range(4))
+MOTION = np.stack([[axis, 3 + axis, 6 + axis] for axis in range(3)])  # columns of each axis
+LAG, BIAS = "velocity_latency", "doppler_bias"  # names of the constants among those of a session
+KINDS = ("position", "height", "velocity", "climb")  # of measurements; each has a noise of its own
+LEVEL, UP = slice(0, 2), slice(2, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Values of all unknowns: t (K,) s, x (K, 12), lag s, bias (3,) m/s."""
+
+    t: Array
+    x: Array
+    lag: float
+    bias: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PathPrior:
+    """Everything assumed about the unknowns: motion (level, up), offset per axis, the start, the constants.
+
+    offset_sigma (3,) m, offset_tau s; start_sigma (3,) m about start (3,) m; lag s: mean and sigma; bias_sigma m/s,
+    about zero. A sigma of zero: it is known.
+    """
+
+    motion: tuple[WhiteJerk, WhiteJerk]
+    offset_sigma: Array
+    offset_tau: float
+    start: Array
+    start_sigma: Array
+    lag: tuple[float, float]
+    bias_sigma: float
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of the constants that are solved for."""
+        sigmas = {LAG: self.lag[1], BIAS: self.bias_sigma}
+        return tuple(name for name, sigma in sigmas.items() if sigma > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """M fixes: true_t (M,) s, when their positions were true; position_n, velocity_n (M, 3), NaN where unknown."""
+
+    true_t: Array
+    position_n: Array
+    velocity_n: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Unknowns after a step, and covariances."""
+
+    nodes: Nodes
+    lag_sigma: float
+    bias_sigma: Array
+    covariances: Covariances
+
+
+def solve(nodes: Nodes, fixes: list[Rows], prior: list[Rows], unknown: tuple[str, ...]) -> Solution:
+    """One step from `nodes`, at which all rows are linearised. Raises IndeterminateError for unusable numbers."""
+    moved, constants, net = solve_rows([*prior, *fixes], len(nodes.t), unknown)
+    covariances = Chain.of(net, columns_of(unknown), np.zeros(CONSTANTS_SIZE)).covariances()
+    sigma = np.sqrt(np.diag(covariances.constants))
+    after = replace(
+        nodes,
+        x=nodes.x + moved,
+        lag=nodes.lag + float(constants[COLUMNS[LAG]][0]),
+        bias=nodes.bias + constants[COLUMNS[BIAS]],
+    )
+    return Solution(after, float(sigma[COLUMNS[LAG]][0]), sigma[COLUMNS[BIAS]], covariances)
+
+
+def fix_rows(nodes: Nodes, fixes: Measured) -> list[Rows]:
+    """Rows of each of KINDS, (M, 2) or (M, 1), with a sigma of 1 where measured, linearised at `nodes`.
+
+    Positions are true at true_t, velocities the lag earlier.
+    """
+    x, k, left, right = _between(nodes, fixes.true_t, 0)
+    p = _value(x, k, left, right)
+    v_rows = _between(nodes, fixes.true_t - nodes.lag, 1)
+    v, a = _value(*v_rows), _value(*_between(nodes, fixes.true_t - nodes.lag, 2))
+    out = []
+    for name, axes, residual, (_, at, by_left, by_right) in (
+        ("position", LEVEL, p - fixes.position_n, (x, k, left, right)),
+        ("height", UP, p - fixes.position_n, (x, k, left, right)),
+        ("velocity", LEVEL, v + nodes.bias - fixes.velocity_n, v_rows),
+        ("climb", UP, v + nodes.bias - fixes.velocity_n, v_rows),
+    ):
+        constants = {}
+        if by_left is v_rows[2]:
+            bias = np.broadcast_to(np.eye(3)[axes], (len(at), len(residual[0, axes]), 3))
+            constants = {LAG: -a[:, axes, None], BIAS: bias}
+        out.append(rows_of(name, at, residual[:, axes], 1.0, by_left[:, axes], by_right[:, axes], constants))
+    return out
+
+
+def _between(nodes: Nodes, t: Array, component: int) -> tuple[Array, IntArray, Array, Array]:
+    """Position with offset, velocity or acceleration (component 0, 1, 2) at t (N,) s: nodes, interval and Jacobians."""
+    k = np.clip(np.searchsorted(nodes.t, t, side="right") - 1, 0, len(nodes.t) - 2).astype(np.int64)
+    step = nodes.t[k + 1] - nodes.t[k]
+    fraction = np.clip((t - nodes.t[k]) / step, 0.0, 1.0)
+    sides = [np.zeros((len(t), 3, NODE_SIZE)) for _ in range(2)]
+    bases = quintic_basis(fraction, step, (component,))
+    for side, basis, share in zip(sides, bases, (1.0 - fraction, fraction), strict=True):
+        for axis in range(3):
+            side[:, axis, MOTION[axis]] = basis[:, 0]
+            if component == 0:
+                side[:, axis, OFFSET.start + axis] = share
+    return nodes.x, k, sides[0], sides[1]
+
+
+def _value(x: Array, k: IntArray, left: Array, right: Array) -> Array:
+    return np.asarray(np.einsum("nai,ni->na", left, x[k]) + np.einsum("nai,ni->na", right, x[k + 1]))
+
+
+def prior_rows(nodes: Nodes, prior: PathPrior) -> list[Rows]:
+    """Rows of the motion ("jerk_level" (K-1, 6), "jerk_up" (K-1, 3)), of the offset, of the start, of the constants."""
+    x, dt, every = nodes.x, np.diff(nodes.t), np.arange(len(nodes.t) - 1, dtype=np.int64)
+    out = []
+    for name, motion, axes in (("jerk_level", prior.motion[0], (0, 1)), ("jerk_up", prior.motion[1], (2,))):
+        transition, root = motion.whitened(dt)
+        back = root @ transition
+        left, right = np.zeros((2, len(dt), 3 * len(axes), NODE_SIZE))
+        for i, axis in enumerate(axes):
+            own = slice(3 * i, 3 * i + 3)
+            left[:, own, MOTION[axis]], right[:, own, MOTION[axis]] = -back, root
+        residual = _value(x, every, left, right)
+        out.append(rows_of(name, every, residual, 1.0, left, right))
+    keep = np.exp(-dt / prior.offset_tau)[:, None]
+    left, right = np.zeros((2, len(dt), 3, NODE_SIZE))
+    left[:, :, OFFSET], right[:, :, OFFSET] = -keep[:, :, None] * np.eye(3), np.eye(3)
+    driven = x[1:, OFFSET] - keep * x[:-1, OFFSET]
+    sigma = np.sqrt(-np.expm1(-2.0 * dt / prior.offset_tau))[:, None] * prior.offset_sigma
+    out.append(rows_of("offset", every, driven, sigma, left, right))
+    usual = [(m.velocity, m.acceleration) for m in (prior.motion[0], *prior.motion)]
+    sigma = np.concatenate([prior.start_sigma, *np.transpose(usual), prior.offset_sigma])
+    start = x[0] - np.concatenate([prior.start, np.zeros(NODE_SIZE - 3)])
+    first, none = np.zeros(1, np.int64), np.zeros((1, NODE_SIZE, NODE_SIZE))
+    out.append(rows_of("start", first, start[None], sigma, np.eye(NODE_SIZE)[None], none))
+    constants = {LAG: np.eye(4)[None, :, :1], BIAS: np.eye(4)[None, :, 1:]}
+    known = np.concatenate([[nodes.lag - prior.lag[0]], nodes.bias])[None]
+    sigma = np.array([prior.lag[1] or np.inf, *[prior.bias_sigma or np.inf] * 3])
+    none = np.zeros((1, 4, NODE_SIZE))
+    out.append(rows_of("constants", first, known, sigma, none, none, constants))
+    return out
