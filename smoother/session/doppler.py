@@ -75,7 +75,9 @@ def _say_missing_course(rows: RowFilter, c: FixColumns) -> None:
     moving = (c.speed > MOVING) & ~np.isfinite(c.velocity_north)
     lost = int(np.count_nonzero(moving & ~np.isfinite(c.course_deg)))
     if lost > 0.5 * np.count_nonzero(c.speed > MOVING):
-        rows.say("no_course", f"{counted(lost, 'moving fix')} with a speed but no course; smoothed without both", lost)
+        rows.say(
+            "no_course", f"{counted(lost, 'moving fix')} with a speed but no course; the speed is used alone", lost
+        )
 
 
 def _without_wrong_unit(rows: RowFilter, t: Array, c: FixColumns) -> FixColumns:

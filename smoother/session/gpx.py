@@ -13,8 +13,6 @@ import numpy as np
 
 from smoother.errors import SessionError
 from smoother.samples import Problem
-from smoother.session.course_of_way import course_note, course_of_way
-from smoother.session.fix_columns import fix_columns
 from smoother.session.foreign import ForeignReading, fixes_from, seconds_since_first
 from smoother.words import counted
 
@@ -76,12 +74,7 @@ def read_gpx(path: Path) -> ForeignReading:
         no_points = timeless if points.untimed else f"{path.name}: no track points in it"
         raise SessionError(no_points if flaw is None else f"{flaw}; save it anew")
     t = seconds_since_first(unix)
-    course_deg = course_of_way(fix_columns(t, **columns))
-    gnss, problems = fixes_from(
-        path.name, t, has_rows_between=False, is_alone=True, **{**columns, "course_deg": course_deg}
-    )
-    if np.isfinite(course_deg).any() and not np.isfinite(columns["course_deg"]).any():
-        problems = [course_note(path.name), *problems]
+    gnss, problems = fixes_from(path.name, t, has_rows_between=False, is_alone=True, **columns)
     if points.untimed:
         text = f"{path.name}: {counted(points.untimed, 'point')} without a time; dropped"
         problems = [Problem("gps_no_time", text, points.untimed), *problems]

@@ -13,7 +13,6 @@ import numpy as np
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.errors import SessionError
 from smoother.samples import Problem, RawImu
-from smoother.session.course_of_way import course_note, course_of_way
 from smoother.session.degrees import require_degrees
 from smoother.session.fix_columns import FixColumns, fix_columns
 from smoother.session.fixes import interpolated_note
@@ -82,8 +81,7 @@ def read_named_table(path: Path) -> ForeignReading:
         between = interpolated_note(path.name, raw.t.size - measured.size)
         raw = raw.take(measured)
     require_degrees(path.name, raw)
-    course_deg, course_said = _course(path.name, raw)
-    known = {name: getattr(raw, name) for name in _KNOWN} | {"course_deg": course_deg}
+    known = {name: getattr(raw, name) for name in _KNOWN}
     imu, of_imu = _imu(table, t)
     gnss, problems = fixes_from(
         path.name,
@@ -97,7 +95,7 @@ def read_named_table(path: Path) -> ForeignReading:
     said = [*said, *_without_numbers(table)]
     if "speed" in columns and np.isfinite(known["speed"]).any():
         said = [*said, *speed_unit_note(path.name, table.unit("speed"), _usual_speed(table))]
-    problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *between, *course_said, *problems]
+    problems = [*records.problems(path.name), *of_imu, *said, *unit_said, *between, *problems]
     return ForeignReading(gnss, problems, imu)
 
 
@@ -150,7 +148,7 @@ def _clocks(table: _Table) -> tuple[Moments, Moments | None, list[Problem]]:
 
 
 _KNOWN = (
-    *("alt_m", "speed", "sigma_horizontal", "sigma_up", "sigma_velocity"),
+    *("alt_m", "speed", "course_deg", "sigma_horizontal", "sigma_up", "sigma_velocity"),
     *("hdop", "num_sv", "fix", "unix_s"),
 )
 
@@ -217,15 +215,6 @@ def _unit_by_fixes(c: FixColumns) -> str | None:
     steps = steps[steps > 0.0]
     period = float(np.median(steps)) if steps.size else 0.0
     return next((name for name, size in UNITS.items() if 1.0 <= period / size / FASTEST_PERIOD < 1e3), None)
-
-
-def _course(file: str, c: FixColumns) -> tuple[Array, list[Problem]]:
-    """Course (N,) deg of the fixes, from the way where none says it, and what to say of that."""
-    if np.isfinite(c.course_deg).any() or not np.isfinite(c.speed).any():
-        return c.course_deg, []
-    moved = _moved(c)
-    course = course_of_way(c.take(np.flatnonzero(moved)))[np.cumsum(moved) - 1]  # a fix that is repeated keeps its own
-    return course, [course_note(file)] if np.isfinite(course).any() else []
 
 
 def _moved(c: FixColumns) -> BoolArray:

@@ -141,7 +141,7 @@ def test_components_of_another_sign_are_not_exchanged(tmp_path: Path) -> None:
 
 def test_a_missing_course_is_told(tmp_path: Path) -> None:
     _, said = lap(tmp_path, course_deg=None)
-    assert said == {"gps_no_course": "gps.csv: 600 moving fixes with a speed but no course; smoothed without both"}
+    assert said == {"gps_no_course": "gps.csv: 600 moving fixes with a speed but no course; the speed is used alone"}
 
 
 def test_a_kart_that_stands_and_one_that_runs_straight_are_believed(tmp_path: Path) -> None:

@@ -46,39 +46,11 @@ def test_points_come_with_time_height_and_the_speed_of_the_extension(tmp_path: P
     assert gnss.unix_s[0] == 1_775_907_141.0 and gnss.alt_m[0] == 4.5 and reading.problems == []
 
 
-@pytest.mark.parametrize("rate", [5, 10, 18])
-@pytest.mark.parametrize("delay", [0.0, 0.14])
-@pytest.mark.parametrize("unit", [1.0, 3.6])
-def test_speeds_without_a_course_get_that_of_the_way_which_was_as_fast(
-    tmp_path: Path, rate: int, delay: float, unit: float
-) -> None:
-    """Round a circle of 20 m, slower and faster; the speeds come `delay` s behind the positions, in m/s or km/h."""
-    t = np.round(np.arange(0.0, 59.0, 1.0 / rate), 3)
-
-    def angle(t: np.ndarray) -> np.ndarray:
-        return 0.5 * t - 0.3 * np.cos(t)
-
-    lat, lon = 45 + 20.0 * np.sin(angle(t)) / 111_195, 13 + 20.0 * np.cos(angle(t)) / 111_195 / np.cos(np.pi / 4)
-    speed = unit * 20.0 * (0.5 + 0.3 * np.sin(t - delay))
-    points = [
-        f'<trkpt lat="{a:.8f}" lon="{o:.8f}"><time>2026-04-11T11:32:{s:06.3f}Z</time><speed>{v:.3f}</speed></trkpt>'
-        for s, a, o, v in zip(t, lat, lon, speed, strict=True)
-    ]
-    reading = read(tmp_path, gpx(points))
-    true = -np.degrees(angle(t - delay))
-    off = (reading.gnss.course_deg - true + 180.0) % 360.0 - 180.0
-    assert np.nanmax(np.abs(off)[rate:-rate]) < 1.0  # by rounding of the delay, 0.02 s at 45 deg/s
-    assert np.isfinite(reading.gnss.velocity_n[rate:-rate, :2]).all()
-    said = [problem.text for problem in reading.problems]
-    assert said[0] == "track.gpx: its speeds have no course; taken from the way between the points"
-    assert len(said) == (1 if unit == 1.0 else 2) and all("as if in km/h" in text for text in said[1:])
-
-
-def test_points_that_come_rarely_or_say_a_course_get_none(tmp_path: Path) -> None:
-    rare = [point(5 * k, extra="<speed>10.0</speed>") for k in range(38)]
-    assert np.isnan(read(tmp_path, gpx(rare)).gnss.velocity_n[:, 0]).all()
-    some = [point(k, extra="<speed>10.0</speed>" + "<course>7.0</course>" * (k == 9)) for k in range(190)]
-    assert np.count_nonzero(np.isfinite(read(tmp_path, gpx(some)).gnss.course_deg)) == 1
+def test_speeds_without_a_course_are_kept(tmp_path: Path) -> None:
+    reading = read(tmp_path, gpx([point(k, extra="<speed>10.0</speed>") for k in range(190)]))
+    np.testing.assert_allclose(reading.gnss.speed, 10.0)
+    assert np.isnan(reading.gnss.course_deg).all() and np.isnan(reading.gnss.velocity_n).all()
+    assert {problem.code for problem in reading.problems} == {"gps_no_course"}
 
 
 def test_the_older_version_has_speed_and_course_in_the_point(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from smoother import so3
 from smoother.arrays import Array
 from smoother.estimate.factors.antenna import arm_axes
-from smoother.estimate.factors.rows import Between, Rows, no_jacobian, rows_of
+from smoother.estimate.factors.rows import Between, Rows, along_direction, no_jacobian, rows_of, speeds_alone
 from smoother.estimate.model.motion import LowPassedMotion, Spectrum
 from smoother.estimate.model.state import State
 from smoother.frames import UP_N
@@ -16,10 +16,13 @@ from smoother.frames import UP_N
 LEVEL = np.array([1.0, 1.0, 0.0])
 
 
-def velocity_rows(state: State, motion: LowPassedMotion, t: Array, measured_n: Array, sigma: Array) -> Rows:
+def velocity_rows(
+    state: State, motion: LowPassedMotion, t: Array, measured_n: Array, sigma: Array, speed: Array | None = None
+) -> Rows:
     """Residual v(t - latency) + w x R l + response + bias - z, m/s in n; w is the turn rate about up.
 
-    t (N,) s: stamps; measured_n (N, 3) m/s, NaN unknown; sigma (N, 3) m/s. A kart bounces on its tyres: upwards there
+    t (N,) s: stamps; measured_n (N, 3) m/s, NaN unknown; sigma (N, 3) m/s. Where no course is known the speed (N,) m/s
+    is measured alone: the size of the same on the level. A kart bounces on its tyres: upwards there
     is no slope by the latency, and no response.
     """
     latency = state.constant("velocity_latency")
@@ -41,8 +44,11 @@ def velocity_rows(state: State, motion: LowPassedMotion, t: Array, measured_n: A
         "velocity_response": (by_response_n * LEVEL)[:, :, None],
     }
     beyond_n = state.constants["doppler_bias"] + shown_n * LEVEL
+    only = speeds_alone(measured_n, speed)
+    measured_n = np.where(only[:, None], 0.0, measured_n)
     residual = between.value(weights) + swing_n + beyond_n - measured_n
-    return rows_of("gps_velocity", between.interval, residual, sigma, left, right, constants)
+    rows = rows_of("gps_velocity", between.interval, residual, sigma, left, right, constants)
+    return rows if speed is None else along_direction(rows, only, speed)
 
 
 def response(s: Spectrum, constant: float) -> tuple[Spectrum, Spectrum, Spectrum]:

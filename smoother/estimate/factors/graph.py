@@ -6,6 +6,7 @@ which of them a session has and whether outliers lose weight.
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -44,6 +45,7 @@ class Measurements:
 
     t (N,) s: stamps of the fixes. position_n m, velocity_n m/s (N, 3): NaN where unknown.
     position_scale, velocity_scale (N,): factors of the session's sigmas.
+    speed (N,) m/s: counts where no velocity is known.
     still (S,): intervals at rest.
     rejected (N,): fixes whose positions do not count.
     heading: of the magnetometer.
@@ -60,6 +62,7 @@ class Measurements:
     position_scale: Array
     velocity_scale: Array
     still: IntArray
+    speed: Array | None = None
     rejected: BoolArray | None = None
     heading: Heading | None = None
     rolls: BoolArray | None = None
@@ -72,8 +75,11 @@ class Measurements:
     def of(self, fixes: BoolArray) -> "Measurements":
         """With some of the fixes (N,) alone."""
         names = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
-        rejected = None if self.rejected is None else self.rejected[fixes]
-        return replace(self, **{name: getattr(self, name)[fixes] for name in names}, rejected=rejected)
+        parts: dict[str, Any] = {name: getattr(self, name)[fixes] for name in names}
+        parts |= {
+            name: None if (whole := getattr(self, name)) is None else whole[fixes] for name in ("speed", "rejected")
+        }
+        return replace(self, **parts)
 
     def are_between(self, t: Array, first: int, last: int) -> BoolArray:
         """Mask (N,) of the fixes that are read between the keyframes first to last, exclusive, whatever their latency.
@@ -177,7 +183,8 @@ def _position(x: Inputs) -> Iterable[Rows]:
 
 def _velocity(x: Inputs) -> Iterable[Rows]:
     m = x.measured
-    yield velocity_rows(x.state, x.motion, m.t, m.velocity_n, m.velocity_scale[:, None] * x.noise.velocity)
+    sigma = m.velocity_scale[:, None] * x.noise.velocity
+    yield velocity_rows(x.state, x.motion, m.t, m.velocity_n, sigma, m.speed)
 
 
 def _offset(x: Inputs) -> Iterable[Rows]:

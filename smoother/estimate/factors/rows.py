@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, IntArray
+from smoother.arrays import Array, BoolArray, IntArray
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, KEYFRAME_SIZE, State
 
 ROBUST_LIMIT = (
     4.5  # mean squared normalised residual of a row, beyond which it loses weight: three sigmas of two components
 )
+SLOWEST = 2.0  # m/s; a slower speed says nothing without its direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +114,43 @@ def after_step(rows: Rows, step: Array, constants: Array) -> Rows:
     for name, block in rows.constants.items():
         moved += block @ constants[COLUMNS[name]]
     return replace(rows, residual=np.where(np.isfinite(rows.sigma), rows.residual + moved, 0.0))
+
+
+def along_direction(rows: Rows, only: BoolArray, measured: Array) -> Rows:
+    """Return rows of velocities of which some are known by their size alone.
+
+    only (N,): which; measured (N,): that size. rows: of all velocities, with nothing measured of these: residual is the
+    prediction, of 2 or 3 components of n. Their first component becomes the size of the level velocity, whose slope is
+    the direction of travel; the others are not measured.
+    """
+    if not np.any(only):
+        return rows
+    level = rows.residual[only, :2]
+    predicted = np.hypot(level[:, 0], level[:, 1])
+    direction = level / np.maximum(predicted, SLOWEST)[:, None]
+
+    def turned(block: Array) -> Array:
+        out = block.copy()
+        out[only] = 0.0
+        out[only, 0] = np.einsum("na,na...->n...", direction, block[only, :2])
+        return out
+
+    residual, sigma = rows.residual.copy(), rows.sigma.copy()
+    residual[only] = 0.0
+    residual[only, 0] = predicted - measured[only]
+    sigma[only, 1:] = np.inf
+    constants = {name: turned(block) for name, block in rows.constants.items()}
+    return replace(
+        rows, residual=residual, sigma=sigma, left=turned(rows.left), right=turned(rows.right), constants=constants
+    )
+
+
+def speeds_alone(velocity_n: Array, speed: Array | None) -> BoolArray:
+    """Mask (N,) of the fixes of which nothing but the speed (N,) m/s is known, and that move: velocity_n (N, 3) m/s."""
+    if speed is None:
+        return np.zeros(len(velocity_n), dtype=np.bool_)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(~np.isfinite(velocity_n[:, :2]).all(axis=1) & (speed > SLOWEST))
 
 
 Weights = tuple[Array, Array, Array, Array]

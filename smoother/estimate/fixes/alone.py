@@ -139,6 +139,7 @@ def _widened(t: Array, motion: GnssMotion, sigma: GnssPathSigmas, path: GnssPath
         position_n=np.hypot(sigma.position_n, unsure * interval),
         track_n=np.hypot(sigma.track_n, unsure * interval),
         velocity_n=np.hypot(sigma.velocity_n, unsure),
+        velocity_cross=sigma.velocity_cross,
     )
 
 
@@ -176,11 +177,13 @@ def _sigmas(motion: GnssMotion, sigma: GnssPathSigmas, offset_sigma: Array, late
     """Absolute position carries the whole population's offset, which is left in, and the delay; the track neither."""
     velocity = motion.velocity_n[:, :2]
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    share = np.where(speed[:, None] > 0.0, velocity / np.where(speed > 0.0, speed, 1.0)[:, None], np.sqrt(0.5)) ** 2
+    along = np.where(speed[:, None] > 0.0, velocity / np.where(speed > 0.0, speed, 1.0)[:, None], np.sqrt(0.5))
+    of_speed = np.sum((along * sigma.velocity_n[:, :2]) ** 2, axis=1)
+    of_speed += 2.0 * along[:, 0] * along[:, 1] * sigma.velocity_cross
     return Sigmas(
         position_n=np.sqrt(sigma.track_n**2 + offset_sigma**2 + (latency_sigma * motion.velocity_n) ** 2),
         velocity_n=sigma.velocity_n,
-        speed=np.sqrt(np.sum(share * sigma.velocity_n[:, :2] ** 2, axis=1)),
+        speed=np.sqrt(np.maximum(of_speed, 0.0)),
         attitude=np.full(motion.velocity_n.shape, np.nan),
         track=np.sqrt(np.mean(sigma.track_n[:, :2] ** 2, axis=1)),
     )

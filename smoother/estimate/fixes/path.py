@@ -31,7 +31,7 @@ from smoother.estimate.fixes.path_graph import (
     prior_rows,
     solve,
 )
-from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities
+from smoother.estimate.fixes.screen import plausible_positions, plausible_velocities, with_courses
 from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
 from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.samples import Session
@@ -107,11 +107,14 @@ class GnssMotion:
 @dataclass(frozen=True, eq=False)
 class GnssPathSigmas:
     """Standard deviations at some times: position_n (N, 3) m absolute; track_n (N, 3) m of position plus offset, which
-    is the line in the frame of the fixes; velocity_n (N, 3) m/s."""
+    is the line in the frame of the fixes; velocity_n (N, 3) m/s, north and west with the covariance velocity_cross (N,)
+    m^2/s^2, which is large where the speed is known and the direction is not.
+    """
 
     position_n: Array
     track_n: Array
     velocity_n: Array
+    velocity_cross: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,8 @@ class GnssPath:
     """The smoothed path and what was found out with it. K nodes, M fixes; times are true times, latency taken out.
 
     t (K,) s; position_n, velocity_n, acceleration_n, offset_n (K, 3); covariance (3, K, 4, 4) per axis of (position,
-    velocity, acceleration, offset), the axes being all but independent. Per fix, NaN or weight 0 where not measured:
+    velocity, acceleration, offset); velocity_cross (K,): of the velocities north and west. Per fix, NaN or weight 0
+    where not measured:
     position_residual_n, velocity_residual_n (M, 3) path - fix with the offset on the path's side;
     position_weight, velocity_weight (M,) horizontal and up_weight (M,), robust, 0..1.
     position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
@@ -134,6 +138,7 @@ class GnssPath:
     acceleration_n: Array
     offset_n: Array
     covariance: Array
+    velocity_cross: Array
     position_residual_n: Array
     velocity_residual_n: Array
     position_weight: Array
@@ -188,7 +193,8 @@ class GnssPath:
             strayed = ROAMING[0] ** 2 * ROAMING[1] * step * u * (1.0 - u)
             variance[:, is_hole] += np.stack([strayed, strayed, np.full_like(strayed, ROAMING[0] ** 2)])
         position, track, velocity = np.sqrt(variance)
-        return GnssPathSigmas(position, track, velocity)
+        cross = (1.0 - fraction) * self.velocity_cross[k] + fraction * self.velocity_cross[k + 1]
+        return GnssPathSigmas(position, track, velocity, cross)
 
     def _place(self, t: Array) -> tuple[IntArray, Array, Array]:
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.t.size - 2)
@@ -238,7 +244,7 @@ def _fit(session: Session, options: GnssPathOptions) -> GnssPath:
     latency, lag = _delays(session, options)
     fixes, position_n = session.gnss, session.fix_position_n
     true_t = fixes.t - latency
-    measured = Measured(true_t, position_n, fixes.velocity_n)
+    measured = Measured(true_t, position_n, fixes.velocity_n, fixes.speed)
     weight = _first_weights(measured)
     known = _Known(measured, noise.relative_sigmas(fixes), _anchor(position_n, weight), lag, options)
     state = _first_state(known, _node_times(true_t, fixes.t[-1], lag[0], options), weight)
@@ -281,7 +287,8 @@ def _thinned(t: Array, gap: float) -> Array:
 def _first_weights(measured: Measured) -> Array:
     """Weights (M, 4) to start with: out is what does not fit its neighbours."""
     velocity = plausible_velocities(measured.true_t, measured.velocity_n)
-    position = plausible_positions(measured.true_t, measured.position_n, measured.velocity_n, velocity)
+    velocity_n = with_courses(measured.true_t, measured.position_n, measured.velocity_n, measured.speed)
+    position = plausible_positions(measured.true_t, measured.position_n, velocity_n, velocity)
     return np.stack([position, position, velocity, velocity], axis=1).astype(np.float64)
 
 
@@ -303,6 +310,7 @@ def _first_state(known: _Known, t: Array, weight: Array) -> _State:
         good = np.isfinite(measured.position_n[:, axis]) & (weight[:, 0] > 0.0)
         if good.any():
             x[:, axis] = np.interp(t, measured.true_t[good], measured.position_n[good, axis])
+            x[:, VELOCITY.start + axis] = np.gradient(x[:, axis], t)
     nodes = Nodes(t, x, known.lag[0], np.zeros(3))
     return _State(nodes, fix_rows(nodes, measured), weight, noise.first_noise())
 
@@ -367,8 +375,10 @@ def _is_settled(before: _State, after: _State) -> bool:
 def _result(known: _Known, state: _State, latency: float, rounds: int) -> GnssPath:
     solution, nodes, sigma = state.solution, state.nodes, state.noise.sigma
     assert solution is not None
-    measured = [np.isfinite(rows.sigma).any(axis=1) for rows in state.rows]
-    residual = [np.where(np.isfinite(rows.sigma), rows.residual, np.nan) for rows in state.rows]
+    measured = [np.all(np.isfinite(rows.sigma), axis=1) for rows in state.rows]  # a speed alone is no velocity
+    residual = [
+        np.where(known[:, None], rows.residual, np.nan) for known, rows in zip(measured, state.rows, strict=True)
+    ]
     weight = np.where(np.stack(measured, axis=1), state.weight, 0.0)
     own = np.arange(3)[:, None] + 3 * np.arange(4)
     covariance = solution.covariances.keyframes[:, own[:, :, None], own[:, None, :]].transpose(1, 0, 2, 3)
@@ -379,6 +389,7 @@ def _result(known: _Known, state: _State, latency: float, rounds: int) -> GnssPa
         acceleration_n=nodes.x[:, ACCELERATION],
         offset_n=nodes.x[:, OFFSET],
         covariance=covariance,
+        velocity_cross=solution.covariances.keyframes[:, VELOCITY.start, VELOCITY.start + 1],
         position_residual_n=np.hstack(residual[:2]),
         velocity_residual_n=np.hstack(residual[2:]),
         position_weight=weight[:, KINDS.index("position")],

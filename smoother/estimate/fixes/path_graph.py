@@ -11,7 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, IntArray
 from smoother.estimate.factors.gaussian import columns_of
-from smoother.estimate.factors.rows import Rows, rows_of
+from smoother.estimate.factors.rows import Rows, along_direction, rows_of, speeds_alone
 from smoother.estimate.fixes.white_jerk import WhiteJerk, quintic_basis
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE
 from smoother.estimate.solvers.covariance import Chain, Covariances
@@ -60,11 +60,14 @@ class PathPrior:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """M fixes: true_t (M,) s, when their positions were true; position_n, velocity_n (M, 3), NaN where unknown."""
+    """M fixes: true_t (M,) s, when their positions were true; position_n, velocity_n (M, 3), NaN where unknown; speed
+    (M,) m/s, which counts where no velocity is known.
+    """
 
     true_t: Array
     position_n: Array
     velocity_n: Array
+    speed: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,18 +103,23 @@ def fix_rows(nodes: Nodes, fixes: Measured) -> list[Rows]:
     p = _value(x, k, left, right)
     v_rows = _between(nodes, fixes.true_t - nodes.lag, 1)
     v, a = _value(*v_rows), _value(*_between(nodes, fixes.true_t - nodes.lag, 2))
+    only = speeds_alone(fixes.velocity_n, fixes.speed)
+    velocity_n = np.where(only[:, None] * np.array([1.0, 1.0, 0.0]) > 0.0, 0.0, fixes.velocity_n)
     out = []
     for name, axes, residual, (_, at, by_left, by_right) in (
         ("position", LEVEL, p - fixes.position_n, (x, k, left, right)),
         ("height", UP, p - fixes.position_n, (x, k, left, right)),
-        ("velocity", LEVEL, v + nodes.bias - fixes.velocity_n, v_rows),
-        ("climb", UP, v + nodes.bias - fixes.velocity_n, v_rows),
+        ("velocity", LEVEL, v + nodes.bias - velocity_n, v_rows),
+        ("climb", UP, v + nodes.bias - velocity_n, v_rows),
     ):
         constants = {}
         if by_left is v_rows[2]:
             bias = np.broadcast_to(np.eye(3)[axes], (len(at), len(residual[0, axes]), 3))
             constants = {LAG: -a[:, axes, None], BIAS: bias}
-        out.append(rows_of(name, at, residual[:, axes], 1.0, by_left[:, axes], by_right[:, axes], constants))
+        rows = rows_of(name, at, residual[:, axes], 1.0, by_left[:, axes], by_right[:, axes], constants)
+        if name == "velocity" and fixes.speed is not None:
+            rows = along_direction(rows, only, fixes.speed)
+        out.append(rows)
     return out
 
 

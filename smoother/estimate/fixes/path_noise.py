@@ -147,7 +147,7 @@ def identify(
         now,
         sigma=np.array([_sigma(it, scale[:, kind], kind) for kind, it in enumerate(judged)]),
         jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(jerks)]),
-        vehicle=_vehicle(solution),
+        vehicle=_vehicle(solution, now.vehicle, bool(np.isfinite(judged[KINDS.index("height")].variance).any())),
         spread=np.array([_spread(it, name) for name, it in zip(KINDS, judged, strict=True)]),
     )
 
@@ -180,9 +180,10 @@ def _jerk(it: Judged, now: float, axis: int) -> float:
     return float(max(np.sqrt(found), LEAST_JERK[axis]))
 
 
-def _vehicle(solution: Solution) -> Array:
+def _vehicle(solution: Solution, now: Array, has_height: bool) -> Array:
     """Usual velocity and acceleration (2, 2), level per axis and up: of the path, and of what it does not know."""
     unknown = np.einsum("kii->ki", solution.covariances.keyframes)
     square = np.mean(solution.nodes.x**2 + unknown, axis=0)
     both = np.stack([square[VELOCITY], square[ACCELERATION]], axis=1)
-    return np.asarray(np.maximum(np.sqrt(np.stack([both[:2].mean(axis=0), both[2]])), LEAST_VEHICLE))
+    up = both[2] if has_height else now[1] ** 2
+    return np.asarray(np.maximum(np.sqrt(np.stack([both[:2].mean(axis=0), up])), LEAST_VEHICLE))

@@ -68,7 +68,7 @@ def _core(path: GnssPath, stamps: Array, first: float, last: float) -> GnssPath:
     nodes, fixes = (path.t >= first) & (path.t < last), (stamps >= first) & (stamps < last)
     changes: dict[str, Any] = {name: getattr(path, name)[nodes] for name in PER_NODE}
     changes |= {name: getattr(path, name)[fixes] for name in (*PER_FIX, *SCALES)}
-    return replace(path, covariance=path.covariance[:, nodes], **changes)
+    return replace(path, covariance=path.covariance[:, nodes], velocity_cross=path.velocity_cross[nodes], **changes)
 
 
 def _joined(parts: list[GnssPath], session: Session) -> GnssPath:
@@ -85,6 +85,7 @@ def _joined(parts: list[GnssPath], session: Session) -> GnssPath:
         parts[0],
         **changes,
         covariance=np.concatenate([part.covariance for part in parts], axis=1),
+        velocity_cross=np.concatenate([part.velocity_cross for part in parts]),
         position_scale=position,
         up_scale=height,
         velocity_scale=velocity,

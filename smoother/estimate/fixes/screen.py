@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from smoother.arrays import Array, BoolArray
+from smoother.estimate.factors.rows import speeds_alone
 
 LONGEST_STEP = 2.5  # s; across a longer gap fixes are not compared with one another
 RATE_ROWS = 15  # whose median step is the receiver's; single fixes that are missing do not change it
@@ -43,6 +44,23 @@ def plausible_positions(t: Array, position_n: Array, velocity_n: Array, has_velo
             velocity = velocity_n[rows, :2] if use_sent else _steps(t[rows], position)
             good[rows] &= _follows_velocity(t[rows], position, velocity)
     return good
+
+
+def with_courses(t: Array, position_n: Array, velocity_n: Array, speed: Array | None) -> Array:
+    """Velocities (M, 3) m/s of fixes at t (M,) s; where nothing but the speed is known, along the way of the fixes."""
+    only = np.flatnonzero(speeds_alone(velocity_n, speed) & np.isfinite(position_n[:, :2]).all(axis=1))
+    if speed is None or len(only) < FEWEST_FIXES:
+        return velocity_n
+    out = velocity_n.copy()
+    for rows in unbroken_runs(t, only):
+        if len(rows) < FEWEST_FIXES:
+            continue
+        steps = running_median(
+            _steps(t[rows], position_n[rows, :2]), VELOCITY_WINDOW / float(np.median(np.diff(t[rows])))
+        )
+        size = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), 1e-6)
+        out[rows, :2] = speed[rows, None] * steps / size[:, None]
+    return out
 
 
 def plausible_velocities(t: Array, velocity_n: Array) -> BoolArray:

@@ -239,6 +239,7 @@ def _measurements(
         path.position_scale,
         scale,
         np.flatnonzero(_all_between(session.imu.t, at_rest, t[:-1], t[1:])),
+        speed=gnss.speed,
         ground=ground if len(ground[0]) else None,
         unsampled=Unsampled.of(binned.missing, state, fixes, follows=follows),
         wheel_speed=None if wheel is None else readings_inside(readings_of(wheel), t),

@@ -50,13 +50,15 @@ def inputs(rng: np.random.Generator, *, is_steered: bool = False) -> Inputs:
     t = rng.uniform(state.t[12], state.t[-12], 40)  # the filter of the motion has ends
     at = np.arange(5, 50, 9)
     heading = Heading(at, rng.standard_normal((len(at), 3)), 0.3, 0.05, 0.5)
+    velocity_n = _at(state.t, state.velocity_n, t) + 0.1 * rng.standard_normal((len(t), 3))
     measured = Measurements(
         t,
         _at(state.t, state.position_n, t) + 0.2 * rng.standard_normal((len(t), 3)),
-        _at(state.t, state.velocity_n, t) + 0.1 * rng.standard_normal((len(t), 3)),
+        np.where(np.arange(len(t))[:, None] % 4 == 0, np.nan, velocity_n),
         rng.uniform(1.0, 2.0, len(t)),
         rng.uniform(1.0, 2.0, len(t)),
         np.array([2, 3, 40]),
+        speed=np.hypot(velocity_n[:, 0], velocity_n[:, 1]),  # alone at one fix in four
         heading=heading,
         rolls=np.ones(K, dtype=np.bool_),
         wheel_speed=WheelSpeed(

@@ -72,6 +72,28 @@ def test_white_fixes_without_doppler_are_smoothed_to_half_their_error(
     np.testing.assert_allclose(path.position_sigma[:2], 2.5, rtol=0.1)
 
 
+def test_speeds_without_a_course_are_measurements(lap_fixes: Make, lap_motion: Make) -> None:
+    """The speed is as good as of full velocities, and far better than of positions alone; the sigma knows both."""
+    made = lap_fixes(rate=5.0)
+    t, velocity_n = inner_times(made.session), made.session.gnss.velocity_n
+    speed = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+    unknown = np.full_like(velocity_n, np.nan)
+    truth = np.linalg.norm(np.gradient(lap_motion(t)[:, :2], t, axis=0), axis=1)
+    errors = []
+    for columns in ({"speed": speed}, {"velocity_n": unknown, "speed": speed}, {"velocity_n": unknown}):
+        path = fit_gnss_path(with_fixes(made.session, **columns))
+        v = path.at(t).velocity_n
+        errors.append(float(np.sqrt(np.mean((np.hypot(v[:, 0], v[:, 1]) - truth) ** 2))))
+    full, alone, none = errors
+    assert alone < 1.2 * full and alone < 0.6 * none
+    sigma = fit_gnss_path(with_fixes(made.session, velocity_n=unknown, speed=speed)).sigma_at(t)
+    along = path.at(t).velocity_n[:, :2]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    of_speed = np.sum((along * sigma.velocity_n[:, :2]) ** 2, axis=1)
+    of_speed += 2.0 * along[:, 0] * along[:, 1] * sigma.velocity_cross
+    assert 0.7 * alone < np.sqrt(np.mean(of_speed)) < 1.4 * alone
+
+
 def test_velocity_is_the_rate_of_change_of_position(lap_fixes: Make) -> None:
     path = fit_gnss_path(lap_fixes(duration=30.0).session)
     t, step = np.linspace(path.t[0] + 0.1, path.t[-1] - 0.1, 500), 1e-4
