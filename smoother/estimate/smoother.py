@@ -18,8 +18,8 @@ import numpy as np
 from smoother.estimate.clock_offset import offset_problems
 from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
 from smoother.estimate.clocks import drift_problems, identified_drift
+from smoother.estimate.fixes.agreement import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
-from smoother.estimate.gnss_turned import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.in_step import identified as identified_delay
 from smoother.estimate.initial.align import Alignment
 from smoother.estimate.initial.begin import Begun, begin

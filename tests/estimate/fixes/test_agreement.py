@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.estimate.gnss_turned import (
+from smoother.estimate.fixes.agreement import (
     FACTOR,
-    STRETCH,
     TURN,
     Disagreement,
     disagreement,
@@ -73,21 +72,42 @@ def test_a_turn_is_found_by_itself(session: Session, degrees: float) -> None:
     found = disagreement(with_course_off(session, degrees))
     assert abs(found.value[TURN] / DEG - degrees) < 0.25
     assert found.value[TURN] / DEG == pytest.approx(degrees, abs=4.0 * found.sigma[TURN] / DEG)
-    assert found.value[FACTOR] == found.value[STRETCH] == 0.0
+    assert found.value[FACTOR] == 0.0 and not found.is_course_wrong
 
 
 @pytest.mark.parametrize("share", [0.012, -0.04])
 def test_a_factor_is_found_by_itself(session: Session, share: float) -> None:
     found = disagreement(with_velocity(session, session.gnss.velocity_n * (1.0 + share)))
     assert found.value[FACTOR] == pytest.approx(-np.log1p(share), abs=0.004)
-    assert found.value[TURN] == found.value[STRETCH] == 0.0
+    assert found.value[TURN] == 0.0 and not found.is_course_wrong
 
 
-def test_axes_with_factors_of_their_own(session: Session) -> None:
-    found = disagreement(moved(session, session.fix_position_n * [0.02, 0.0, 0.0]))
-    assert found.value[FACTOR] + found.value[STRETCH] == pytest.approx(np.log(1.02), abs=0.005)
-    assert found.value[FACTOR] - found.value[STRETCH] == pytest.approx(0.0, abs=0.005)
-    assert found.value[TURN] == 0.0
+def flat_degrees(course: Array) -> Array:
+    """atan2(dlon, dlat) at 52 degrees of latitude, in radians."""
+    return np.arctan2(np.sin(course) / np.cos(52.0 * DEG), np.cos(course))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        flat_degrees,
+        lambda course: course + 0.1 * np.cos(course - 1.0),
+        lambda course: course + 0.2 * np.sin(2.0 * course),
+    ],
+    ids=["degrees as metres", "a compass near iron", "of two axes"],
+)
+def test_courses_that_err_by_their_direction_are_not_used_and_speeds_are(
+    session: Session, wrong: Callable[[Array], Array]
+) -> None:
+    north, west, up = session.gnss.velocity_n.T
+    speed, course = np.hypot(north, west), wrong(np.arctan2(-west, north))
+    sent = with_velocity(session, np.column_stack([speed * np.cos(course), -speed * np.sin(course), up]))
+    found = disagreement(sent)
+    assert found.is_course_wrong and found.value[FACTOR] == 0.0
+    right = in_agreement(sent, found).gnss
+    assert np.isnan(right.velocity_n[:, :2]).all() and right.speed is not None
+    np.testing.assert_allclose(right.speed, speed)
+    np.testing.assert_array_equal(right.velocity_n[:, 2], up)
 
 
 def test_what_is_found_is_undone(session: Session) -> None:
@@ -126,22 +146,21 @@ def test_a_magnetic_course_costs_little(simulation: Simulation, session: Session
 
 
 def said_of(*value: float) -> list[tuple[str, str]]:
-    problems = disagreement_problems(Disagreement(np.array(value), np.full(3, 0.001)))
+    problems = disagreement_problems(Disagreement(np.array(value), np.full(6, 0.001)))
     return [(problem.code, problem.text) for problem in problems]
 
 
 def test_what_is_said() -> None:
-    assert said_of(0.0, 0.0, 0.0) == []
-    ((code, text),) = said_of(0.0, 0.0, -2.0 * DEG)
+    assert said_of(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == []
+    ((code, text),) = said_of(0.0, -2.0 * DEG, 0.0, 0.0, 0.0, 0.0)
     assert code == "gps_velocity_turned"
     assert "point 2.00 ± 0.06 deg to the left of the way" in text
-    ((code, text),) = said_of(-np.log(1.03), 0.0, 0.0)
+    ((code, text),) = said_of(-np.log(1.03), 0.0, 0.0, 0.0, 0.0, 0.0)
     assert code == "gps_velocity_scaled"
     assert "speeds of the fixes are 3.00 % faster (± 0.10 %) than their positions go" in text
-    both = 0.5 * np.log([1.01 * 0.99, 1.01 / 0.99])
-    (_, text), (code, _) = said_of(*both, 1.0 * DEG)[::-1]
-    assert code == "gps_velocity_turned"
-    assert "0.99 % slower to the north and 1.01 % faster to the east" in text
+    ((code, text), (other, _)) = said_of(-np.log(1.03), 2.0 * DEG, 0.0, 3.0 * DEG, 4.0 * DEG, 0.0)
+    assert (code, other) == ("gps_course_wrong", "gps_velocity_scaled")
+    assert "wrong by up to 5.0 deg" in text
 
 
 def test_a_wall_beside_the_track_is_none(session: Session) -> None:
@@ -174,13 +193,6 @@ def test_errors_that_come_again_every_lap_are_told_once(phase: float) -> None:
         return 2.0 * np.stack([np.sin(ahead + phase), np.cos(left + 2.0 * phase), 0.0 * ahead], axis=1)
 
     assert not disagreement(laps(wrong, np.ones(3))).is_found
-
-
-def test_a_sphere_in_place_of_the_ellipsoid_is_found_where_fixes_are_quiet() -> None:
-    found = disagreement(laps(np.zeros_like, np.array([1.0006, 0.9972, 1.0])))
-    assert found.value[STRETCH] == pytest.approx(-0.0017, abs=3e-4)
-    assert found.value[FACTOR] == pytest.approx(0.0011, abs=3e-4)
-    assert not disagreement(laps(np.zeros_like, np.ones(3))).is_found
 
 
 @pytest.mark.parametrize("preset", ["kart", "kart_harsh", "white"])

@@ -1,14 +1,16 @@
-"""Velocities that are turned or scaled against the positions they come with, by less than a single fix shows.
+"""Whether the velocities of fixes agree with the positions that they come with, by less than a single fix shows.
 
-A magnetic course, velocities along the north of a grid, the speed of a wheel, degrees that were made of metres by a
-sphere: each velocity agrees with its neighbours, and over a lap they lead somewhere else than the positions go. What
-both say of steps of some seconds is compared over the whole session. What neither the wander of the fixes nor the
-delay, the filter or the bias of the velocities explains is a turn, a factor, or a factor of its own for each axis.
+A magnetic course, the speed of a wheel, a course that was made of degrees as if these were metres: each velocity agrees
+with its neighbours, and over a lap they lead somewhere else than the positions go. What both say of steps of some
+seconds is compared over the whole session. What neither the wander of the fixes nor the delay, the filter or the bias
+of the velocities explains is a factor of the speeds, a turn of the courses, or an error of the courses that goes with
+their direction, as a Fourier series of two terms has it.
+
+A turn and a factor are undone. Courses that err by their direction are not used, whatever made them so: what is left of
+such a velocity is its speed, which is a measurement of its own.
 
 Errors of positions that belong to a place, as beside a wall that reflects, come again every lap and look like either,
 and those that last for seconds are told by several steps. The sigmas count both once.
-
-It is the velocities that are changed, whichever is wrong: places, lines and laps are then those of the recording.
 """
 
 import math
@@ -23,7 +25,8 @@ from smoother.fit.spline import CubicSpline
 from smoother.samples import Problem, Session
 from smoother.units import DEG
 
-TURNED, SCALED = "gps_velocity_turned", "gps_velocity_scaled"  # codes of the problems that say so
+# codes of the problems that say so
+TURNED, SCALED, WRONG = "gps_velocity_turned", "gps_velocity_scaled", "gps_course_wrong"
 SIGMAS = 5.0
 # and as much as counts: at 17 m/s 0.05 m/s, which is a sigma of smoothed velocities; recorded receivers stay below
 LEAST_SHARE, LEAST_TURN = 0.003, 0.2 * DEG
@@ -38,20 +41,23 @@ ROUNDS = 5  # of weights, noise, and what is not linear in lag and turn
 # sigmas of the lag of velocities, s, of the square of their filter, s^2 (a mean over 0.8 s has 0.027; a receiver once a
 # second had 0.15), and of their bias, m/s
 LAG_SIGMA, FILTER_SIGMA, BIAS_SIGMA = 0.3, 0.1, 0.05
-FARTHEST = 0.5  # of lag, s, of a turn, rad, and of logarithms of factors: beyond, other things are wrong
+FARTHEST = 0.5  # of lag, s, of a turn, rad, and of the logarithm of the factor: beyond, other things are wrong
+ORDERS = (1.0, 2.0)  # of the Fourier series: iron beside a compass, and scales of the two axes
 
-FACTOR, STRETCH, TURN, LAG, FILTER, BIAS_NORTH, BIAS_WEST = range(7)
-N_FOUND, N_UNKNOWN = 3, 7
+FACTOR, TURN = 0, 1
+BY_DIRECTION = slice(2, 6)  # cosine and sine of each order, rad
+LAG, FILTER, BIAS_NORTH, BIAS_WEST = 6, 7, 8, 9
+N_FOUND, N_UNKNOWN = 6, 10
 _PRIOR = np.array([FARTHEST] * N_FOUND + [LAG_SIGMA, FILTER_SIGMA, BIAS_SIGMA, BIAS_SIGMA]) ** -2.0
-_LEAST = np.array([LEAST_SHARE, 0.5 * LEAST_SHARE, LEAST_TURN])  # of one axis against the other a stretch is the double
+_LEAST = np.array([LEAST_SHARE] + [LEAST_TURN] * 5)
 
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
     """What makes the velocities of a session agree with its positions.
 
-    value (3,): logarithm of the factor of both axes; by how much that of north is above it, and that of west below;
-    and the turn, rad, anticlockwise. Zero where nothing is to be undone. sigma (3,).
+    value (6,): logarithm of the factor of the speeds, turn of the courses, rad, anticlockwise, and the coefficients of
+    what they are wrong by with their direction. Zero where nothing is wrong. sigma (6,).
     """
 
     value: Array
@@ -61,6 +67,11 @@ class Disagreement:
     def is_found(self) -> bool:
         """Whether anything is to be undone."""
         return bool(np.any(self.value))
+
+    @property
+    def is_course_wrong(self) -> bool:
+        """Whether the courses err by their direction, so that none is of use."""
+        return bool(np.any(self.value[BY_DIRECTION]))
 
 
 NOTHING = Disagreement(np.zeros(N_FOUND), np.full(N_FOUND, np.inf))
@@ -79,29 +90,33 @@ def in_agreement(session: Session, found: Disagreement) -> Session:
     """Return the session with the velocities of its fixes turned and scaled to their positions."""
     if not found.is_found:
         return session
-    sent = session.gnss.velocity_n
-    velocity_n = np.column_stack([_mapped(sent[:, :2], found.value), sent[:, 2]])
-    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n))
+    sent, speed = session.gnss.velocity_n, session.gnss.speed
+    size = math.exp(found.value[FACTOR])
+    velocity_n = np.column_stack([_turned(sent[:, :2], found.value[TURN]) * size, sent[:, 2]])
+    if found.is_course_wrong:
+        speed = np.where(says_velocity(sent), size * np.hypot(sent[:, 0], sent[:, 1]), np.nan)
+        velocity_n[:, :2] = np.nan
+    return replace(session, gnss=replace(session.gnss, velocity_n=velocity_n, speed=speed))
 
 
 def disagreement_problems(found: Disagreement) -> tuple[Problem, ...]:
     """Say what was turned and scaled, and by how much."""
     problems = []
-    if found.value[TURN]:
+    if found.is_course_wrong:
+        by = math.hypot(*found.value[BY_DIRECTION]) / DEG
+        text = (
+            f"the courses of the fixes are wrong by up to {by:.1f} deg, by their direction, as of a compass near iron "
+            "or made of degrees without the cosine of the latitude; the speeds are used alone"
+        )
+        problems.append(Problem(WRONG, text))
+    elif found.value[TURN]:
         side, size, sigma = "right" if found.value[TURN] > 0.0 else "left", *np.abs([found.value, found.sigma])[:, TURN]
         text = (
             f"the velocities of the fixes point {size / DEG:.2f} ± {sigma / DEG:.2f} deg to the {side} of the way "
             "their positions go; turned back. Record the true course, not a magnetic one or one of a grid"
         )
         problems.append(Problem(TURNED, text))
-    if found.value[STRETCH]:
-        north, west = (_percent(found.value[FACTOR] + sign * found.value[STRETCH]) for sign in (1.0, -1.0))
-        text = (
-            f"the velocities of the fixes are {north} to the north and {west} to the east than their positions go; "
-            "scaled to them. Make degrees of metres by WGS-84, not by a sphere or one factor"
-        )
-        problems.append(Problem(SCALED, text))
-    elif found.value[FACTOR]:
+    if found.value[FACTOR]:
         text = (
             f"the speeds of the fixes are {_percent(found.value[FACTOR])} (± {100.0 * found.sigma[FACTOR]:.2f} %) than "
             "their positions go; scaled to them. Record the receiver's own speed, not a wheel's, and true seconds"
@@ -116,11 +131,17 @@ def _percent(factor: float) -> str:
     return f"{abs(share):.2f} % {'faster' if share > 0.0 else 'slower'}"
 
 
-def _mapped(level: Array, value: Array) -> Array:
-    """Vectors `level` (N, 2) turned, and then scaled."""
-    cos, sin = math.cos(value[TURN]), math.sin(value[TURN])
-    axes = np.exp([value[FACTOR] + value[STRETCH], value[FACTOR] - value[STRETCH]])
-    return np.asarray(level @ np.array([[cos, sin], [-sin, cos]]) * axes)
+def _turned(level: Array, angle: Array | float) -> Array:
+    """Vectors `level` (N, 2) turned anticlockwise by an angle, rad, or one for each (N,)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    north, west = level.T
+    return np.stack([cos * north - sin * west, sin * north + cos * west], axis=1)
+
+
+def _harmonics(way: Array) -> Array:
+    """Cosines and sines (S, 4) of the direction of ways (S, 2), of each order."""
+    direction = np.arctan2(way[:, 1], way[:, 0])
+    return np.stack([f(order * direction) for order in ORDERS for f in (np.cos, np.sin)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +197,7 @@ def _steps(t: Array, position: Array, velocity: Array) -> tuple[Array, ...]:
 
 
 def _compared(steps: _Steps) -> tuple[Array, Array]:
-    """What is unknown (7,) by least squares, and covariance (3, 3) of what is to be found."""
+    """What is unknown (10,) by least squares, and covariance (6, 6) of what is to be found."""
     count = len(steps.lasts)
     x, weight, variance = np.zeros(N_UNKNOWN), np.ones(count), 1.0
     for _ in range(ROUNDS):
@@ -197,14 +218,18 @@ def _compared(steps: _Steps) -> tuple[Array, Array]:
 
 
 def _linearised(steps: _Steps, x: Array) -> tuple[Array, Array]:
-    """What positions change by (S, 2) m beyond what the unknowns x (7,) explain, and its derivatives (S, 2, 7)."""
-    way, velocity, acceleration = (_mapped(v, x) for v in (steps.way, steps.velocity, steps.acceleration))
+    """What positions change by (S, 2) m beyond what the unknowns x (10,) explain, and its derivatives (S, 2, 10)."""
+    harmonics = _harmonics(steps.way)
+    angle = x[TURN] + harmonics @ x[BY_DIRECTION]
+    way, velocity, acceleration = (
+        math.exp(x[FACTOR]) * _turned(v, angle) for v in (steps.way, steps.velocity, steps.acceleration)
+    )
     bias, lag = x[BIAS_NORTH:], x[LAG]
     explained = way + lag * velocity + (0.5 * lag**2 + x[FILTER]) * acceleration + bias * steps.lasts[:, None]
     design = np.zeros((*way.shape, N_UNKNOWN))
     design[:, :, FACTOR] = way
-    design[:, 0, STRETCH], design[:, 1, STRETCH] = way[:, 0], -way[:, 1]
     design[:, 0, TURN], design[:, 1, TURN] = -way[:, 1], way[:, 0]
+    design[:, :, BY_DIRECTION] = design[:, :, TURN, None] * harmonics[:, None]
     design[:, :, LAG] = velocity + lag * acceleration
     design[:, :, FILTER] = acceleration
     design[:, 0, BIAS_NORTH] = design[:, 1, BIAS_WEST] = steps.lasts
@@ -212,14 +237,14 @@ def _linearised(steps: _Steps, x: Array) -> tuple[Array, Array]:
 
 
 def _of_places(score: Array, place: IntArray) -> Array:
-    """Information (7, 7) of scores (S, 7), of which those of one place (S,) are one. Source: Liang and Zeger 1986."""
+    """Information (10, 10) of scores (S, 10); those of one place (S,) are one. Source: Liang and Zeger 1986."""
     count = int(place.max()) + 1
     of_each = np.stack([np.bincount(place, column, count) for column in score.T])
     return np.asarray(of_each @ of_each.T * count / max(count - N_UNKNOWN, 1))
 
 
 def _lasting(score: Array) -> Array:
-    """Information (7, 7) of scores (S, 7) that last for some steps. Source: Newey and West 1987."""
+    """Information (10, 10) of scores (S, 10) that last for some steps. Source: Newey and West 1987."""
     total = score.T @ score
     for k in range(1, LASTING):
         together = score[k:].T @ score[:-k]
@@ -228,18 +253,13 @@ def _lasting(score: Array) -> Array:
 
 
 def _significant(value: Array, covariance: Array) -> Disagreement:
-    """What of the value (3,) is beyond doubt, and counts; found anew with the rest, as if it were none, left out.
-
-    A factor of both axes stays beside a stretch: with it, each of them has its own.
-    """
+    """What of the value (6,) is beyond doubt, and counts; found anew with the rest, as if it were none, left out."""
     value, kept = value[:N_FOUND].copy(), np.ones(N_FOUND, dtype=np.bool_)
     covariance = covariance.copy()
     for _ in range(N_FOUND):
         sigma = np.sqrt(np.diag(covariance))
         beyond = np.minimum(np.abs(value) / (SIGMAS * np.maximum(sigma, 1e-12)), np.abs(value) / _LEAST)
         beyond[~kept] = np.inf
-        if kept[STRETCH] and beyond[STRETCH] >= 1.0:
-            beyond[FACTOR] = np.inf
         least = int(np.argmin(beyond))
         if beyond[least] >= 1.0:
             break
