@@ -332,10 +332,10 @@ def _improve(known: _Known, now: _State, number: int) -> _State:
     is_clean = bool(np.all(now.weight == 1.0) and np.all(weight == 1.0))
     found = now.noise
     if is_clean or number > FIRST_ROUNDS:
-        jerks = [
-            noise.Judged.of(*both, solution) for both in zip(assumed[:2], prior_rows(nodes, prior)[:2], strict=True)
+        driven = [
+            noise.Judged.of(*both, solution) for both in zip(assumed[:3], prior_rows(nodes, prior)[:3], strict=True)
         ]
-        found = _as_configured(noise.identify(judged, known.scale, solution, jerks, found), known.options)
+        found = _as_configured(noise.identify(judged, known.scale, solution, driven, found), known.options)
     return _State(nodes, rows, weight, found, solution, is_clean)
 
 
@@ -349,7 +349,7 @@ def _relaxed(before: Nodes, after: Nodes) -> Nodes:
 def _prior(known: _Known, now: noise.PathNoise) -> PathPrior:
     level, up = (WhiteJerk(float(now.jerk[i]), *map(float, now.vehicle[i])) for i in range(2))
     options, (start, start_sigma) = known.options, known.start
-    offset = np.asarray(options.offset_sigma)
+    offset = np.asarray(options.offset_sigma) * now.wander[[0, 0, 1]]
     return PathPrior(
         (level, up), offset, options.offset_tau, start, start_sigma, known.lag, options.velocity_bias_sigma
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.factors.rows import Rows
-from smoother.estimate.fixes.path_graph import ACCELERATION, KINDS, VELOCITY, Solution
+from smoother.estimate.fixes.path_graph import ACCELERATION, KINDS, LEVEL, UP, VELOCITY, Solution
 from smoother.estimate.solvers.variance_components import posterior_variance
 from smoother.fit.noise_spread import ANY_NOISE, BY_JERK, Residuals, of_positions, of_velocities
 from smoother.samples import GnssFixes
@@ -26,6 +26,7 @@ START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly 
 LEAST_JERK = np.array([0.2, 0.1])
 START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
+LEAST_WANDER = 0.02  # of the usual slow error
 WORST_REPORTED = 1e6  # times the usual; damaged files say more, of which squares would overflow
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
 KEEP, DROP = 3.0, 7.0  # normalised residuals: full weight up to the one, none from the other
@@ -41,13 +42,15 @@ BULK, BULK_SIZE = 0.75, (1.665, 1.150, 1.665, 1.150)  # a quantile, and that of 
 class PathNoise:
     """sigma (4,) by kind, m or m/s; jerk (2,) m/s^3/sqrt(Hz); vehicle (2, 2) usual velocity and acceleration.
 
-    spread (4,): sigma of the logarithm of each sigma.
+    spread (4,): sigma of the logarithm of each sigma. wander (2,): how fast the slow error of the fixes goes, level and
+    up, in parts of what is usual.
     """
 
     sigma: Array
     jerk: Array
     vehicle: Array
     spread: Array = field(default_factory=lambda: np.full(len(KINDS), ANY_NOISE))
+    wander: Array = field(default_factory=lambda: np.ones(2))
 
 
 def first_noise() -> PathNoise:
@@ -140,13 +143,17 @@ def robust_weights(size: Array, before: Array, graduation: float) -> Array:
 
 
 def identify(
-    judged: Sequence[Judged], scale: Array, solution: Solution, jerks: Sequence[Judged], now: PathNoise
+    judged: Sequence[Judged], scale: Array, solution: Solution, driven: Sequence[Judged], now: PathNoise
 ) -> PathNoise:
-    """Return the noise that one round of solving shows. scale (M, 4): of each fix; jerks: rows of level and up."""
+    """Return the noise that one round of solving shows.
+
+    scale (M, 4): of each fix; driven: rows of the jerk, level and up, and of the slow error.
+    """
     return replace(
         now,
         sigma=np.array([_sigma(it, scale[:, kind], kind) for kind, it in enumerate(judged)]),
-        jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(jerks)]),
+        jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(driven[:2])]),
+        wander=_wander(driven[2], now.wander),
         vehicle=_vehicle(solution, now.vehicle, bool(np.isfinite(judged[KINDS.index("height")].variance).any())),
         spread=np.array([_spread(it, name) for name, it in zip(KINDS, judged, strict=True)]),
     )
@@ -178,6 +185,13 @@ def _jerk(it: Judged, now: float, axis: int) -> float:
     squares, redundancy = float(np.sum(it.residual**2)), float(np.sum(1.0 - it.leverage))
     found = (now**2 * squares + PRIOR_COUNT * START_JERK[axis] ** 2) / (max(redundancy, 0.0) + PRIOR_COUNT)
     return float(max(np.sqrt(found), LEAST_JERK[axis]))
+
+
+def _wander(it: Judged, now: Array) -> Array:
+    squares, redundancy = it.residual**2 / it.variance, np.maximum(1.0 - it.leverage, 0.0)
+    parts = [(squares[:, axes].sum(), redundancy[:, axes].sum()) for axes in (LEVEL, UP)]
+    found = [(now[i] ** 2 * s + PRIOR_COUNT) / (r + PRIOR_COUNT) for i, (s, r) in enumerate(parts)]
+    return np.asarray(np.maximum(np.sqrt(found), LEAST_WANDER))
 
 
 def _vehicle(solution: Solution, now: Array, has_height: bool) -> Array:
