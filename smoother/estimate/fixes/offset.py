@@ -49,8 +49,10 @@ WEIGHTY = 0.5  # weight in the path from which a measurement is one
 # Logarithms of candidates: tau s (what is faster is motion or white, what is slower a constant); walk 2 sigma^2 / tau
 # m^2/s, which the data know best; factor on the white variance that the path found.
 COARSE = (np.log(np.geomspace(10.0, 320.0, 6)), np.log(np.geomspace(1e-4, 10.0, 11)), np.array([-0.7, 0.0, 0.7]))
+QUICK = (np.log(np.geomspace(2.5, 80.0, 6)), np.log(np.geomspace(1e-2, 1e3, 11)), COARSE[2])  # of wild receivers
 WALKS = np.linspace(-9.0, 1.5, 22)  # logarithms of walk over the usual one
 WALK_SPREAD = 3.0  # sigma of these beforehand: receivers of a metre and of a decimetre are both usual
+WILDER = 3.0  # times as fast as usual, as of telephones
 FINER = 2  # times that candidates are taken anew around the best, half as far apart
 AROUND = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 NEAR = tuple(step * np.array([-1.0, 0.0, 1.0]) for step in (0.15, 0.05, 0.1))  # about a sigma in half an hour
@@ -99,6 +101,9 @@ def offset_model(fixes_t: Array, path: GnssPath, usual: OffsetModel, is_filtered
     """
     lasts = float(fixes_t[-1] - fixes_t[0])
     seen = drift_against_doppler(fixes_t, path)
+    if path.wander > WILDER and has_doppler(path) and len(seen.t) >= FEWEST:  # by metres within seconds
+        fit = fit_offset(seen, QUICK)
+        return OffsetModel(usual.sigma * max(fit.sigma / usual.sigma[0], 1.0), fit.tau)
     if not tells_offset(fixes_t, seen, path):
         if not is_filtered:
             return OffsetModel(usual.sigma * UNTOLD, usual.tau)
@@ -172,10 +177,10 @@ def follows_positions(fixes_t: Array, path: GnssPath) -> bool:
     return bool(path.jerk_density[0] * step**1.5 > math.sqrt(720.0) * path.velocity_sigma[0])
 
 
-def fit_offset(seen: Drift) -> OffsetFit:
+def fit_offset(seen: Drift, axes: tuple[Array, Array, Array] = COARSE) -> OffsetFit:
     """Return the offset of the highest likelihood; `seen` has to tell of one, see :func:`tells_offset`."""
     none = log_likelihood(seen, np.stack([COARSE[2] * 0.0, COARSE[2] * 0.0 - np.inf, COARSE[2]]))
-    axes, best = COARSE, np.zeros(3)
+    best = np.zeros(3)
     for _ in range(1 + FINER):
         candidates = _grid(axes)
         best = candidates[:, np.argmax(log_likelihood(seen, candidates))]
@@ -213,6 +218,8 @@ def drift_against_doppler(fixes_t: Array, path: GnssPath) -> Drift:
     offset_n = path.at(fixes_t - path.position_latency).offset_n
     drift = (offset_n - path.position_residual_n)[:, :2] + added
     noise = path.velocity_sigma[0] * path.velocity_scale[1:] * step
+    if follows_positions(fixes_t, path):  # then the way between two velocities is what is uncertain
+        noise = np.hypot(noise, path.jerk_density[0] * step**2.5 / math.sqrt(720.0))
     # over a pause of an hour it may be anywhere; a larger number would only take the digits of all that follows
     walk = np.where(both & (step < GAP), noise, np.minimum(0.5 * WILD * step**2, ANYWHERE)) ** 2
     walk = np.concatenate([[0.0], np.cumsum(walk)])

@@ -129,7 +129,8 @@ class GnssPath:
     position_sigma (3,) m and velocity_sigma (3,) m/s white noise per axis; jerk_density (3,) m/s^3/sqrt(Hz).
     position_spread, velocity_spread (3,): sigmas of the logarithms of these.
     position_scale, up_scale, velocity_scale (M,) factor of a fix's own sigma over the usual. position_latency s.
-    velocity_bias and its sigma (3,) m/s: mean of Doppler minus path.
+    velocity_bias and its sigma (3,) m/s: mean of Doppler minus path. wander: how fast the slow error of the fixes goes
+    on the level, in parts of what is usual.
     """
 
     t: Array
@@ -157,6 +158,7 @@ class GnssPath:
     velocity_bias: Array
     velocity_bias_sigma: Array
     iterations: int
+    wander: float = 1.0
 
     def at(self, t: Array) -> GnssMotion:
         """The path at times of truth t (N,) s; outside the nodes it goes on at constant velocity.
@@ -408,6 +410,7 @@ def _result(known: _Known, state: _State, latency: float, rounds: int) -> GnssPa
         velocity_bias=nodes.bias,
         velocity_bias_sigma=solution.bias_sigma,
         iterations=rounds,
+        wander=float(state.noise.wander[0]),
     )
 
 

@@ -26,6 +26,7 @@ START_JERK = np.array([6.0, 0.5])  # m/s^3/sqrt(Hz): a kart's cornering; hardly 
 LEAST_JERK = np.array([0.2, 0.1])
 START_VEHICLE = np.array([[10.0, 5.0], [1.5, 1.0]])  # m/s, m/s^2
 LEAST_VEHICLE = np.array([[1.0, 0.5], [0.3, 0.2]])
+WITNESSED = 0.5  # share of the fixes with a velocity
 LEAST_WANDER = 0.02  # of the usual slow error
 WORST_REPORTED = 1e6  # times the usual; damaged files say more, of which squares would overflow
 PRIOR_COUNT = 6.0  # measurements that the usual values are worth
@@ -149,22 +150,28 @@ def identify(
 
     scale (M, 4): of each fix; driven: rows of the jerk, level and up, and of the slow error.
     """
+    velocity = np.isfinite(judged[KINDS.index("velocity")].variance[:, 0])
+    witnessed = float(np.mean(velocity)) > WITNESSED
     return replace(
         now,
-        sigma=np.array([_sigma(it, scale[:, kind], kind) for kind, it in enumerate(judged)]),
+        sigma=np.array([_sigma(it, scale[:, kind], kind, witnessed=witnessed) for kind, it in enumerate(judged)]),
         jerk=np.array([_jerk(it, now.jerk[i], i) for i, it in enumerate(driven[:2])]),
-        wander=_wander(driven[2], now.wander),
+        wander=_wander(driven[2], now.wander) if witnessed else now.wander,
         vehicle=_vehicle(solution, now.vehicle, bool(np.isfinite(judged[KINDS.index("height")].variance).any())),
         spread=np.array([_spread(it, name) for name, it in zip(KINDS, judged, strict=True)]),
     )
 
 
-def _sigma(it: Judged, scale: Array, kind: int) -> float:
-    """Squared residuals over redundancy; the less the measurements check one another, the more the usual counts."""
+def _sigma(it: Judged, scale: Array, kind: int, *, witnessed: bool) -> float:
+    """Squared residuals over redundancy; the less the measurements check one another, the more the usual counts.
+
+    Where velocities are witnesses of positions, these show both their noise and how their slow error goes.
+    """
     measured = np.isfinite(it.variance)
     weight = np.where(measured, it.weight[:, None], 0.0)
     count, checked = float(np.sum(weight)), float(np.sum(weight * (1.0 - it.leverage)))
-    leaning = PRIOR_COUNT + count * (1.0 - checked / max(count, 1.0)) ** 3
+    lean = 0.0 if witnessed and KINDS[kind] in ("position", "height") else count
+    leaning = PRIOR_COUNT + lean * (1.0 - checked / max(count, 1.0)) ** 3
     squares = float(np.sum(weight * (it.residual / scale[:, None]) ** 2))
     sigma = np.sqrt((squares + leaning * USUAL_SIGMA[kind] ** 2) / (checked + leaning))
     return float(max(sigma, LEAST_SIGMA[kind]))
@@ -189,7 +196,7 @@ def _jerk(it: Judged, now: float, axis: int) -> float:
 
 def _wander(it: Judged, now: Array) -> Array:
     squares, redundancy = it.residual**2 / it.variance, np.maximum(1.0 - it.leverage, 0.0)
-    parts = [(squares[:, axes].sum(), redundancy[:, axes].sum()) for axes in (LEVEL, UP)]
+    parts = [(float(squares[:, axes].sum()), float(redundancy[:, axes].sum())) for axes in (LEVEL, UP)]
     found = [(now[i] ** 2 * s + PRIOR_COUNT) / (r + PRIOR_COUNT) for i, (s, r) in enumerate(parts)]
     return np.asarray(np.maximum(np.sqrt(found), LEAST_WANDER))
 

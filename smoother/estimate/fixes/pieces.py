@@ -93,6 +93,7 @@ def _joined(parts: list[GnssPath], session: Session) -> GnssPath:
         velocity_bias=bias,
         velocity_bias_sigma=bias_sigma,
         iterations=max(part.iterations for part in parts),
+        wander=float(np.median([part.wander for part in parts])),
     )
 
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from smoother.arrays import MAD_TO_SIGMA, Array, median
+from smoother.estimate.fixes.claims import RTK, claimed_accuracy
 from smoother.estimate.fixes.offset import UNFILTERED, OffsetModel, follows_positions, has_doppler, offset_model
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.initial.align import Alignment
-from smoother.estimate.initial.claims import RTK, claimed_accuracy
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.model.imu import BinnedImu, tell_of_samples
 from smoother.estimate.model.inertial_noise import InertialNoise
@@ -30,21 +30,6 @@ RTK_EVERY, RTK_RARELY = 0.1, 0.4  # s, the latter where it no longer grows
 # m, north, west, up: what a fix scatters against the next at the most, to come down from. Without Doppler the positions
 # alone say how fast one goes: what is taken from them is given to the samples, and does not all come back.
 MOST_SCATTER, SOME_SCATTER = np.array([3.0, 3.0, 5.0]), np.array([0.3, 0.3, 0.5])
-
-# Receivers claim half to twice what their fixes are off by, of both axes; and no more than that is believed.
-WORSE, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
-
-
-def receiver_share(session: Session, options: GraphOptions) -> float:
-    """Reported horizontal accuracy over the population's offset: a receiver that claims to be better may be so.
-
-    One that claims to be far worse is believed as well: nobody else tells of a wander slower than the session is long.
-    """
-    claimed = claimed_accuracy(session.gnss)
-    if claimed is None:
-        return 1.0
-    share = claimed / options.offset_sigma[0]
-    return float(np.clip(share, 0.1, np.clip(share / WORSE, 1.0, MOST_WORSE)))
 
 
 def _centimetres(session: Session, path: GnssPath, offset: OffsetModel) -> float | None:

@@ -12,14 +12,14 @@ from smoother.estimate.factors.graph import MAX_LATENCY, Factor, Measurements, P
 from smoother.estimate.factors.ground import far_from_heights
 from smoother.estimate.factors.motion_prior import Unsampled
 from smoother.estimate.factors.wheel_speed import readings_of
+from smoother.estimate.fixes.claims import claims_of, receiver_share
 from smoother.estimate.fixes.path import GnssPath
 from smoother.estimate.fixes.pieces import fit_path
 from smoother.estimate.fixes.screen import most_say_velocity
 from smoother.estimate.force_size import UNSEEN, SizeDelay, size_delay
 from smoother.estimate.initial.align import Alignment, align, initial_attitude
 from smoother.estimate.initial.at_rest import scale_at_rest
-from smoother.estimate.initial.claims import claims_of
-from smoother.estimate.initial.first_noise import first_noise, receiver_share, scatter_of
+from smoother.estimate.initial.first_noise import first_noise, scatter_of
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.left_out import tell_motion
 from smoother.estimate.model.imu import BinnedImu, bin_imu, halved
@@ -99,7 +99,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
         Geometry(alignment.R_bs, is_steered),
     )
     fine, binned = _bins(session, state, alignment, options)
-    noise = first_noise(session, path, alignment, binned, options)
+    noise, usual = first_noise(session, path, alignment, binned, options), options.offset_sigma[0]
     return Start(
         path,
         driven,
@@ -112,7 +112,7 @@ def make_start(session: Session, options: GraphOptions, span: float = math.inf, 
             (driven.t >= begin) & (driven.t <= end)
         ),
         priors,
-        min(receiver_share(session, options), float(noise.offset_most[0]) / options.offset_sigma[0]),
+        min(receiver_share(session.gnss, usual), float(noise.offset_most[0]) / usual),
         session.config.imu,
         spans,
         options.wheels and priors.drives,

@@ -7,9 +7,9 @@ import numpy as np
 from smoother.arrays import Array, median
 from smoother.disc import release
 from smoother.estimate.factors.rows import Rows
+from smoother.estimate.fixes.claims import claims_of
 from smoother.estimate.fixes.offset import OffsetModel, unseen_variance
 from smoother.estimate.fixes.path import UNKNOWN_HEIGHT
-from smoother.estimate.initial.claims import claims_of
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated

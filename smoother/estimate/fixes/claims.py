@@ -16,6 +16,8 @@ from smoother.samples import GnssFixes
 RTK = 0.1
 # per cent of the fixes, and times by which the others are worse from which on corrections came or went
 WORSE, MIXED = 92.0, 6.0
+# Receivers claim half to twice what their fixes are off by, of both axes; and no more than that is believed.
+HALF, MOST_WORSE = 2.0 * math.sqrt(2.0), 10.0
 BESIDE = 5  # fixes before and after, that are as accurate
 
 
@@ -30,6 +32,18 @@ def claimed_accuracy(fixes: GnssFixes) -> float | None:
         return None
     usual, worse = np.nanpercentile(reported, [50.0, WORSE])
     return float(worse if usual < RTK and worse > MIXED * usual else usual)
+
+
+def receiver_share(fixes: GnssFixes, usual: float) -> float:
+    """Reported horizontal accuracy over the usual slow error, m: a receiver that claims to be better may be so.
+
+    One that claims to be far worse is believed as well: nobody else tells of a wander slower than the session is long.
+    """
+    claimed = claimed_accuracy(fixes)
+    if claimed is None:
+        return 1.0
+    share = claimed / usual
+    return float(np.clip(share, 0.1, np.clip(share / HALF, 1.0, MOST_WORSE)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smoother.estimate.initial.claims import ALIKE, claims_of
+from smoother.estimate.fixes.claims import ALIKE, claims_of
 from smoother.prepare import prepare
 from smoother.samples import GnssFixes, Session
 from smoother.sim.simulation import Simulation, simulate_preset
