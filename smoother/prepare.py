@@ -13,6 +13,7 @@ from smoother.samples import AppliedValue, GnssFixes, Problem, RawSession, Sessi
 
 FEWEST_FIXES = 2
 GOOD_HORIZONTAL_SIGMA = 10.0  # m; a receiver that reports worse is still searching
+FEWEST_DECIMALS = 4  # of degrees: 11 m; with three, 111 m, a track has no shape
 UNIT_FIELD = (0.75, 1.33)  # median length of a calibrated field; outside, it was calibrated somewhere else
 
 
@@ -21,13 +22,18 @@ def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
 
     The calibration is `calibration_file` if given, and what magcalib.txt offers for a magnetometer it says nothing of.
     What was applied stands in `calibration` of the session.
-    Raises SessionError without two usable fixes, ConfigError for a flawed calibration file.
+    Raises SessionError without two usable fixes and for positions of too few digits, ConfigError for a flawed
+    calibration file.
     """
     if len(raw.gnss) == 0:
         raise SessionError(f"{raw.name}: no usable GPS fix; the antenna needs a view of the sky before the start")
     if len(raw.gnss) < FEWEST_FIXES:
         reasons = "; ".join(problem.text for problem in raw.problems if problem.code.startswith("gps_"))
         raise SessionError(f"{raw.name}: only one usable fix, which is no track{f' ({reasons})' if reasons else ''}")
+    if (decimals := _decimals(raw.gnss)) < FEWEST_DECIMALS:
+        metres = 111_195.0 / 10.0**decimals
+        text = f"positions have {decimals} decimals of a degree, steps of {metres:.0f} m, which show no track"
+        raise SessionError(f"{raw.name}: {text}; record at least six, as by Serial.print(latitude, 7)")
     calibration = Calibration() if calibration_file is None else load_calibration(calibration_file)
     problems = list(raw.problems)
     mag_source = calibration.source
@@ -38,6 +44,17 @@ def prepare(raw: RawSession, calibration_file: Path | None = None) -> Session:
     applied = tuple(_from(mag_source, value) for value in session.calibration)
     problems += _doubts(session)
     return replace(session, problems=tuple(problems), calibration=applied)
+
+
+def _decimals(fixes: GnssFixes) -> int:
+    """Decimals of degrees that positions have, up to FEWEST_DECIMALS: so many and more are enough."""
+    degrees = np.concatenate([fixes.lat_deg, fixes.lon_deg])
+    degrees = degrees[np.isfinite(degrees)]
+    for decimals in range(FEWEST_DECIMALS):
+        scaled = degrees * 10.0**decimals
+        if np.all(np.abs(scaled - np.round(scaled)) < 1e-6):
+            return decimals
+    return FEWEST_DECIMALS
 
 
 def _from(mag_source: str, value: AppliedValue) -> AppliedValue:

@@ -30,6 +30,19 @@ def test_a_single_fix_is_no_session() -> None:
         prepare(RawSession("lone", fixes(LAT[:1], LON[:1])))
 
 
+@pytest.mark.parametrize(("decimals", "steps"), [(0, "111195 m"), (2, "1112 m"), (3, "111 m"), (4, ""), (7, "")])
+def test_positions_of_too_few_digits_are_refused(decimals: int, steps: str) -> None:
+    lat, lon = np.round(45.0 + np.arange(50) / 9e3, decimals), np.round(12.0 + np.arange(50) / 7e3, decimals)
+    raw = RawSession("coarse", fixes(lat, lon))
+    if not steps:
+        prepare(raw)
+        return
+    with pytest.raises(
+        SessionError, match=f"^coarse: positions have {decimals} decimals of a degree, steps of {steps}"
+    ):
+        prepare(raw)
+
+
 def test_the_origin_is_the_first_fix() -> None:
     assert choose_origin(fixes()) == Origin(45.0, 12.0, 30.0)
 
