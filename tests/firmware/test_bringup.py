@@ -13,7 +13,7 @@ import bringup  # noqa: E402
 import emulation  # noqa: E402
 from emulation import build  # noqa: E402
 
-SELECTION = ("all is well", "card missing", "IMU's NCS", "receiver's TX")
+SELECTION = ("all is well", "card missing", "IMU's NCS", "receiver's RX")
 
 
 @pytest.fixture(scope="module")
