@@ -21,7 +21,7 @@ enum { UBX_CLASS_NAV = 0x01, UBX_NAV_VELNED = 0x12, UBX_VELNED_BYTES = 36 }; /* 
 enum { UBX_CFG_PRT = 0x00, UBX_CFG_MSG = 0x01, UBX_CFG_RATE = 0x08, UBX_CFG_RXM = 0x11, UBX_CFG_NAV5 = 0x24,
        UBX_CFG_VALSET = 0x8A };
 
-/* Keys of CFG-VALSET; bits 28 to 30 say how long the value is. u-blox M10 SPG 5.10 Interface Description, 4.9. */
+/* Keys of CFG-VALSET; bits 28 to 30 say how long the value is. u-blox M10 SPG 5.10 Interface Description. */
 enum {
     UBX_KEY_BAUD = 0x40520001,      /* CFG-UART1-BAUDRATE */
     UBX_KEY_PERIOD = 0x30210001,    /* CFG-RATE-MEAS, ms */

@@ -23,9 +23,9 @@ extern "C" {
     fn card_wrong_sums() -> u32;
 }
 
+/// The chip select stays low once it is: the driver makes many transactions of one command.
 struct Wires;
 
-/// The chip select stays low once it is: the driver makes many transactions of one command.
 impl spi::ErrorType for Wires {
     type Error = Infallible;
 }
@@ -72,7 +72,10 @@ fn content(number: u32) -> Block {
 }
 
 /// What fails on disturbed wires is done again, with a new start of the card.
-fn with_tries<T>(card: &SdCard<Wires, Clock>, action: impl Fn() -> Result<T, Error>) -> Result<T, String> {
+fn with_tries<T>(
+    card: &SdCard<Wires, Clock>,
+    action: impl Fn() -> Result<T, Error>,
+) -> Result<T, String> {
     let mut said = String::new();
     for _ in 0..TRIES {
         match action() {
