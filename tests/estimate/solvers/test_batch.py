@@ -15,6 +15,7 @@ from smoother.estimate.model.motion import LowPassedMotion
 from smoother.estimate.model.state import State
 from smoother.estimate.smoother import GraphSmoother
 from smoother.estimate.solvers.batch import step
+from smoother.estimate.solvers.covariance import IndeterminateError
 from smoother.estimate.solvers.identify import Problem, identify
 from smoother.prepare import prepare
 from smoother.samples import Session, WheelSpeed
@@ -43,7 +44,7 @@ def estimate(session: Session) -> Trajectory:
     return GraphSmoother().estimate(session)
 
 
-def test_without_the_elimination_of_gtsam_there_is_no_full_solution(
+def test_without_the_elimination_of_gtsam_there_is_no_solution_at_all(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert estimate(session).report.mode == "full"
@@ -52,11 +53,8 @@ def test_without_the_elimination_of_gtsam_there_is_no_full_solution(
         raise RuntimeError("no elimination")
 
     monkeypatch.setattr(gtsam.GaussianFactorGraph, "eliminateSequential", fails)
-    found = estimate(session)
-    assert found.report.mode == "gps-only"
-    assert [p.text for p in found.report.problems if p.code == "graph_failed"] == [
-        "the inertial solution failed (no elimination); smoothed from the fixes alone"
-    ]
+    with pytest.raises(IndeterminateError, match="no elimination"):
+        estimate(session)
 
 
 def test_the_trajectory_is_that_of_the_final_values(problem: Problem) -> None:
@@ -130,8 +128,5 @@ def _some(problem: Problem, begin: int, end: int) -> Problem:
     names = ("t", "R_ns", "position_n", "velocity_n", "accel_bias_s", "gyro_bias_s", "offset_n")
     state = replace(s, **{name: getattr(s, name)[begin:end] for name in names})
     use = (m.t > state.t[2]) & (m.t < state.t[-2])
-    fixes = ("t", "position_n", "velocity_n", "position_scale", "velocity_scale")
-    measured = replace(
-        m, still=np.empty(0, np.int64), unsampled=None, **{name: getattr(m, name)[use] for name in fixes}
-    )
+    measured = replace(m.of(use), still=np.empty(0, np.int64), unsampled=None)
     return replace(problem, state=state, measured=measured, binned=problem.binned.between(begin, end))
