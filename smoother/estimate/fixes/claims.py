@@ -37,7 +37,7 @@ def claimed_accuracy(fixes: GnssFixes) -> float | None:
 def receiver_share(fixes: GnssFixes, usual: float) -> float:
     """Reported horizontal accuracy over the usual slow error, m: a receiver that claims to be better may be so.
 
-    One that claims to be far worse is believed as well: nobody else tells of a wander slower than the session is long.
+    One that claims to be far worse is believed as well: a session does not show a wander slower than it is long.
     """
     claimed = claimed_accuracy(fixes)
     if claimed is None:
