@@ -102,11 +102,12 @@ MOST_UNSTEADY = 8.0 * DEG
 
 @dataclass
 class GraphSmoother:
-    """The factor-graph smoother: an Estimator."""
+    """The factor-graph smoother: an Estimator. keep: called with what was solved, for who goes on from it."""
 
     options: GraphOptions = field(default_factory=GraphOptions)
     progress: Progress | None = None
     name: str = "smoother"
+    keep: Callable[[Solved], None] | None = None
 
     def estimate(self, session: Session) -> Trajectory:
         """Return the smoothed trajectory, antenna positions in n, with sigmas and everything identified.
@@ -178,6 +179,8 @@ class GraphSmoother:
                     steered = solve(session, on_the_wheel(start), options, watch.say)
                 with watch("output"):
                     trajectory, solved = _output(session, steered, options), steered
+        if self.keep is not None:
+            self.keep(solved)
         report = _completed_report(given, begun, solved, trajectory)
         report = replace(report, problems=(*report.problems, *_contradicted(session, solved)))
         trajectory = replace(trajectory, report=replace(report, timings=watch.seconds))

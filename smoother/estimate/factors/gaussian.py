@@ -75,21 +75,25 @@ def columns_of(unknown: Sequence[str]) -> IntArray:
 
 
 def put_in_blocks(factor: gtsam.GaussianFactor, unknown: Sequence[str], system: gtsam.GaussianFactorGraph) -> None:
-    """Add a linear factor of one variable, as GTSAM makes of a prior, to the system of blocks."""
-    (key,) = factor.keys()
-    A, b = factor.jacobian()
-    if key in _OF_CONSTANTS:
-        name = _OF_CONSTANTS[key]
-        if name not in unknown:
-            return
-        starts, size = places(unknown)
-        own, start = CONSTANTS_BLOCK, starts[name]
-    else:
-        k = gtsam.Symbol(key).index()
-        own, start, size = block(k), _STARTS[keyframe_keys(k).index(key)], KEYFRAME_SIZE
-    wide = np.zeros((len(b), size))
-    wide[:, start : start + A.shape[1]] = A
-    system.add(own, wide, b, gtsam.noiseModel.Unit.Create(len(b)))
+    """Add a linear factor of GTSAM's own, as of a prior, to the system of blocks. Constants that are held stay out."""
+    keys, (A, b), end = factor.keys(), factor.jacobian(), 0
+    starts, size = places(unknown)
+    blocks: dict[int, Array] = {}
+    for key in keys:
+        if key in _OF_CONSTANTS:
+            name = _OF_CONSTANTS[key]
+            own, start, width, length = CONSTANTS_BLOCK, starts.get(name), SIZES[name], size
+        else:
+            k = gtsam.Symbol(key).index()
+            i = keyframe_keys(k).index(key)
+            own, start, width, length = block(k), _STARTS[i], DIMENSIONS[i], KEYFRAME_SIZE
+        end += width
+        if start is not None:
+            wide = blocks.setdefault(own, np.zeros((len(b), length)))
+            wide[:, start : start + width] = A[:, end - width : end]
+    if blocks:
+        sizes, Ab = [*(wide.shape[1] for wide in blocks.values()), 1], np.column_stack([*blocks.values(), b])
+        system.push_back(gtsam.GaussianConditional(list(blocks), 1, gtsam.VerticalBlockMatrix(sizes, Ab)))
 
 
 _OF_CONSTANTS = {key: name for name, key in KEYS.items()}

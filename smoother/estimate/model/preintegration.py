@@ -21,7 +21,7 @@ def preintegrate(
     out, first = [], 0
     for density in densities:
         if density not in params:
-            params[density] = _parameters(density[0], density[1], noise)
+            params[density] = preintegration_parameters(density[0], density[1], noise)
         measured = gtsam.PreintegratedCombinedMeasurements(params[density], bias)
         integrate = measured.integrateMeasurement
         for i in range(first, first + n_bins):
@@ -31,7 +31,8 @@ def preintegrate(
     return out
 
 
-def _parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
+def preintegration_parameters(accel: float, gyro: float, noise: InertialNoise) -> gtsam.PreintegrationCombinedParams:
+    """Return GTSAM's parameters for densities of force and rate, with shapes and walks of `noise`."""
     params = gtsam.PreintegrationCombinedParams.MakeSharedU(STANDARD_GRAVITY)
     eye = np.eye(3)
     params.setAccelerometerCovariance(np.array(noise.accel_shape) * accel**2)
