@@ -119,17 +119,16 @@ def serve(connection: Connection, tracks: tuple[TrackFile, ...]) -> None:
         navigator = Navigator(worker, tracks)
         while True:
             try:
-                is_working = navigator.work()
+                navigator.work()
             except Exception as error:
-                navigator, is_working = Navigator(worker, tracks, flaw=_flaw_of(error)), False
-            if not connection.poll(0.0 if is_working else IDLE):
+                navigator = Navigator(worker, tracks, flaw=_flaw_of(error))
+            if not connection.poll(IDLE):
                 continue
             items, arrival, is_new, flaw = connection.recv()
             if is_new:
                 navigator = Navigator(worker, tracks, flaw=flaw)
             try:
-                # as many fixes as came new, so that a smoother that catches up comes nearer however busy it is here
-                navigator.work(navigator.take(items, arrival))
+                navigator.take(items, arrival)
                 answer = navigator.look()
             except Exception as error:
                 navigator = Navigator(worker, tracks, flaw=_flaw_of(error))

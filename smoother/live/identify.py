@@ -1,7 +1,7 @@
 """What a live stream cannot find by itself while it runs: mounting, delays, noise. Done on what has come so far.
 
-The batch smoother runs over the window in a process of its own; the stream then starts again from the head of the
-window with those values, its priors as wide as ever, so that no fix counts twice.
+The batch smoother runs over the window in a process of its own. What its graph says, all but the last seconds, is the
+prior that the stream then goes on from, so that no fix counts twice.
 """
 
 from dataclasses import dataclass, replace
@@ -11,18 +11,22 @@ import numpy as np
 
 from smoother.arrays import Array
 from smoother.errors import SmootherError
-from smoother.estimate.model.inertial_noise import InertialNoise
+from smoother.estimate.factors.graph import build_graph
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.solve import Solved
+from smoother.estimate.solvers.batch import step
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
 from smoother.laps.path import PlanPath
 from smoother.laps.results import GivenLines, Line
-from smoother.live.lag import LagStart
+from smoother.live.lag import LagOptions, LagStart
+from smoother.live.lag_graph import Marginal
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
 T_co = TypeVar("T_co", covariant=True)
 OUTPUT_RATE = 5.0  # Hz; only the start of the window is read
 SHORTEST_LAP = 100.0  # m, as for recorded laps
+FEWEST = 10  # keyframes to go on from
 MOVED = 5.0  # m/s; slower fixes say little about the mounting
 
 
@@ -40,46 +44,33 @@ def identify(window: Window) -> LagStart | str:
 
     Those of samples as they come: the stream does not wait for a force that is late.
     """
-    session = Session("live", window.fixes, window.origin, window.imu)
+    session, kept = Session("live", window.fixes, window.origin, window.imu), list[Solved]()
+    options = replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)
     try:
-        trajectory = GraphSmoother(replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)).estimate(session)
+        report = GraphSmoother(options, keep=kept.append).estimate(session).report
     except (SmootherError, ValueError, np.linalg.LinAlgError) as error:
         return str(error)
-    report, keyframes = trajectory.report, trajectory.report.keyframes
-    if report.mode != "full" or keyframes is None:
+    if report.mode != "full" or report.keyframes is None:
         return "; ".join(problem.text for problem in report.problems) or "the fixes alone"
-    found = report.identified
-    R_bs = np.array(found["R_bs"].value)
-    velocity_latency = _number(found["gps_velocity_latency"].value)
-    inside = np.flatnonzero(keyframes.t >= window.imu.t[0] + 0.05)
-    if inside.size < 10:
+    start, found, mounting = kept[-1].start, kept[-1].found, report.identified["R_bs"]
+    graph = build_graph(
+        start.binned, start.data, found.known.noise, start.priors, found.state, start.table, rectified=False
+    )
+    leave = int(np.searchsorted(found.state.t, window.imu.t[-1] - LagOptions().lag)) - 1
+    if leave < FEWEST:
         return "the window is too short"
-    k = int(inside[0])
-    arm_b = np.array(found["lever_arm_b"].value)
-    unseen = np.zeros(3) if keyframes.unseen_offset is None else keyframes.unseen_offset
+    try:
+        known = Marginal.of(step(graph, found.state.values()), graph.prior, leave)
+    except ArithmeticError as error:
+        return str(error)
     return LagStart(
-        float(keyframes.t[k]),
-        keyframes.R_nb[k] @ R_bs,
-        keyframes.position_n[k] - keyframes.R_nb[k] @ arm_b,
-        keyframes.velocity_n[k],
-        keyframes.accel_bias_s[k],
-        keyframes.gyro_bias_s[k],
-        R_bs,
-        np.array(found["R_bs"].sigma),
-        _number(found["gps_position_latency"].value),
-        velocity_latency,
-        R_bs.T @ arm_b,
-        InertialNoise(
-            _number(found["accel_noise"].value),
-            _number(found["gyro_noise"].value),
-            GraphOptions().accel_bias_walk,
-            GraphOptions().gyro_bias_walk,
-        ),
-        np.array(found["gps_position_noise"].value),
-        np.array(found["gps_velocity_noise"].value),
-        np.sqrt(np.array(found["gps_offset_sigma"].value) ** 2 - unseen),
-        _number(found["gps_offset_tau"].value),
-        unseen,
+        found.state.part(slice(0, leave)),
+        known,
+        found.known.noise,
+        start.priors,
+        np.array(mounting.value),
+        np.array(mounting.sigma),
+        np.zeros(3) if report.keyframes.unseen_offset is None else report.keyframes.unseen_offset,
     )
 
 
@@ -91,11 +82,6 @@ def find_line(t: Array, position_n: Array, velocity_n: Array, given: GivenLines 
     except (SmootherError, ValueError, IndexError):
         return None
     return None if isinstance(circuit, Problem) else circuit.start_line
-
-
-def _number(value: object) -> float:
-    assert isinstance(value, float)
-    return value
 
 
 class Job(Protocol[T_co]):

@@ -26,10 +26,12 @@ from smoother.samples import GnssFixes, ImuSamples
 WINDOW = 130.0  # s of samples and fixes for the identification
 IDENTIFY_AFTER = (12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # s of driving; then mounting and delays are known
 RETRY_AFTER = 10.0  # s of driving after an identification or a smoother that failed
-CATCH_UP = 1  # fixes that a new smoother takes in with each step besides as many as came new; 10 ms each
 PIECE = 0.1  # s of samples that are taken in together
 LONGEST_GAP = 15.0  # s without samples, over which nothing of a state is left worth carrying on
 LINE_EVERY = 10.0  # s of path between searches for the lap
+
+# what GTSAM's exceptions are in Python, and those of systems that determine too little
+FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError)
 
 NOTHING_YET = "waiting for the logger"
 DRIVE = "attitude only, drive to start the smoother"
@@ -69,7 +71,7 @@ class Navigation:
 
 
 class Navigator:
-    """Takes the items of one run of the logger in order; `work` does what takes time, in small bites."""
+    """Takes the items of one run of the logger in order; `work` does what takes time."""
 
     def __init__(
         self,
@@ -86,9 +88,6 @@ class Navigator:
         self._laps = LapClock()
         self._lag: FixedLag | None = None
         self._start: LagStart | None = None
-        self._next: FixedLag | None = None  # catches up with what has come, then takes the other's place
-        self._next_start: LagStart | None = None
-        self._todo: deque[Item] = deque()
         self._identification: Job[LagStart | str] | None = None
         self._identified_from = 0.0
         self._line: Job[Line | None] | None = None
@@ -101,34 +100,28 @@ class Navigator:
     @property
     def is_busy(self) -> bool:
         """Whether something is still being worked out of what has come."""
-        waits = self._identification is not None or self._next is not None or self._line is not None
-        return waits or self._should_identify()
+        return self._identification is not None or self._line is not None or self._should_identify()
 
     @property
     def start(self) -> LagStart | None:
         """Where its smoother began and what it runs with, None before."""
         return self._start
 
-    def take(self, items: Sequence[Item], arrival: float) -> int:
-        """Take in samples and fixes (a row each); return how many were fixes. arrival s of the newest bytes."""
-        fixes = 0
+    def take(self, items: Sequence[Item], arrival: float) -> None:
+        """Take in samples and fixes (a row each). arrival s of the newest bytes."""
         for item in in_order(items):
             if isinstance(item, GnssFixes):
-                fixes += 1
                 self._take_fix(item)
                 self._lag_state()  # for the path that laps are timed on
             else:
                 self._take_imu(item)
         self._forget()
         self._arrival = max(self._arrival, arrival)
-        return fixes
 
-    def work(self, most: int = CATCH_UP) -> bool:
-        """Take over what the worker has done, let a new smoother take in `most` fixes; whether it has more to do."""
+    def work(self) -> None:
+        """Take over what the worker has done, and give it what is due."""
         self._identify()
-        self._catch_up(most)
         self._find_line()
-        return self._next is not None
 
     def look(self) -> Navigation:
         """Return what is known."""
@@ -155,12 +148,7 @@ class Navigator:
     # ---- inside -----------------------------------------------------------------------------------------------------
 
     def _take_imu(self, imu: ImuSamples) -> None:
-        gap = float(imu.t[0] - self._imu[-1].t[-1]) if self._imu else 0.0
         self._imu.append(imu)
-        if gap > LONGEST_GAP and (self._lag is not None or self._next is not None):
-            self._next, self._next_start = None, None
-            self._todo.clear()
-            self._lose(f"nothing came for {gap:.0f} s, the smoother begins again")
         self._pass_on(imu)
 
     def _take_fix(self, fix: GnssFixes) -> None:
@@ -175,8 +163,6 @@ class Navigator:
             self._laps.add_fix(t, np.nan_to_num(fix.position_n(self._origin)[-1]), np.nan_to_num(fix.velocity_n[-1]))
 
     def _pass_on(self, item: Item) -> None:
-        if self._next is not None:
-            self._todo.append(item)
         if self._lag is not None and self._origin is not None and (flaw := _feed(self._lag, item, self._origin)):
             self._lose(flaw)
 
@@ -189,46 +175,37 @@ class Navigator:
             found, self._identification = self._identification.result(), None
             self._begin_again(found)
         if self._should_identify() and self._origin is not None:
-            window = Window(joined(self._imu), _all_fixes(self._fixes), self._origin)
+            window = _since_gap(Window(joined(self._imu), _all_fixes(self._fixes), self._origin))
             later = [after for after in IDENTIFY_AFTER if after > self._driven + 1.0]
             self._identify_at = later[0] if later else float("inf")
             self._identification, self._identified_from = self._worker.identify(window), float(window.imu.t[0])
 
     def _should_identify(self) -> bool:
         """Whether enough was driven since the last time, and that is done with."""
-        is_free = self._identification is None and self._next is None
-        return is_free and self._driven >= self._identify_at and bool(self._imu) and self._origin is not None
+        return (
+            self._identification is None
+            and self._driven >= self._identify_at
+            and bool(self._imu)
+            and self._origin is not None
+        )
 
     def _begin_again(self, start: LagStart | str) -> None:
-        """Start a smoother at the head of the window with what was identified; the old one goes on meanwhile."""
-        if isinstance(start, str):
-            self._flaw, self._identify_at = start, min(self._identify_at, self._driven + RETRY_AFTER)
-            return
-        self._flaw = ""
-        try:
-            self._next, self._next_start = FixedLag(start, self._options), start
-        except RuntimeError as error:  # what GTSAM's exceptions are in Python
-            self._next, self._flaw = None, str(error).splitlines()[0]
-            return
-        parts: list[Item] = [part for part in self._imu if part.t[-1] > start.t]
-        parts += [fix for fix in self._fixes if fix.t[-1] > start.t + start.velocity_latency]
-        self._todo = deque(sorted(parts, key=lambda part: (float(part.t[-1]), isinstance(part, GnssFixes))))
+        """Go on from what was identified, with what has come since then; the old smoother stays if that fails."""
+        flaw = start if isinstance(start, str) else self._start_from(start)
+        if flaw:
+            self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
+        self._flaw = flaw
 
-    def _catch_up(self, most: int) -> None:
-        """Let a new smoother take in `most` fixes more, and put it in its place once it knows all."""
-        if self._next is None or self._origin is None:
-            return
-        fixes = 0
-        while self._todo and fixes < most:
-            item = self._todo.popleft()
-            fixes += isinstance(item, GnssFixes)
-            if flaw := _feed(self._next, item, self._origin):
-                self._next, self._flaw = None, flaw
-                self._todo.clear()
-                self._identify_at = min(self._identify_at, self._driven + RETRY_AFTER)
-                return
-        if not self._todo:
-            self._lag, self._start, self._next, self._next_start = self._next, self._next_start, None, None
+    def _start_from(self, start: LagStart) -> str:
+        """Put a new smoother in the other's place once it knows all; return what went wrong."""
+        assert self._origin is not None
+        lag = FixedLag(start, self._options)
+        held: list[Item] = [*self._imu, *self._fixes]
+        for item in in_order([item for item in held if item.t[-1] > start.t]):
+            if flaw := _feed(lag, item, self._origin):
+                return flaw
+        self._lag, self._start = lag, start
+        return ""
 
     def _find_line(self) -> None:
         if self._line is not None and self._line.done():
@@ -247,16 +224,17 @@ class Navigator:
             return None
         try:
             state = self._lag.state()
-        except RuntimeError as error:
+        except FAILURES as error:
             self._lose(str(error).splitlines()[0])
             return None
-        self._laps.add(state.t, state.position_n, state.velocity_n)
+        if state is not None:
+            self._laps.add(state.t, state.position_n, state.velocity_n)
         return state
 
     def _stage(self) -> str:
         if self._lag is not None:
             return "smoothing"
-        if self._identification is not None or self._next is not None:
+        if self._identification is not None:
             return "finding mounting and delays"
         if self._flaw:
             return f"not yet: {self._flaw}"
@@ -285,8 +263,8 @@ class Aboard:
 
     def give(self, items: list[Item], arrival: float) -> Navigation:
         """Take in items; return what is known then."""
-        fixes = self._navigator.take(items, arrival)
-        self._navigator.work(CATCH_UP + fixes)
+        self._navigator.take(items, arrival)
+        self._navigator.work()
         navigation = self._navigator.look()
         return replace(navigation, is_busy=self._navigator.is_busy)
 
@@ -315,14 +293,27 @@ def _part(imu: ImuSamples, part: np.ndarray) -> ImuSamples:
 
 def _feed(lag: FixedLag, item: Item, origin: Origin) -> str:
     """Give a smoother its next item; return what went wrong, nothing if all is well."""
+    gap = float(item.t[0]) - lag.newest
+    if isinstance(item, ImuSamples) and gap > LONGEST_GAP:
+        return f"nothing came for {gap:.0f} s, the smoother begins again"
     try:
         if isinstance(item, ImuSamples):
             lag.add_imu(item)
         else:
             lag.add_fix(float(item.t[-1]), item.position_n(origin)[-1], item.velocity_n[-1])
-    except RuntimeError as error:  # what GTSAM's exceptions are in Python
+    except FAILURES as error:
         return f"the smoother failed ({' '.join(str(error).split())[:60]}) and begins again"
     return ""
+
+
+def _since_gap(window: Window) -> Window:
+    """What came after the last gap that a smoother is given up over: it would go on from there."""
+    t = window.imu.t
+    gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP)
+    after = window.fixes.t > t[gaps[-1]] if len(gaps) else np.zeros(1)
+    if not np.any(after):
+        return window
+    return replace(window, imu=window.imu.between(t[gaps[-1] + 1], np.inf), fixes=window.fixes.select(after))
 
 
 def speed_of(fix: GnssFixes) -> float:

@@ -1,23 +1,30 @@
-"""The rows of a fix have the Jacobians they claim, and the smoother is as sure as it is right."""
+"""A window that moves along is the graph of the batch, and its smoother is as sure as it is right."""
 
 import importlib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import C, O, V, X
 
 from bound import BoundOptions, information_bound
 from smoother import api, so3
 from smoother.arrays import Array
+from smoother.estimate.factors.graph import Graph, build_graph
+from smoother.estimate.factors.imu import imu_factors
+from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.model.preintegration import preintegration_parameters
+from smoother.estimate.model.state import State
+from smoother.estimate.smoother import GraphOptions, GraphSmoother
+from smoother.estimate.solve import Solved
+from smoother.estimate.solvers.batch import Step, step
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
-from smoother.live.lag import FixedLag
-from smoother.live.lag_rows import ACCEL_ERROR, CONSTANTS, GYRO_ERROR, FixError, Reading, felt_errors, fix_rows
+from smoother.live.lag import FixedLag, LagOptions, LagStart
+from smoother.live.lag_graph import Marginal, WindowGraph, carried_on
 from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
@@ -50,45 +57,6 @@ def snapshots(drive, navigating: Aboard) -> list[Snapshot]:
     return taken
 
 
-def test_rows_of_a_fix_have_the_jacobians_they_claim() -> None:
-    rng = np.random.default_rng(3)
-    reading = Reading(rng.normal(0, 5, 3) + np.array([0.0, 0.0, 9.8]), so3.skew(rng.normal(0, 1, 3)))
-    R, p, v, offset = so3.exp(rng.normal(0, 1, 3)), *rng.normal(0, 10, (3, 3))
-    constants = np.concatenate([[0.15, 0.25, 0.3, -0.2, 0.4], rng.normal(0, 0.03, CONSTANTS - 5)])
-
-    def predicted(x: Array) -> Array:
-        turned, moved = R @ so3.exp(x[:3]), p + R @ x[3:6]
-        return fix_rows(turned, moved, v + x[6:9], offset + x[9:12], constants + x[12:], reading, 0.2)[0]
-
-    claimed = np.hstack(fix_rows(R, p, v, offset, constants, reading, 0.2)[1])
-    np.testing.assert_allclose(claimed, so3.numerical_jacobian(predicted, np.zeros(12 + CONSTANTS)), atol=1e-6)
-
-
-def test_a_position_that_jumped_takes_no_weight_from_the_velocity_beside_it() -> None:
-    values, keys = gtsam.Values(), [X(0), V(0), O(0), C(0)]
-    values.insert(keys[0], gtsam.Pose3())
-    for key, size in zip(keys[1:], (3, 3, CONSTANTS), strict=True):
-        values.insert(key, np.zeros(size))
-    reading = Reading(np.array([0.0, 0.0, 9.80665]), np.zeros((3, 3)))
-    measured, sigma = np.array([30.0, 0.0, 0.0, 0.2, 0.0, 0.0]), np.repeat([0.5, 0.1], 3)
-    error = FixError(keys, measured, sigma, np.arange(6), reading, 0.0, 4.0)
-    jacobians = [np.zeros(0)] * 4
-    found = error(None, values, jacobians)
-    weights = [1.0 / (1.0 + (x / 4.0) ** 2) for x in (60.0, 2.0)]  # Cauchy's, of either
-    assert found[[0, 3]] == pytest.approx([-60.0 * np.sqrt(weights[0]), -2.0 * np.sqrt(weights[1])])
-    assert jacobians[1][3, 0] == pytest.approx(np.sqrt(weights[1]) / 0.1)
-
-
-def test_errors_of_scale_are_felt_as_the_batch_smoother_takes_them_out() -> None:
-    rng = np.random.default_rng(8)
-    axes, force, rate = so3.exp(rng.normal(0, 1, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
-    accel_error, gyro_error = rng.normal(0, 0.01, (3, 2)), rng.normal(0, 0.01, 3)
-    constants = np.concatenate([np.zeros(8), accel_error.ravel(), gyro_error])
-    felt = felt_errors(axes, force, rate) @ constants
-    np.testing.assert_allclose(felt[:3], accel_error @ axes[:2] @ force, atol=1e-12)
-    np.testing.assert_allclose(felt[3:], gyro_error * (axes[2] @ rate), atol=1e-12)
-
-
 def test_attitude_after_a_minute_is_near_the_bound_of_a_filter(drive, snapshots: list[Snapshot]) -> None:
     late = [s.lag for s in snapshots if s.lag is not None and s.lag.t > 50.0]
     truth = drive.simulation.truth.at(np.array([state.t for state in late]))
@@ -115,55 +83,169 @@ def test_the_last_second_differs_from_the_batch_smoother_by_what_its_data_are_fe
     assert np.all(apart < 3.0)
 
 
-def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in_no_factor(navigating: Aboard) -> None:
-    assert navigating.start is not None
+@dataclass(frozen=True)
+class Whole:
+    """A session's graph, solved in one piece, and one step of it from there."""
+
+    graph: Graph
+    binned: BinnedImu
+    taken: Step
+
+    @property
+    def state(self) -> State:
+        return self.taken.state
+
+
+@pytest.fixture(scope="module")
+def whole(drive) -> Whole:
+    kept: list[Solved] = []
+    GraphSmoother(GraphOptions(rate=5.0), keep=kept.append).estimate(prepare(drive.simulation.raw))
+    start, found = kept[-1].start, kept[-1].found
+    noise = replace(found.known.noise, slip=None)
+    binned = replace(start.binned, rough=None)
+    # without what only a whole session has; a tenth of a metre away, so that a step has something to do
+    measured = replace(start.data, still=np.empty(0, np.int64), unsampled=None, ground=None)
+    state = replace(found.state, position_n=found.state.position_n + 0.1)
+    graph = build_graph(binned, measured, noise, start.priors, state, rectified=False)
+    return Whole(graph, binned, step(graph, state.values()))
+
+
+def window_of(whole: Whole, first: int, end: int, prior: gtsam.NonlinearFactorGraph) -> WindowGraph:
+    """The graph of the keyframes first to end, exclusive, after those before them, with the fixes until then."""
+    graph, intervals = whole.graph, np.arange(end - first - 1)
+    preintegrated = graph.preintegrated[first : end - 1]
+    reached = graph.measured.t - whole.state.constant("position_latency") < whole.state.t[end - 1]
+    return WindowGraph(
+        imu_factors(preintegrated, intervals),
+        prior,
+        intervals,
+        preintegrated,
+        graph.measured.of(reached),
+        graph.noise,
+        graph.priors,
+        whole.state.part(slice(first, end)),
+        np.zeros((len(intervals), 2)),
+        rectified=False,
+        before=whole.state.part(slice(0, first)),
+    )
+
+
+def test_a_window_after_what_was_eliminated_is_solved_as_the_whole_graph_is(whole: Whole) -> None:
+    leave, n = 200, len(whole.state.t)
+    known = Marginal.of(whole.taken, whole.graph.prior, leave)
+    window = window_of(whole, leave, n, known.factors())
+    taken = step(window, window.state.values())
+    sigma = np.sqrt(np.diag(taken.chain().covariances().keyframes[0]))
+    assert np.max(np.abs(whole.taken.keyframes / sigma)) > 0.03
+    assert np.max(np.abs(taken.keyframes - whole.taken.keyframes[leave:]) / sigma) < 1e-5
+    own, all_of_it = taken.chain().covariances(), whole.taken.chain().covariances()
+    np.testing.assert_allclose(own.constants, all_of_it.constants, atol=1e-8)
+    scale = np.sqrt(np.einsum("kii->ki", all_of_it.keyframes[leave:]))
+    apart = (own.keyframes - all_of_it.keyframes[leave:]) / (scale[:, :, None] * scale[:, None, :])
+    assert np.max(np.abs(apart)) < 1e-5
+
+
+def test_what_was_eliminated_stays_where_it_was_when_the_window_moves(whole: Whole) -> None:
+    """The prior is of how far the keyframe is from where it was linearised: its error there is the least."""
+    leave = 200
+    known = Marginal.of(whole.taken, whole.graph.prior, leave)
+    at, factor = known.at.values(), known.factors().at(0)
+    moved = known.at.part(slice(None))
+    moved = replace(moved, velocity_n=moved.velocity_n + np.array([1.0, 0.0, 0.0]))
+    column = 6  # of that velocity
+    np.testing.assert_allclose(factor.linearize(at).jacobian()[1], known.A[:, -1])
+    b = factor.linearize(moved.values()).jacobian()[1]
+    np.testing.assert_allclose(b, known.A[:, -1] - known.A[:, column], atol=1e-6)
+
+
+def preintegrated(
+    whole: Whole, state: State, force_s: Array, rate_s: Array, dt: float
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """Samples (N, 3), dt s each, after the last keyframe of a state."""
+    noise = whole.graph.noise.inertial
+    bias = gtsam.imuBias.ConstantBias(state.accel_bias_s[-1], state.gyro_bias_s[-1])
+    parameters = preintegration_parameters(noise.accel, noise.gyro, noise)
+    measured = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+    for force, rate in zip(force_s, rate_s, strict=True):
+        measured.integrateMeasurement(force, rate, dt)
+    return measured
+
+
+def test_the_state_now_is_as_unsure_as_one_more_keyframe_is(whole: Whole) -> None:
+    first, end = 150, 201
+    prior = Marginal.of(whole.taken, whole.graph.prior, first).factors()
+    until = window_of(whole, first, end, prior)
+    ahead = replace(window_of(whole, first, end + 3, prior), measured=until.measured)
+    longer = step(ahead, ahead.state.values())
+    wanted, known = longer.chain().covariances(), step(until, until.state.values()).chain().covariances()
+    state, t = until.state, whole.state.t
+    one = whole.binned.between(end - 1, end + 3)
+    samples = one.specific_force_s.reshape(-1, 3), one.angular_rate_s.reshape(-1, 3)
+    measured = preintegrated(whole, state, *samples, one.dt)
+    _, found = carried_on(state.part(slice(-1, None)), known, measured, float(t[end + 2]))
+    motion = slice(0, 9)  # GTSAM lets the bias of a longer interval walk at its end
+    sigma = np.sqrt(np.diag(wanted.keyframes[-1]))[motion]
+    apart = (found.keyframes[-1] - wanted.keyframes[-1])[motion, motion] / np.outer(sigma, sigma)
+    assert np.max(np.abs(apart)) < 0.03
+    beside = (found.with_constants[-1] - wanted.with_constants[-1])[motion] / sigma[:, None]
+    assert np.max(np.abs(beside) / np.sqrt(np.diag(wanted.constants))) < 0.03
+    assert sigma[7] > 1.3 * np.sqrt(known.keyframes[-1][7, 7])  # 0.6 s of samples alone are seen
+
+
+def test_errors_of_scale_are_taken_out_of_what_carries_on(whole: Whole) -> None:
+    rng, known = np.random.default_rng(6), whole.taken.chain().covariances()
+    last = whole.state.part(slice(100, 101))
+    axes = last.geometry.level_axes_s
+    accel_scale, gyro_scale = rng.normal(0.0, 0.01, (3, 2)), rng.normal(0.0, 0.01, 3)
+    constants = last.constants | {"accel_scale": np.zeros(6), "gyro_scale": np.zeros(3)}
+    ideal = replace(last, constants=constants)
+    flawed = replace(last, constants=constants | {"accel_scale": accel_scale.ravel(), "gyro_scale": gyro_scale})
+    force, rate = last.R_ns[0].T @ np.array([3.0, -5.0, 9.8]), axes[2] * 0.5
+    ends = []
+    for state, f, w in (
+        (ideal, force, rate),
+        (flawed, force + accel_scale @ axes[:2] @ force, rate + gyro_scale * (axes[2] @ rate)),
+        (ideal, force + accel_scale @ axes[:2] @ force, rate + gyro_scale * (axes[2] @ rate)),
+    ):
+        samples = np.tile(f + state.accel_bias_s, (80, 1)), np.tile(w + state.gyro_bias_s, (80, 1))
+        measured = preintegrated(whole, state, *samples, 0.01)
+        ends.append(carried_on(state, known, measured, float(last.t[0]) + 0.8)[0])
+    good, corrected, wrong = ends
+    # to first order: of 1 % twice 0.01 % of 11 m/s^2 and 0.5 rad/s are left, for 0.8 s
+    np.testing.assert_allclose(corrected.velocity_n[-1], good.velocity_n[-1], atol=6e-3)
+    np.testing.assert_allclose(corrected.R_ns[-1], good.R_ns[-1], atol=1e-3)
+    assert np.max(np.abs(wrong.velocity_n[-1] - good.velocity_n[-1])) > 0.03
+
+
+def fed(drive, start: LagStart, seconds: float) -> FixedLag:
+    """A smoother that has taken in the samples and the fixes of some seconds."""
+    session, lag = prepare(drive.simulation.raw), FixedLag(start)
+    assert session.imu is not None
+    position_n, velocity_n = session.gnss.position_n(session.origin), session.gnss.velocity_n
+    for k, t in enumerate(session.gnss.t.tolist()):
+        if start.t < t < start.t + seconds:
+            lag.add_imu(session.imu.between(lag.newest + 1e-6, t))
+            lag.add_fix(t, position_n[k], velocity_n[k])
+    return lag
+
+
+def test_what_no_data_can_tell_of_the_offset_is_in_the_sigma_of_positions_and_in_no_factor(
+    drive, navigating: Aboard, snapshots: list[Snapshot]
+) -> None:
+    assert snapshots and navigating.start is not None
     start = replace(navigating.start, unseen_offset=np.array([9.0, 4.0, 1.0]))
-    one, other = FixedLag(start).state(), FixedLag(replace(start, unseen_offset=np.zeros(3))).state()
+    one, other = (fed(drive, s, 2.0).state() for s in (start, replace(start, unseen_offset=np.zeros(3))))
+    assert one is not None and other is not None
     np.testing.assert_allclose(one.position_sigma**2 - other.position_sigma**2, start.unseen_offset)
     np.testing.assert_array_equal(one.velocity_sigma, other.velocity_sigma)
     np.testing.assert_array_equal(one.unseen_offset, start.unseen_offset)
 
 
-@pytest.mark.parametrize("accel", [0.15, 5.0])  # m/s^2/sqrt(Hz): little beside what is carried on, and more than that
-def test_what_samples_carry_on_is_as_unsure_as_numerical_slopes_make_it(
-    drive, navigating: Aboard, snapshots: list[Snapshot], accel: float
-) -> None:
-    """Nearly a second behind the newest keyframe: attitude, position and velocity of the antenna, beside the noise."""
-    session = prepare(drive.simulation.raw)
-    assert snapshots and session.imu is not None and navigating.start is not None
-    noise = replace(navigating.start.inertial, accel=accel)
-    start = replace(navigating.start, inertial=noise, mounting_sigma=np.zeros(3), unseen_offset=np.zeros(3))
-    lag = FixedLag(start)
-    position_n, velocity_n = session.gnss.position_n(session.origin), session.gnss.velocity_n
-    for k, t in enumerate(session.gnss.t.tolist()):
-        if start.t < t < start.t + 6.0:
-            lag.add_imu(session.imu.between(lag._newest + 1e-6, t))
-            lag.add_fix(t, position_n[k], velocity_n[k])
-    lag.add_imu(session.imu.between(lag._newest + 1e-6, lag.t + 0.9))
-    found, P, dt = lag.state(), lag._joint_covariance(), lag._newest - lag.t
-    nav, bias, constants = lag._nav_state, lag._bias.vector(), lag._constants
-
-    def carried(x: Array) -> Array:
-        turned = gtsam.Rot3(so3.exp(x[:3]) @ nav.attitude().matrix())
-        lag._nav_state = gtsam.NavState(turned, nav.position() + x[3:6], nav.velocity() + x[6:9])
-        lag._bias = gtsam.imuBias.ConstantBias(*np.split(bias + x[9:15], 2))
-        lag._constants = constants + x[15:]
-        state = lag.state()
-        return np.concatenate([so3.log(found.R_nb.T @ state.R_nb), state.position_n, state.velocity_n])
-
-    J = so3.numerical_jacobian(carried, np.zeros(15 + CONSTANTS), 1e-5)
-    by_noise = np.repeat([noise.gyro**2 * dt, noise.accel**2 * dt**3 / 3.0, noise.accel**2 * dt], 3)
-    wanted = np.sqrt(np.diag(J @ P @ J.T) + by_noise)
-    assert dt > 0.8
-    sigma = np.concatenate([found.attitude_sigma, found.position_sigma, found.velocity_sigma])
-    # left out: that the bias of the rate swings the antenna, and what turns by noise on the way push
-    np.testing.assert_allclose(sigma, wanted, rtol=0.01)
-
-
-def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(navigating: Aboard, snapshots: list[Snapshot]) -> None:
+def test_a_kart_is_as_unsure_as_the_mounting_of_its_box(drive, navigating: Aboard, snapshots: list[Snapshot]) -> None:
     assert snapshots and navigating.start is not None
     start = replace(navigating.start, mounting_sigma=np.array([0.02, 0.03, 0.05]))
-    one, other = FixedLag(start).state(), FixedLag(replace(start, mounting_sigma=np.zeros(3))).state()
+    one, other = (fed(drive, s, 2.0).state() for s in (start, replace(start, mounting_sigma=np.zeros(3))))
+    assert one is not None and other is not None
     np.testing.assert_allclose(one.attitude_sigma**2 - other.attitude_sigma**2, start.mounting_sigma**2)
 
 
@@ -174,38 +256,47 @@ def test_a_fix_of_a_time_that_samples_have_not_reached_is_left_out(
     start = navigating.start
     lag, t = FixedLag(start), start.t + 0.01 * np.arange(1, 51)
     lag.add_imu(ImuSamples(t, np.tile([0.0, 0.0, 9.8], (50, 1)), np.zeros((50, 3))))
-    lag.add_fix(start.t + start.velocity_latency + 0.55, start.position_n, start.velocity_n)
-    assert (lag.fixes_used, lag.fixes_late, lag.t) == (0, 1, start.t)
+    lag.add_fix(start.t + lag.latencies[1] + 0.55, np.zeros(3), np.zeros(3))
+    assert (lag.fixes_used, lag.fixes_late, lag.t, lag.state()) == (0, 1, start.t, None)
 
 
-def test_errors_of_scale_are_taken_out_of_what_carries_on(navigating: Aboard, snapshots: list[Snapshot]) -> None:
+@pytest.mark.parametrize("later", [0, 1])
+def test_of_a_fix_across_the_beginning_the_part_counts_that_no_prior_has(
+    navigating: Aboard, snapshots: list[Snapshot], later: int
+) -> None:
     assert snapshots and navigating.start is not None
-    start, rng = navigating.start, np.random.default_rng(6)
-    accel_error, gyro_error = rng.normal(0.0, 0.01, (3, 2)), rng.normal(0.0, 0.01, 3)
-    force, rate, t = np.array([3.0, -5.0, 9.8]), np.array([0.2, -0.1, 1.5]), start.t + 0.01 * np.arange(1, 81)
-    level, up = start.R_bs[:2], start.R_bs[2]
-    ideal, flawed = FixedLag(start), FixedLag(start)
-    bias = flawed._bias
-    flawed._constants[ACCEL_ERROR], flawed._constants[GYRO_ERROR] = accel_error.ravel(), gyro_error
-    for lag, felt, turned in (
-        (ideal, force, rate),
-        (flawed, force + accel_error @ level @ force, rate + gyro_error * (up @ rate)),
-    ):
-        lag.add_imu(
-            ImuSamples(t, np.tile(felt + bias.accelerometer(), (80, 1)), np.tile(turned + bias.gyroscope(), (80, 1)))
-        )
-    # to first order: of 1 % twice 0.01 % of 11 m/s^2 and 1.5 rad/s are left, for 0.8 s
-    np.testing.assert_allclose(flawed.state().velocity_n, ideal.state().velocity_n, atol=6e-3)
-    np.testing.assert_allclose(flawed.state().R_nb, ideal.state().R_nb, atol=1e-3)
+    start, zero = navigating.start, np.zeros(3)
+    latencies = dict(zip(("position_latency", "velocity_latency"), np.roll([[0.1], [0.3]], later), strict=True))
+    known = replace(start.known, at=replace(start.known.at, constants=start.known.at.constants | latencies))
+    lag = FixedLag(replace(start, known=known))
+    lag.add_fix(start.t + 0.05, zero, zero)
+    lag.add_imu(ImuSamples(start.t + np.array([0.005, 0.008]), np.zeros((2, 3)), np.zeros((2, 3))))
+    lag.add_fix(start.t + 0.2, zero, zero)
+    assert (lag.fixes_used, lag.fixes_late) == (1 - later, 1 + later)
+    lag.add_imu(ImuSamples(start.t + np.array([0.1, 0.15]), np.zeros((2, 3)), np.zeros((2, 3))))
+    lag.add_fix(start.t + 0.21, zero, zero)
+    parts = lag._fixes.position_n[-1], lag._fixes.velocity_n[-1]
+    assert np.isfinite(parts[later]).all() and np.isnan(parts[1 - later]).all()
+
+
+def test_a_fix_counts_once_in_the_window_or_in_its_prior(drive, navigating: Aboard, snapshots: list[Snapshot]) -> None:
+    assert snapshots and navigating.start is not None
+    lag = fed(drive, navigating.start, 8.0)
+    for values, latency in zip((lag._fixes.position_n, lag._fixes.velocity_n), lag.latencies, strict=True):
+        ahead = lag._fixes.t - latency - lag._state.t[0]
+        assert np.any(ahead < -0.05) and np.isnan(values[ahead < -0.05]).all()
+        assert np.any(ahead > 0.05) and np.isfinite(values[ahead > 0.05, :2]).all()
 
 
 def test_what_is_older_than_the_lag_is_forgotten(navigating: Aboard, snapshots: list[Snapshot]) -> None:
     assert snapshots[-1].lag is not None
     lag = navigating._navigator._lag
-    assert lag is not None and lag.fixes_used > 200
-    # four seconds of keyframes, with five factors each and the margins of those forgotten
-    assert lag._smoother.getFactors().size() < 150
-    assert len(lag._smoother.timestamps()) < 4 * 5 * 6
+    assert lag is not None and lag.fixes_used > 25
+    options = LagOptions()
+    assert np.ptp(lag._state.t) == pytest.approx(options.lag) and np.ptp(lag._before.t) < options.context
+    assert len(lag._preintegrated) == len(lag._state.t) - 1
+    assert len(lag._fixes.t) < 5 * (options.lag + 3.0)
+    assert lag.newest - lag._imu[0].t[0] < 4.0
 
 
 def test_madgwick_is_there_at_once_and_the_smoother_when_it_drove(snapshots: list[Snapshot]) -> None:

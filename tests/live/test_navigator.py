@@ -1,5 +1,7 @@
 """Samples and fixes reach the smoother in the order of their times, however they came."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,14 +41,38 @@ def test_the_smoother_runs_on_a_stream_in_lumps_and_is_given_up_over_a_long_gap(
         part = (imu.t >= start) & (imu.t < start + 8)
         lump: list[Item] = [ImuSamples(imu.t[part], imu.specific_force_s[part], imu.angular_rate_s[part])]
         navigator.take([*lump, *(fix for fix in fixes if start <= fix.t[-1] < start + 8)], 1.0)
-        while navigator.work(50):
-            pass
+        navigator.work()
     assert navigator.look().stage == "smoothing"
     assert navigator._lag is not None and navigator._lag.fixes_late <= 2
     later = ImuSamples(imu.t[-200:] + LONGEST_GAP + 2.0, imu.specific_force_s[-200:], imu.angular_rate_s[-200:])
     navigator.take([later], 2.0)
     assert navigator.look().lag is None
     assert "nothing came for 16 s" in navigator._flaw
+
+
+def test_what_is_identified_on_has_no_long_gap_in_it(drive) -> None:
+    imu, fixes = items_of(drive, 40.0)
+    windows: list[Window] = []
+
+    class Watched(Foreground):
+        def identify(self, window: Window) -> Job[LagStart | str]:
+            windows.append(window)
+            return Done("not now")
+
+    navigator = Navigator(Watched())
+    for late, part in ((0.0, 0), (LONGEST_GAP + 1.0, 1)):
+        some = (imu.t < 25.0) if part == 0 else (imu.t >= 25.0)
+        items: list[Item] = [
+            ImuSamples(imu.t[some] + late, imu.specific_force_s[some], imu.angular_rate_s[some]),
+            *(replace(fix, t=fix.t + late) for fix in fixes if (fix.t[-1] >= 25.0) == bool(part)),
+        ]
+        for item in in_order(items):
+            navigator.take([item], 1.0)
+            navigator.work()
+    assert windows[0].imu.t[0] < 1.0
+    last = windows[-1]
+    assert last.imu.t[0] > 25.0 + LONGEST_GAP and last.fixes.t[0] > 25.0 + LONGEST_GAP
+    assert last.imu.t[-1] > last.imu.t[0] + 5.0 and len(last.fixes) > 20
 
 
 class Busy(Foreground):

@@ -1,0 +1,124 @@
+"""The graph of a window that moves along: what has left it, what that says of it, and one keyframe more."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from smoother.arrays import Array
+from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block, linear_factors, put_in_blocks
+from smoother.estimate.factors.graph import Graph
+from smoother.estimate.factors.imu import imu_factors, imu_rows
+from smoother.estimate.factors.rows import Rows
+from smoother.estimate.model.state import (
+    CONSTANTS_SIZE,
+    DIMENSIONS,
+    KEYFRAME_SIZE,
+    KEYS,
+    OF_KEYFRAMES,
+    OFFSET,
+    SIZES,
+    State,
+    keyframe_keys,
+    vector_values,
+)
+from smoother.estimate.solvers.batch import Step
+from smoother.estimate.solvers.covariance import Covariances
+
+_MOTION = OFFSET.start  # columns of a keyframe that an IMU factor has
+
+
+@dataclass(frozen=True, eq=False)
+class WindowGraph(Graph):
+    """The graph of the keyframes in a window. before: those that have left it, which the motion is low-passed with."""
+
+    before: State = field(kw_only=True)
+
+    def rows(self, state: State) -> list[Rows]:
+        """All rows of the window at `state`. Those of earlier keyframes are in the prior."""
+        first = len(self.before.t)
+        rows = [r.take(np.flatnonzero(r.interval >= first)) for r in super().rows(joined_states(self.before, state))]
+        return [replace(r, interval=r.interval - first) for r in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """What eliminated keyframes say of the first one that stays, and of the constants `names`.
+
+    A (r, 18 + c + 1): Jacobian by both and the right side, whitened, of how far they move from `at`, that keyframe.
+    """
+
+    A: Array
+    names: tuple[str, ...]
+    at: State
+
+    @staticmethod
+    def of(taken: Step, prior: gtsam.NonlinearFactorGraph, leave: int) -> "Marginal":
+        """Eliminate the first `leave` keyframes of a step on a graph with `prior`."""
+        rows = [r.take(np.flatnonzero(r.interval < leave)) for r in taken.rows.values()]
+        system = linear_factors(rows, leave, taken.unknown)
+        known = prior.linearize(taken.state.part(slice(0, 1)).values())
+        for i in range(known.size()):
+            put_in_blocks(known.at(i), taken.unknown, system)
+        ordering = gtsam.Ordering([block(k) for k in range(leave)])
+        _, left = system.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+        A = left.augmentedJacobian(gtsam.Ordering([block(leave), CONSTANTS_BLOCK]))
+        return Marginal(A, taken.unknown, taken.state.part(slice(leave, leave + 1)))
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """The same as the prior of a window that begins with its keyframe."""
+        keys = [*keyframe_keys(0), *(KEYS[name] for name in self.names)]
+        sizes = [*DIMENSIONS, *(SIZES[name] for name in self.names), 1]
+        factor = gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, self.A))
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(gtsam.LinearContainerFactor(factor, self.at.values()))
+        return graph
+
+
+def joined_states(one: State, two: State) -> State:
+    """The keyframes of both, with the constants of the second."""
+    both: dict[str, Any] = {name: np.concatenate([getattr(x, name) for x in (one, two)]) for name in OF_KEYFRAMES}
+    return replace(two, **both)
+
+
+def predicted(state: State, measured: gtsam.PreintegratedCombinedMeasurements, t: float, offset: float) -> State:
+    """The state with one keyframe more, at t s. offset: share of the slow error of the fixes that is left by then."""
+    bias = gtsam.imuBias.ConstantBias(state.accel_bias_s[-1], state.gyro_bias_s[-1])
+    pose = gtsam.Pose3(gtsam.Rot3(state.R_ns[-1]), state.position_n[-1])
+    then = measured.predict(gtsam.NavState(pose, state.velocity_n[-1]), bias)
+    newest = replace(
+        state.part(slice(-1, None)),
+        t=np.array([t]),
+        R_ns=then.attitude().matrix()[None],
+        position_n=then.position()[None],
+        velocity_n=then.velocity()[None],
+        offset_n=offset * state.offset_n[-1:],
+    )
+    return joined_states(state, newest)
+
+
+def carried_on(
+    last: State, known: Covariances, measured: gtsam.PreintegratedCombinedMeasurements, t: float
+) -> tuple[State, Covariances]:
+    """A keyframe and the state at t s after it, with their covariances: by the IMU factor between both.
+
+    known: covariances, of which the last keyframe's count.
+    """
+    two, interval = predicted(last, measured, t, 1.0), np.zeros(1, np.int64)
+    values = two.values()
+    rows = imu_rows(
+        imu_factors([measured], interval).linearize(values), interval, two, np.zeros((1, 2)), rectified=False
+    )
+    by_last, by_then, by_constants = np.split(rows.jacobian()[0], [KEYFRAME_SIZE, 2 * KEYFRAME_SIZE], axis=1)
+    root = np.linalg.inv(by_then[:, :_MOTION])
+    moved, still = np.zeros((2, KEYFRAME_SIZE)), np.zeros(CONSTANTS_SIZE)
+    moved[1, :_MOTION] = -root @ rows.residual[0]
+    P, cross, S = known.keyframes[-1], known.with_constants[-1], known.constants
+    J = -root @ np.hstack([by_last, by_constants])
+    with_all = J @ np.block([[P, cross], [cross.T, S]])
+    P_then, cross_then = np.zeros_like(P), np.zeros_like(cross)
+    P_then[:_MOTION, :_MOTION], cross_then[:_MOTION] = with_all @ J.T + root @ root.T, with_all[:, KEYFRAME_SIZE:]
+    neighbours = np.zeros((1, *P.shape))  # nobody asks for them
+    both = Covariances(np.stack([P, P_then]), neighbours, S, np.stack([cross, cross_then]))
+    return two.with_values(values.retract(vector_values(moved, still))), both
