@@ -20,7 +20,7 @@ from smoother.laps.circuit import find_circuit
 from smoother.laps.path import PlanPath
 from smoother.laps.results import GivenLines, Line
 from smoother.live.lag import LagOptions, LagStart
-from smoother.live.lag_graph import Marginal
+from smoother.live.lag_graph import Marginal, rolling
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
 T_co = TypeVar("T_co", covariant=True)
@@ -53,20 +53,20 @@ def identify(window: Window) -> LagStart | str:
     if report.mode != "full" or report.keyframes is None:
         return "; ".join(problem.text for problem in report.problems) or "the fixes alone"
     start, found, mounting = kept[-1].start, kept[-1].found, report.identified["R_bs"]
-    graph = build_graph(
-        start.binned, start.data, found.known.noise, start.priors, found.state, start.table, rectified=False
-    )
-    leave = int(np.searchsorted(found.state.t, window.imu.t[-1] - LagOptions().lag)) - 1
+    state, noise = found.state, found.known.noise
+    measured = replace(start.data, rolls=rolling(state, noise))
+    graph = build_graph(start.binned, measured, noise, start.priors, state, start.table, rectified=False)
+    leave = int(np.searchsorted(state.t, window.imu.t[-1] - LagOptions().lag)) - 1
     if leave < FEWEST:
         return "the window is too short"
     try:
-        known = Marginal.of(step(graph, found.state.values()), graph.prior, leave)
+        known = Marginal.of(step(graph, state.values()), graph.prior, leave)
     except ArithmeticError as error:
         return str(error)
     return LagStart(
-        found.state.part(slice(0, leave)),
+        state.part(slice(0, leave)),
         known,
-        found.known.noise,
+        noise,
         start.priors,
         np.array(mounting.value),
         np.array(mounting.sigma),

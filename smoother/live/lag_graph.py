@@ -6,11 +6,14 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from smoother.arrays import Array
+from smoother.arrays import Array, BoolArray
 from smoother.estimate.factors.gaussian import CONSTANTS_BLOCK, block, linear_factors, put_in_blocks
 from smoother.estimate.factors.graph import Graph
 from smoother.estimate.factors.imu import imu_factors, imu_rows
 from smoother.estimate.factors.rows import Rows
+from smoother.estimate.factors.wheels import MOVING, beside_slides, slip_of
+from smoother.estimate.model.motion import LowPassedMotion
+from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.state import (
     CONSTANTS_SIZE,
     DIMENSIONS,
@@ -25,6 +28,7 @@ from smoother.estimate.model.state import (
 )
 from smoother.estimate.solvers.batch import Step
 from smoother.estimate.solvers.covariance import Covariances
+from smoother.frames import wrap_angle
 
 _MOTION = OFFSET.start  # columns of a keyframe that an IMU factor has
 
@@ -37,8 +41,9 @@ class WindowGraph(Graph):
 
     def rows(self, state: State) -> list[Rows]:
         """All rows of the window at `state`. Those of earlier keyframes are in the prior."""
-        first = len(self.before.t)
-        rows = [r.take(np.flatnonzero(r.interval >= first)) for r in super().rows(joined_states(self.before, state))]
+        first, joined = len(self.before.t), joined_states(self.before, state)
+        graph = replace(self, measured=replace(self.measured, rolls=rolling(joined, self.noise)))
+        rows = [r.take(np.flatnonzero(r.interval >= first)) for r in Graph.rows(graph, joined)]
         return [replace(r, interval=r.interval - first) for r in rows]
 
 
@@ -74,6 +79,15 @@ class Marginal:
         graph = gtsam.NonlinearFactorGraph()
         graph.add(gtsam.LinearContainerFactor(factor, self.at.values()))
         return graph
+
+
+def rolling(state: State, noise: Noise) -> BoolArray | None:
+    """Keyframes (K,) of a state at which wheels roll; None where they say nothing, by the noise of a whole session."""
+    if noise.slip is None:
+        return None
+    slip = slip_of(state, LowPassedMotion(state, noise.inertial.accel, noise.inertial.gyro))
+    moves = np.hypot(state.velocity_n[:, 0], state.velocity_n[:, 1]) > MOVING
+    return beside_slides(wrap_angle(slip.value * slip.level), moves, 0.0, state.interval)
 
 
 def joined_states(one: State, two: State) -> State:

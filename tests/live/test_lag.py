@@ -24,7 +24,7 @@ from smoother.estimate.solvers.batch import Step, step
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
 from smoother.live.lag import FixedLag, LagOptions, LagStart
-from smoother.live.lag_graph import Marginal, WindowGraph, carried_on
+from smoother.live.lag_graph import Marginal, WindowGraph, carried_on, rolling
 from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk
 from smoother.prepare import prepare
@@ -101,11 +101,13 @@ def whole(drive) -> Whole:
     kept: list[Solved] = []
     GraphSmoother(GraphOptions(rate=5.0), keep=kept.append).estimate(prepare(drive.simulation.raw))
     start, found = kept[-1].start, kept[-1].found
-    noise = replace(found.known.noise, slip=None)
+    noise = found.known.noise
     binned = replace(start.binned, rough=None)
     # without what only a whole session has; a tenth of a metre away, so that a step has something to do
-    measured = replace(start.data, still=np.empty(0, np.int64), unsampled=None, ground=None)
     state = replace(found.state, position_n=found.state.position_n + 0.1)
+    measured = replace(
+        start.data, still=np.empty(0, np.int64), unsampled=None, ground=None, rolls=rolling(state, noise)
+    )
     graph = build_graph(binned, measured, noise, start.priors, state, rectified=False)
     return Whole(graph, binned, step(graph, state.values()))
 
@@ -135,6 +137,7 @@ def test_a_window_after_what_was_eliminated_is_solved_as_the_whole_graph_is(whol
     known = Marginal.of(whole.taken, whole.graph.prior, leave)
     window = window_of(whole, leave, n, known.factors())
     taken = step(window, window.state.values())
+    assert set(taken.rows) == set(whole.taken.rows) and len(taken.rows["slip"].interval) > 100
     sigma = np.sqrt(np.diag(taken.chain().covariances().keyframes[0]))
     assert np.max(np.abs(whole.taken.keyframes / sigma)) > 0.03
     assert np.max(np.abs(taken.keyframes - whole.taken.keyframes[leave:]) / sigma) < 1e-5
@@ -174,8 +177,9 @@ def preintegrated(
 def test_the_state_now_is_as_unsure_as_one_more_keyframe_is(whole: Whole) -> None:
     first, end = 150, 201
     prior = Marginal.of(whole.taken, whole.graph.prior, first).factors()
-    until = window_of(whole, first, end, prior)
-    ahead = replace(window_of(whole, first, end + 3, prior), measured=until.measured)
+    noise = replace(whole.graph.noise, slip=None)  # wheels know something of the next keyframes
+    until = replace(window_of(whole, first, end, prior), noise=noise)
+    ahead = replace(window_of(whole, first, end + 3, prior), measured=until.measured, noise=noise)
     longer = step(ahead, ahead.state.values())
     wanted, known = longer.chain().covariances(), step(until, until.state.values()).chain().covariances()
     state, t = until.state, whole.state.t
@@ -277,6 +281,18 @@ def test_of_a_fix_across_the_beginning_the_part_counts_that_no_prior_has(
     lag.add_fix(start.t + 0.21, zero, zero)
     parts = lag._fixes.position_n[-1], lag._fixes.velocity_n[-1]
     assert np.isfinite(parts[later]).all() and np.isnan(parts[1 - later]).all()
+
+
+def test_wheels_hold_the_yaw_where_the_session_has_them_and_not_where_the_kart_spins(whole: Whole) -> None:
+    noise, state = whole.graph.noise, whole.state
+    rolls = rolling(state, noise)
+    assert rolls is not None and np.mean(rolls) > 0.8
+    assert rolling(state, replace(noise, slip=None)) is None
+    spun = state.R_ns.copy()
+    spun[100:105] = spun[100:105] @ so3.exp(np.array([0.0, 0.0, 1.0]))
+    beside = rolling(replace(state, R_ns=spun), noise)
+    assert beside is not None and rolls[95:110].all() and not beside[95:110].any()
+    np.testing.assert_array_equal(beside[:80], rolls[:80])
 
 
 def test_a_fix_counts_once_in_the_window_or_in_its_prior(drive, navigating: Aboard, snapshots: list[Snapshot]) -> None:

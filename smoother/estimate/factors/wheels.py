@@ -76,9 +76,7 @@ def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> B
         return None
     angle = slip.value * slip.level
     angle = wrap_angle(angle - np.median(angle[moves]))
-    sliding = moves & (np.abs(angle) > SLIDING + SURE * slip.level * np.sqrt(variance))
-    around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
-    rolls = moves & ~around
+    rolls = beside_slides(angle, moves, SURE * slip.level * np.sqrt(variance), interval)
     if np.count_nonzero(rolls) < (1.0 - MOST_SLIDING) * np.count_nonzero(moves):
         return None
     weight = 1.0 / (variance[rolls] + UNSURE**2)
@@ -88,6 +86,16 @@ def rolling(slip: Slip, moves: BoolArray, variance: Array, interval: float) -> B
     beyond = np.minimum((value - slip.by_constants[rolls] @ fit) ** 2, SLIDING**2) - variance[rolls]
     sigma = np.sqrt(max(float(np.average(beyond, weights=weight**2)), 0.0))
     return None if sigma > MOST else rolls
+
+
+def beside_slides(angle: Array, moves: BoolArray, unsure: Array | float, interval: float) -> BoolArray:
+    """Keyframes (K,) at speed around which the kart neither slides nor spins.
+
+    angle (K,) rad: sideslip beyond the usual; moves (K,): keyframes at speed; unsure rad: what may be off by.
+    """
+    sliding = moves & (np.abs(angle) > SLIDING + unsure)
+    around = np.convolve(sliding, np.ones(2 * round(AROUND / interval) + 1), "same") > 0.5
+    return np.asarray(moves & ~around)
 
 
 def slip_rows(slip: Slip, rolls: BoolArray, sigma: float, interval: float) -> tuple[Rows, Rows]:
