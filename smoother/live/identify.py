@@ -24,7 +24,7 @@ from smoother.live.lag_graph import Marginal, rolling
 from smoother.samples import GnssFixes, ImuSamples, Problem, Session
 
 T_co = TypeVar("T_co", covariant=True)
-OUTPUT_RATE = 5.0  # Hz; only the start of the window is read
+OUTPUT_RATE = 5.0  # Hz; nobody reads the rows
 SHORTEST_LAP = 100.0  # m, as for recorded laps
 FEWEST = 10  # keyframes to go on from
 MOVED = 5.0  # m/s; slower fixes say little about the mounting
@@ -40,7 +40,7 @@ class Window:
 
 
 def identify(window: Window) -> LagStart | str:
-    """Return where and with which values a stream over the window begins, or why it cannot.
+    """Return where a stream goes on, what is known there and how noisy all is; or why it cannot.
 
     Those of samples as they come: the stream does not wait for a force that is late.
     """
