@@ -12,9 +12,11 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.errors import SmootherError
 from smoother.estimate.factors.graph import build_graph
+from smoother.estimate.initial.guess import problem_of
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import step
+from smoother.estimate.solvers.identify import FREE, held_at
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
 from smoother.laps.path import PlanPath
@@ -42,7 +44,7 @@ class Window:
 def identify(window: Window) -> LagStart | str:
     """Return where a stream goes on, what is known there and how noisy all is; or why it cannot.
 
-    Those of samples as they come: the stream does not wait for a force that is late.
+    Samples count as they come: the stream does not wait for a force that is late.
     """
     session, kept = Session("live", window.fixes, window.origin, window.imu), list[Solved]()
     options = replace(GraphOptions(), rate=OUTPUT_RATE, in_step=False)
@@ -54,8 +56,9 @@ def identify(window: Window) -> LagStart | str:
         return "; ".join(problem.text for problem in report.problems) or "the fixes alone"
     start, found, mounting = kept[-1].start, kept[-1].found, report.identified["R_bs"]
     state, noise = found.state, found.known.noise
-    measured = replace(start.data, rolls=rolling(state, noise))
-    graph = build_graph(start.binned, measured, noise, start.priors, state, start.table, rectified=False)
+    measured, with_wheels = replace(start.data, rolls=rolling(state, noise)), noise.slip is not None
+    priors = held_at(problem_of(start), state, FREE).priors if with_wheels else start.priors
+    graph = build_graph(start.binned, measured, noise, priors, state, start.table, rectified=False)
     leave = int(np.searchsorted(state.t, window.imu.t[-1] - LagOptions().lag)) - 1
     if leave < FEWEST:
         return "the window is too short"
@@ -67,7 +70,8 @@ def identify(window: Window) -> LagStart | str:
         state.part(slice(0, leave)),
         known,
         noise,
-        start.priors,
+        priors,
+        found.known.constants_covariance if with_wheels else None,
         np.array(mounting.value),
         np.array(mounting.sigma),
         np.zeros(3) if report.keyframes.unseen_offset is None else report.keyframes.unseen_offset,

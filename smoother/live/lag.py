@@ -2,7 +2,9 @@
 
 With each fix the keyframes that samples have reached since are added, and one Gauss-Newton step is taken. What is older
 than the lag is eliminated: what it says of the first keyframe that stays and of the constants is that one's prior from
-then on. Constants stay in the window, so that what the stream says about them adds up.
+then on. Constants stay in the window, so that what the stream says about them adds up. With wheels they are held where
+the identification has found them, but for those that wheels decide, and their errors count in the covariances: as in
+the batch smoother.
 
 Between the newest keyframe and now the inertial samples carry the state on, by one more IMU factor.
 """
@@ -13,17 +15,23 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
+from smoother import so3
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.factors.graph import Measurements, Priors
+from smoother.estimate.factors.antenna import arm_axes
+from smoother.estimate.factors.gaussian import columns_of
+from smoother.estimate.factors.graph import MAX_LATENCY, Measurements, Priors
 from smoother.estimate.factors.imu import imu_factors
 from smoother.estimate.factors.rows import Between
 from smoother.estimate.model.imu import bin_imu
+from smoother.estimate.model.inertial_noise import InertialNoise
 from smoother.estimate.model.noise import Noise
 from smoother.estimate.model.preintegration import preintegrate, preintegration_parameters
 from smoother.estimate.model.state import State
+from smoother.estimate.output.noise_filter import without_noise
 from smoother.estimate.output.uncertainty import antenna_covariance
 from smoother.estimate.solvers.batch import Step, step
 from smoother.estimate.solvers.covariance import Covariances
+from smoother.estimate.solvers.identify import FREE
 from smoother.live.lag_graph import Marginal, WindowGraph, carried_on, joined_states, predicted
 from smoother.samples import ImuSamples
 
@@ -47,7 +55,7 @@ class LagOptions:
 @dataclass(frozen=True, eq=False)
 class LagStart:
     """Where a stream goes on: keyframes `before` its window, what they say of its first one and of the constants, and
-    the noise and the priors of their graph.
+    the noise and the priors of their graph. held (C, C): covariance of the constants where these are held, else None.
 
     R_bs (3, 3), with mounting_sigma (3,) rad about the axes of b. unseen_offset (3,) m^2: variance of what the data
     cannot tell of the offset, as in the batch smoother: in the sigmas of positions, in no factor.
@@ -57,6 +65,7 @@ class LagStart:
     known: Marginal
     noise: Noise
     priors: Priors
+    held: Array | None
     R_bs: Array
     mounting_sigma: Array
     unseen_offset: Array
@@ -94,7 +103,7 @@ class FixedLag:
         self._interval, self._keyframes = start.before.interval, 0  # since the start
         self._preintegrated: list[gtsam.PreintegratedCombinedMeasurements] = []
         self._imu: list[ImuSamples] = []
-        self._newest = start.t
+        self._newest = self._solved = start.t  # newest sample; stamp of the newest fix that is in the window's solution
         nothing, one = np.full((1, 3), np.nan), np.ones(1)
         # a fix of nothing stands for those to come
         self._fixes = Measurements(self._state.t, nothing, nothing, one, one, np.empty(0, np.int64))
@@ -127,7 +136,7 @@ class FixedLag:
     def add_fix(self, t: float, position_n: Array, velocity_n: Array) -> None:
         """Take in a fix stamped t s: position_n, velocity_n (3,), NaN where unknown."""
         times, first = t - np.array(self.latencies), self._state.t[0]
-        is_ahead = t - self._start.known.at.constant("velocity_latency") > self._newest
+        is_ahead = np.max(times) > self._newest + MAX_LATENCY  # no latency explains that
         if is_ahead or t <= self._fixes.t[-1] or np.all(times < first):
             self.fixes_late += 1
             return
@@ -147,7 +156,9 @@ class FixedLag:
     def state(self) -> LagState | None:
         """Return the newest state, carried on by inertial samples to the last of them; None before the first fix."""
         if self._now is None and self._taken is not None:
-            self._known = self._known or self._taken.chain().covariances()
+            if self._known is None:
+                chain, held = self._taken.chain(), self._start.held
+                self._known = (chain if held is None else chain.with_constants(held, columns_of(FREE))).covariances()
             self._now = self._state_now(self._known)
         return self._now
 
@@ -157,15 +168,16 @@ class FixedLag:
         last = self._state.part(slice(-1, None))
         two, known = carried_on(last, known, self._preintegrated_since(), self._newest)
         R_ns, R_bs, unseen = two.R_ns[-1], self._start.R_bs, self._start.unseen_offset
-        arm_s, rate_s = two.constants["lever_arm"], self._imu[-1].angular_rate_s[-1] - two.gyro_bias_s[-1]
-        P, in_b = antenna_covariance(two, known, None)[-1], R_bs @ R_ns.T
+        arm_n = (arm_axes(Between.at(two, two.t)) @ two.constants["lever_arm"])[-1]
+        rate_n, of_rate = rate_without_noise(joined(self._imu), two, self._start.noise.inertial)
+        P, in_b, by_rate = antenna_covariance(two, known, None)[-1], R_bs @ R_ns.T, so3.skew(arm_n)
         return LagState(
             self._newest,
             R_ns @ R_bs.T,
-            two.position_n[-1] + R_ns @ arm_s,
-            two.velocity_n[-1] + R_ns @ np.cross(rate_s, arm_s),
+            two.position_n[-1] + arm_n,
+            two.velocity_n[-1] + np.cross(rate_n, arm_n),
             np.sqrt(np.diag(in_b @ P[:3, :3] @ in_b.T) + self._start.mounting_sigma**2),
-            np.sqrt(np.diag(P[3:6, 3:6])),
+            np.sqrt(np.diag(P[3:6, 3:6] + by_rate @ of_rate @ by_rate.T)),
             np.sqrt(np.diag(P[6:, 6:]) + unseen),
             unseen,
             self._newest - float(self._fixes.t[self._are_reached()][-1]) + self.latencies[1],
@@ -176,12 +188,13 @@ class FixedLag:
         return np.asarray(self._fixes.t - min(self.latencies) <= self.t)
 
     def _advance(self) -> None:
-        """Add the keyframes that samples have reached, once a fix is between them or none came for long, and solve."""
+        """Add keyframes and solve, once samples have reached one and a new fix before it, or none came for long."""
         self._now = None
         steps = int((self._newest - SHORTEST - self.t) / self._interval)
-        true = self._fixes.t - min(self.latencies)
-        is_reached = np.any((true > self.t) & (true <= self.t + steps * self._interval))
-        if is_reached or steps * self._interval >= self._options.longest_step:
+        end = self.t + steps * self._interval
+        new = self._fixes.t[(self._fixes.t > self._solved) & (self._fixes.t - min(self.latencies) <= end)]
+        if (steps and len(new)) or steps * self._interval >= self._options.longest_step:
+            self._solved = float(np.max(new, initial=self._solved))
             self._extend(steps)
             self._solve()
 
@@ -248,6 +261,16 @@ class FixedLag:
         before = joined_states(self._before, self._state.part(slice(0, leave)))
         self._before = before.part(slice(-round(self._options.context / self._interval), None))
         self._state, self._preintegrated = self._state.part(slice(leave, None)), self._preintegrated[leave:]
+
+
+def rate_without_noise(imu: ImuSamples, state: State, noise: InertialNoise) -> tuple[Array, Array]:
+    """Angular rate (3,) rad/s in n at the last sample, where the last keyframe of `state` is, and its covariance."""
+    axes, dt = state.geometry.level_axes_s, float(np.mean(np.diff(imu.t)))
+    variances = noise.gyro**2 / dt * np.diag(axes @ np.array(noise.gyro_shape) @ axes.T)
+    measured = (imu.angular_rate_s - state.gyro_bias_s[-1]) @ axes.T
+    rates, left = without_noise(measured, variances, dt, np.ones(3, dtype=np.bool_))
+    to_n = state.R_ns[-1] @ axes.T
+    return to_n @ rates[-1], (to_n * left) @ to_n.T
 
 
 def joined(parts: Sequence[ImuSamples]) -> ImuSamples:

@@ -13,17 +13,19 @@ import pytest
 from bound import BoundOptions, information_bound
 from smoother import api, so3
 from smoother.arrays import Array
-from smoother.estimate.factors.graph import Graph, build_graph
+from smoother.estimate.factors.gaussian import columns_of
+from smoother.estimate.factors.graph import MAX_LATENCY, Graph, build_graph
 from smoother.estimate.factors.imu import imu_factors
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.preintegration import preintegration_parameters
-from smoother.estimate.model.state import State
+from smoother.estimate.model.state import CONSTANTS_SIZE, State
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import Step, step
+from smoother.estimate.solvers.identify import FREE
 from smoother.live.engine import Engine, Snapshot
 from smoother.live.identify import Foreground
-from smoother.live.lag import FixedLag, LagOptions, LagStart
+from smoother.live.lag import FixedLag, LagOptions, LagStart, rate_without_noise
 from smoother.live.lag_graph import Marginal, WindowGraph, carried_on, rolling
 from smoother.live.navigator import Aboard
 from smoother.live.receiver import Chunk
@@ -260,8 +262,63 @@ def test_a_fix_of_a_time_that_samples_have_not_reached_is_left_out(
     start = navigating.start
     lag, t = FixedLag(start), start.t + 0.01 * np.arange(1, 51)
     lag.add_imu(ImuSamples(t, np.tile([0.0, 0.0, 9.8], (50, 1)), np.zeros((50, 3))))
-    lag.add_fix(start.t + lag.latencies[1] + 0.55, np.zeros(3), np.zeros(3))
+    no_latency_explains = 0.5 + MAX_LATENCY + max(lag.latencies) + 0.01
+    lag.add_fix(start.t + no_latency_explains, np.zeros(3), np.zeros(3))
     assert (lag.fixes_used, lag.fixes_late, lag.t, lag.state()) == (0, 1, start.t, None)
+
+
+def with_latencies(start: LagStart, position: float, velocity: float) -> LagStart:
+    """The start of a stream whose fixes are late by other times, s."""
+    latencies = {"position_latency": np.array([position]), "velocity_latency": np.array([velocity])}
+    at = replace(start.known.at, constants=start.known.at.constants | latencies)
+    return replace(start, known=replace(start.known, at=at))
+
+
+@pytest.mark.parametrize("latency", [-0.2, 0.0, 0.45])
+def test_a_fix_waits_for_samples_around_it_and_no_longer(
+    drive, navigating: Aboard, snapshots: list[Snapshot], latency: float
+) -> None:
+    """Also where stamps are before the fixes are true: those of Lignano are, by 0.1 s."""
+    assert snapshots and navigating.start is not None
+    start, waits = with_latencies(navigating.start, latency, latency), []
+    for seconds in (2.6, 2.8, 3.0):
+        lag = fed(drive, start, seconds)
+        assert lag.fixes_used > 9 and lag.fixes_late <= np.ceil(max(latency, 0.0) / 0.2)
+        waits.append(lag._fixes.t[-1] - lag._solved)
+    # until the next keyframe, and the next fix, from which on both are in the window
+    assert max(waits) < max(0.0, 0.4 - latency) + 0.01
+
+
+def test_constants_are_held_with_wheels_and_their_errors_count(
+    drive, navigating: Aboard, snapshots: list[Snapshot]
+) -> None:
+    assert snapshots and navigating.start is not None and navigating.start.held is not None
+    start, lag = navigating.start, fed(drive, navigating.start, 5.0)
+    assert lag.state() is not None and lag._known is not None
+    for name, values in start.known.at.constants.items():
+        moved = np.max(np.abs(lag._state.constants[name] - values))
+        assert (moved > 1e-6) if name == "slip" else (moved < 1e-6), name
+    kept = np.delete(np.arange(CONSTANTS_SIZE), columns_of(FREE))
+    np.testing.assert_allclose(lag._known.constants[np.ix_(kept, kept)], start.held[np.ix_(kept, kept)])
+    assert lag._taken is not None
+    as_if_known = lag._taken.chain().covariances().keyframes[-1]
+    more = np.diag(lag._known.keyframes[-1]) / np.diag(as_if_known)
+    assert np.all(more > 0.999) and np.max(more[:9]) > 1.02
+
+
+def test_the_swing_of_the_antenna_is_without_the_noise_of_the_last_sample(whole: Whole) -> None:
+    rng, state, noise = np.random.default_rng(3), whole.state, whole.graph.noise.inertial
+    t, turn_s = 0.01 * np.arange(200), state.geometry.level_axes_s.T @ np.array([0.0, 0.0, 0.7])
+    wanted, errors, sigmas = state.R_ns[-1] @ turn_s, [], []
+    for _ in range(20):
+        rates = turn_s + state.gyro_bias_s[-1] + rng.normal(0.0, noise.gyro / np.sqrt(0.01), (200, 3))
+        rate_n, covariance = rate_without_noise(ImuSamples(t, np.zeros((200, 3)), rates), state, noise)
+        errors.append(rate_n - wanted)
+        sigmas.append(np.sqrt(np.mean(np.diag(covariance))))
+    white = noise.gyro / np.sqrt(0.01)
+    rms = np.sqrt(np.mean(np.square(errors)))
+    assert rms < 0.5 * white
+    assert 0.5 < rms / np.mean(sigmas) < 2.0
 
 
 @pytest.mark.parametrize("later", [0, 1])
@@ -269,14 +326,12 @@ def test_of_a_fix_across_the_beginning_the_part_counts_that_no_prior_has(
     navigating: Aboard, snapshots: list[Snapshot], later: int
 ) -> None:
     assert snapshots and navigating.start is not None
-    start, zero = navigating.start, np.zeros(3)
-    latencies = dict(zip(("position_latency", "velocity_latency"), np.roll([[0.1], [0.3]], later), strict=True))
-    known = replace(start.known, at=replace(start.known.at, constants=start.known.at.constants | latencies))
-    lag = FixedLag(replace(start, known=known))
+    start, zero = with_latencies(navigating.start, *np.roll([0.1, 0.3], later)), np.zeros(3)
+    lag = FixedLag(start)
     lag.add_fix(start.t + 0.05, zero, zero)
     lag.add_imu(ImuSamples(start.t + np.array([0.005, 0.008]), np.zeros((2, 3)), np.zeros((2, 3))))
     lag.add_fix(start.t + 0.2, zero, zero)
-    assert (lag.fixes_used, lag.fixes_late) == (1 - later, 1 + later)
+    assert (lag.fixes_used, lag.fixes_late) == (1, 1)
     lag.add_imu(ImuSamples(start.t + np.array([0.1, 0.15]), np.zeros((2, 3)), np.zeros((2, 3))))
     lag.add_fix(start.t + 0.21, zero, zero)
     parts = lag._fixes.position_n[-1], lag._fixes.velocity_n[-1]
