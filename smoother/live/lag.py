@@ -99,7 +99,7 @@ class FixedLag:
 
     def __init__(self, start: LagStart, options: LagOptions | None = None) -> None:
         self._start, self._options = start, options or LagOptions()
-        self._before, self._state, self._prior = start.before, start.known.at, start.known.factors()
+        self._before, self._state, self._past = start.before, start.known.at, start.known
         self._interval, self._keyframes = start.before.interval, 0  # since the start
         self._preintegrated: list[gtsam.PreintegratedCombinedMeasurements] = []
         self._imu: list[ImuSamples] = []
@@ -225,10 +225,10 @@ class FixedLag:
 
     def _solve(self) -> None:
         """Take a step, and let go of what is older than the lag."""
-        intervals = np.arange(len(self._preintegrated))
+        intervals, self._past = np.arange(len(self._preintegrated)), self._past.moved_to(self._state.part(slice(0, 1)))
         graph = WindowGraph(
             imu_factors(self._preintegrated, intervals),
-            self._prior,
+            self._past.factors(),
             intervals,
             self._preintegrated,
             self._fixes.of(self._are_reached()),
@@ -247,7 +247,7 @@ class FixedLag:
 
     def _let_go(self, taken: Step, leave: int) -> None:
         """Eliminate the first keyframes of the window and what was measured there."""
-        self._prior = Marginal.of(taken, self._prior, leave).factors()
+        self._past = Marginal.of(taken, self._past.factors(), leave)
         fixes, at = self._fixes, taken.state
         by_position, by_velocity = (
             (Between.at(at, fixes.t - at.constant(name)).interval < leave)[:, None]

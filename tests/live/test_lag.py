@@ -18,7 +18,7 @@ from smoother.estimate.factors.graph import MAX_LATENCY, Graph, build_graph
 from smoother.estimate.factors.imu import imu_factors
 from smoother.estimate.model.imu import BinnedImu
 from smoother.estimate.model.preintegration import preintegration_parameters
-from smoother.estimate.model.state import CONSTANTS_SIZE, State
+from smoother.estimate.model.state import CONSTANTS_SIZE, KEYFRAME_SIZE, OFFSET, State, vector_values
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import Step, step
@@ -161,6 +161,27 @@ def test_what_was_eliminated_stays_where_it_was_when_the_window_moves(whole: Who
     np.testing.assert_allclose(factor.linearize(at).jacobian()[1], known.A[:, -1])
     b = factor.linearize(moved.values()).jacobian()[1]
     np.testing.assert_allclose(b, known.A[:, -1] - known.A[:, column], atol=1e-6)
+
+
+def test_a_keyframe_that_has_turned_knows_no_more_of_where_it_is(whole: Whole) -> None:
+    """A position and the slow error of the fixes that move against each other change nothing but that error's prior."""
+    known, still = Marginal.of(whole.taken, whole.graph.prior, 200), np.zeros(CONSTANTS_SIZE)
+
+    def at(move: Array, since: State) -> State:
+        return since.with_values(since.values().retract(vector_values(move[None], still)))
+
+    now = at(np.concatenate([[0.03, -0.02, 0.1, 1.0, -0.5, 0.2], np.zeros(KEYFRAME_SIZE - 6)]), known.at)
+    moved, along = known.moved_to(now), np.array([3.0, -2.0, 1.0])
+
+    def shifted(of: Marginal) -> Array:
+        return np.asarray(of.A[:, 3:6] @ (of.at.R_ns[0].T @ along) - of.A[:, OFFSET] @ along)
+
+    np.testing.assert_allclose(shifted(moved), shifted(known), atol=1e-8)
+    # and its columns are those of its right side
+    for column, move in enumerate(1e-6 * np.eye(KEYFRAME_SIZE)):
+        ends = [known.moved_to(at(sign * move, now)).A[:, -1] for sign in (-1.0, 1.0)]
+        scale = np.max(np.abs(known.A[:, column])) + 1e-9
+        np.testing.assert_allclose(moved.A[:, column] / scale, (ends[0] - ends[1]) / 2e-6 / scale, atol=1e-4)
 
 
 def preintegrated(
