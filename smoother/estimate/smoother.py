@@ -15,9 +15,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smoother.estimate.clock_offset import offset_problems
-from smoother.estimate.clock_steps import moves_of, of_both_sides, step_problems
-from smoother.estimate.clocks import drift_problems, identified_drift
 from smoother.estimate.fixes.agreement import disagreement, disagreement_problems, in_agreement
 from smoother.estimate.fixes.alone import GnssOnlyOptions, GnssSmoother
 from smoother.estimate.in_step import identified as identified_delay
@@ -241,7 +238,7 @@ def _velocities_early(identified: Mapping[str, Identified]) -> tuple[Problem, ..
 
 def _blamed(begun: Begun, noise: Noise) -> tuple[Problem, ...]:
     """What samples far from the motion are blamed on; a step between clocks that is left makes them so by itself."""
-    if not all(step.is_placed for step in begun.steps):
+    if not all(step.is_placed for step in begun.clock.steps):
         return ()
     return (*_shaken(begun.session, noise), *_unsteady(begun.session, noise))
 
@@ -371,13 +368,13 @@ def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: 
     return replace(
         told,
         identified={
-            **of_both_sides(told.identified, begun.steps),
+            **begun.clock.on_both_sides(told.identified),
             **field_values(solved.heading, found),
             "accel_delay": identified_delay(begun.delay),
-            "imu_clock_drift": identified_drift(begun.drift),
+            "imu_clock_drift": begun.clock.identified(),
         },
         left_out=begun.left_out,
-        clock_moves=moves_of(begun.steps),
+        clock_moves=begun.clock.moves,
         problems=(
             *start.alignment.problems,
             *told.problems,
@@ -386,10 +383,8 @@ def _completed_report(given: Session, begun: Begun, solved: Solved, trajectory: 
             *_early(told.identified),
             *_velocities_early(told.identified),
             *leaning_problems(trajectory),
-            *offset_problems(begun.offset),
             *begun.problems,
-            *drift_problems(begun.drift, given),
-            *step_problems(begun.steps, given),
+            *begun.clock.problems(given),
         ),
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import smoother
 from smoother.arrays import are_near, median
-from smoother.estimate.clock_offset import CLOCK_OFFSET
+from smoother.estimate.preprocess.clock import CLOCK_OFFSET
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
 from smoother.frames import euler_from_rotation, euler_jacobian

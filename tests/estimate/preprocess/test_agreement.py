@@ -159,7 +159,7 @@ def test_a_kart_that_stands_with_a_box_that_is_handled_does_not_drive(session: S
 
 
 def test_what_is_too_short_or_too_slow_tells_nothing(session: Session) -> None:
-    short = session.gnss.select(session.gnss.t < 70.0)
+    short = session.gnss.select(session.gnss.t < 50.0)
     slow = session.gnss.select(np.arange(len(session.gnss)) % 10 == 0)
     for gnss in (short, slow):
         assert told(swinging(replace(session, gnss=gnss))) == []

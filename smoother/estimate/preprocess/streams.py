@@ -1,0 +1,218 @@
+"""One look at both streams: what the sensor measured beside what the path through the fixes says, stretch by stretch.
+
+A sensor of known mounting measures forward force, left force and yaw rate of the path, `lag` seconds before the path
+has them. In each stretch of driving each of the three is fitted by itself,
+
+    measured(t - lag) = gain * path(t) + offset.
+
+Vibration is in what is measured and not in the path: it makes a lag uncertain, but draws neither lag nor gain. Slip,
+lean and wheels shift single axes; what all three have in common is a matter of clocks.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.estimate.averages import WINDOW, Averages
+from smoother.estimate.path_motion import PathMotion, path_axes
+
+STRETCH, MOST_STRETCHES = 10.0, 400  # s of driving: a bend or two
+FEWEST_STRETCHES, FEWEST = 5, 8  # of a session; fixes of a stretch
+ENOUGH_ROUGHLY, ENOUGH = 40, 100  # fixes of a stretch
+SLOWEST = 1.5  # s between fixes; in more a kart goes round a bend
+FARTHEST, STEP = 2.2, 0.1  # s about the usual lag that is searched, and between two of them
+INDEPENDENT = 2.0  # s, after which path and measurement differ by something else
+JUMP_COSTS, CREEP_COSTS = 6.0, 0.5  # log-likelihood of another lag than in the stretch before, and of the next one
+REWEIGHTED, ITERATIONS = 4, 4
+FARTHEST_MOVE, SETTLED = 0.15, 0.002  # s, of one iteration
+BESIDE_ROUGH = 0.3  # s, by which a lag may be off the one found roughly
+BLOCK = 5.0  # s; what a corner leaves is independent of what others do
+LIVELY = 0.4  # of what an axis usually does; less shows nothing
+LEAST_GAIN = 0.3  # of 1; less is not the motion of the path, or it is mirrored
+TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a sensor measures along the axes of a kart in which it is mounted by R_bs (3, 3); gyro_bias_s (3,) rad/s."""
+
+    averages: Averages
+    R_bs: Array
+    gyro_bias_s: Array
+
+    def at(self, t: Array) -> Array:
+        """Forward and left force m/s^2 and rate about up rad/s, (3, ...), averaged around t (...) s."""
+        force, rate = self.averages.around(t, WINDOW)
+        return np.stack([force @ self.R_bs[0], force @ self.R_bs[1], (rate - self.gyro_bias_s) @ self.R_bs[2]])
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """Stretches from first (B,) to last (B,) s by the clock of the fixes, `spacing` s apart.
+
+    By forward force, left force and yaw rate: lag (B, 3) s of the path behind the samples and its sigma, infinite where
+    nothing shows it; likeness (B, 3), the correlation at that lag, NaN where nothing goes on; gain (B, 3).
+    """
+
+    first: Array
+    last: Array
+    lag: Array
+    sigma: Array
+    likeness: Array
+    gain: Array
+    spacing: float
+
+    @property
+    def t(self) -> Array:
+        """Middle of each stretch, (B,) s."""
+        return np.asarray(0.5 * (self.first + self.last))
+
+    @property
+    def is_known(self) -> BoolArray:
+        """Mask (B, 3) of the lags that show."""
+        return np.isfinite(self.sigma)
+
+
+def compare_streams(measured: Measured, path: PathMotion, use: IntArray, about: float) -> Streams | None:
+    """Compare samples and path at the fixes `use`, at speed and with samples around them; `about` s: the usual lag.
+
+    None where fixes are too few or too rare to tell one stretch from others.
+    """
+    if use.size < FEWEST * FEWEST_STRETCHES or median(np.diff(path.t)) > SLOWEST:
+        return None
+    parts = _stretches(path.t, use)
+    if len(parts) < FEWEST_STRETCHES:
+        return None
+    axes = path_axes(path)
+    some = _Rows.of([part[:: -(-len(part) // ENOUGH_ROUGHLY)] for part in parts], path, axes)
+    return _fitted(measured, _Rows.of(parts, path, axes), _rough_lags(measured, some, about), median(np.diff(path.t)))
+
+
+def _stretches(t: Array, use: IntArray) -> list[IntArray]:
+    """Rows `use` of fixes at t (N,) s by stretch of driving, without those of too few fixes."""
+    since = np.diff(t[use], prepend=t[use[0]])
+    driven = np.cumsum(np.minimum(since, SLOWEST))
+    length = max(STRETCH, float(driven[-1]) / MOST_STRETCHES)
+    parts = np.split(use, np.flatnonzero((np.diff(driven // length) > 0.0) | (since[1:] > STRETCH)) + 1)
+    return [part[:: -(-len(part) // ENOUGH)] for part in parts if len(part) >= FEWEST]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Fixes at t (N,) s of stretches numbered from 0, in order; path (3, N): its axes, and their change (3, N)."""
+
+    t: Array
+    stretch: IntArray
+    path: Array
+    change: Array
+
+    @classmethod
+    def of(cls, parts: list[IntArray], path: PathMotion, axes: Array) -> "_Rows":
+        """The fixes of some parts; axes (N, 3) of the path."""
+        rows, number = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        return cls(path.t[rows], number, axes[rows].T, np.gradient(axes, path.t, axis=0)[rows].T)
+
+    @property
+    def first(self) -> IntArray:
+        """First row (B,) of each stretch."""
+        return np.flatnonzero(np.diff(self.stretch, prepend=-1))
+
+    def sums(self, values: Array) -> Array:
+        """Sums (..., B) of values (..., N)."""
+        return np.asarray(np.add.reduceat(values, self.first, axis=-1))
+
+    def medians(self, values: Array) -> Array:
+        """Medians (3, B) of values (3, N)."""
+        return np.stack([np.median(part, axis=1) for part in np.split(values, self.first[1:], axis=1)], axis=1)
+
+    def centred(self, values: Array, weight: Array) -> Array:
+        """Values (3, N) less their weighted mean in each stretch."""
+        return np.asarray(values - (self.sums(weight * values) / self.sums(weight))[:, self.stretch])
+
+
+def _rough_lags(measured: Measured, rows: _Rows, about: float) -> Array:
+    """The lag (B,) s of each stretch, to STEP, of the likeliest course of lags, which seldom jump.
+
+    Source: Viterbi 1967.
+    """
+    tried, one = about + np.arange(-FARTHEST, FARTHEST + 1e-9, STEP), np.ones_like(rows.path)
+    path = rows.centred(rows.path, one)
+    lasts = rows.t[np.append(rows.first[1:], len(rows.t)) - 1] - rows.t[rows.first]
+    likelihood = np.empty((len(lasts), len(tried)))
+    for k, lag in enumerate(tried):
+        here = rows.centred(measured.at(rows.t - lag), one)
+        shared = np.maximum(rows.sums(here * path), 0.0)
+        rest = 1.0 - shared**2 / np.maximum(rows.sums(here**2) * rows.sums(path**2), TINY)
+        likelihood[:, k] = -0.5 * lasts / INDEPENDENT * np.sum(np.log(np.maximum(rest, 1e-3)), axis=0)
+    away = np.abs(np.subtract.outer(np.arange(len(tried)), np.arange(len(tried))))
+    costs = np.where(away <= 1, CREEP_COSTS * away, JUMP_COSTS)
+    best, came_from = likelihood[0], []
+    for own in likelihood[1:]:
+        total = best - costs
+        came_from.append(np.argmax(total, axis=1))
+        best = np.max(total, axis=1) + own
+    course = [int(np.argmax(best))]
+    for before in reversed(came_from):
+        course.append(int(before[course[-1]]))
+    return np.asarray(tried[course[::-1]])
+
+
+def _fitted(measured: Measured, rows: _Rows, rough: Array, spacing: float) -> Streams:
+    """Fit each axis of each stretch from the `rough` lag (B,) s on."""
+    lag = np.tile(rough, (3, 1))
+    for _ in range(ITERATIONS):
+        here = np.stack([measured.at(rows.t - lag[i, rows.stretch])[i] for i in range(3)])
+        fit = _Fit.of(rows, here)
+        lag = lag + np.clip(fit.move, -FARTHEST_MOVE, FARTHEST_MOVE)
+        if np.max(np.abs(fit.move)) < SETTLED:
+            break
+    variance = rows.sums(rows.centred(rows.path, np.ones_like(rows.path)) ** 2) / np.bincount(rows.stretch)
+    goes_on = variance > LIVELY**2 * np.mean(variance, axis=1, keepdims=True)
+    is_known = goes_on & (fit.gain > LEAST_GAIN) & (np.abs(lag - rough) < BESIDE_ROUGH)
+    return Streams(
+        rows.t[rows.first],
+        rows.t[np.append(rows.first[1:], len(rows.t)) - 1],
+        lag.T,
+        np.where(is_known, fit.sigma, np.inf).T,
+        np.where(goes_on, fit.likeness, np.nan).T,
+        fit.gain.T,
+        spacing,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """By axis and stretch, (3, B): by how much, s, the lag is to be moved, its sigma, gain, and likeness."""
+
+    move: Array
+    sigma: Array
+    gain: Array
+    likeness: Array
+
+    @classmethod
+    def of(cls, rows: _Rows, here: Array) -> "_Fit":
+        """Fit what was measured, here (3, N), by path, its change and an offset, with Cauchy weights.
+
+        Sigmas are from the scatter of the scores between blocks (the sandwich of White 1980), which all stretches have
+        in common: in a single one chance makes it any size.
+        """
+        weight, all_of = np.ones_like(here), rows.stretch
+        for _ in range(REWEIGHTED):
+            y, x, d = (rows.centred(values, weight) for values in (here, rows.path, rows.change))
+            xx, xd, dd, xy, dy, yy = (
+                rows.sums(weight * a * b) for a, b in ((x, x), (x, d), (d, d), (x, y), (d, y), (y, y))
+            )
+            determinant = np.maximum(xx * dd - xd**2, TINY)
+            gain, slope = (dd * xy - xd * dy) / determinant, (xx * dy - xd * xy) / determinant
+            rest = y - gain[:, all_of] * x - slope[:, all_of] * d
+            usual = rows.medians(np.abs(rest))[:, all_of] + 1e-9
+            weight = 1.0 / (1.0 + (rest / (3.0 * usual)) ** 2)
+        own = (d - (xd / np.maximum(xx, TINY))[:, all_of] * x) * gain[:, all_of]
+        information = rows.sums(weight * own**2)
+        blocks = (rows.t - rows.t[0]) // BLOCK + 1e6 * all_of
+        scores = np.add.reduceat(weight * own * rest, np.flatnonzero(np.diff(blocks, prepend=-1.0)), axis=1)
+        noise = np.sum(scores**2, axis=1) / np.maximum(np.sum(information, axis=1), TINY)
+        sigma = np.sqrt(noise[:, None] / np.maximum(information, TINY))
+        move = np.where(np.abs(gain) > LEAST_GAIN, slope / np.where(gain == 0.0, 1.0, gain), 0.0)
+        return cls(move, sigma, gain, xy / np.sqrt(np.maximum(xx * yy, TINY)))
