@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, median
+from smoother.arrays import Array, median
 from smoother.estimate.averages import WINDOW
 from smoother.estimate.path_motion import PathMotion, path_axes
 from smoother.estimate.preprocess.clock import ClockStep
@@ -18,7 +18,6 @@ from smoother.estimate.preprocess.streams import FEWEST_STRETCHES, Measured, Str
 from smoother.trajectory import ClockMove
 
 SIGNIFICANT = 5.0  # sigmas of a drift or a step
-FLOOR = 0.05  # of the spacing of the fixes, by which a path between them is late or early
 SIDE, MOST_STEPS = 25.0, 2  # s of driving on either side of a step; a receiver settles, and a spin is over, in less
 BLOCKS = 10  # of a session, which err independently
 ALIKE = 0.25  # of a drift or step, by which axes may differ unless by their own sigmas; a real kart's slip makes 0.33
@@ -36,7 +35,6 @@ ALIKE_LEFT = 0.75  # correlation between any two axes; 0.8 and more where the la
 KNOWN = 0.3  # of the stretches, at least, that show all three lags
 EVIDENCE = 4.0  # of the cost of independent fixes, by which a moment is as good as the best
 TRACE = 0.05  # s, by which a hole in the stamps may differ from the step
-UNKNOWN = 10.0  # sigmas, by which lags scatter of which too few show
 TINY = 1e-12
 
 
@@ -108,8 +106,7 @@ def fit_lags(
     columns = [np.clip((t - at) / max((lasting or {}).get(at, 0.0), TINY) + 0.5, 0.0, 1.0) for at in steps]
     columns += [(t - t[0]) / max(float(np.ptp(t)), TINY)] if is_line else []
     design = np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
-    sigma = np.where(known, np.hypot(streams.sigma, FLOOR * streams.spacing), 1.0)
-    sigma = sigma * _scatter(streams.lag, sigma, known)
+    sigma = np.where(known, streams.sigma, 1.0)
     lag, weight = np.where(known, streams.lag, 0.0), known / sigma**2
     start = np.array([np.median(own[some]) if some.any() else 0.0 for own, some in zip(lag.T, known.T, strict=True)])
     system, rest = None, np.where(known, lag - start, 0.0)
@@ -120,17 +117,6 @@ def fit_lags(
     cost = float(np.sum(known * ROBUST**2 * np.log1p((rest / (ROBUST * sigma)) ** 2)))
     usual = lag - system.rest(system.solution)
     return LagFit(steps, is_line, system.changes(), usual, rest, cost)
-
-
-def _scatter(lag: Array, sigma: Array, known: BoolArray) -> Array:
-    """Scatter (3,) of lags (B, 3), in their sigmas, from one stretch to the next, which no clock makes; at least 1."""
-    out = np.full(3, UNKNOWN)
-    for i in range(3):
-        both = known[1:, i] & known[:-1, i]
-        if np.count_nonzero(both) > 3:
-            apart = np.diff(lag[:, i]) / np.hypot(sigma[1:, i], sigma[:-1, i])
-            out[i] = max(1.0, MAD_TO_SIGMA * median(np.abs(apart[both])))
-    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.arrays import MAD_TO_SIGMA, Array, BoolArray, IntArray, median
 from smoother.estimate.averages import WINDOW, Averages
 from smoother.estimate.path_motion import PathMotion, path_axes
 
@@ -27,7 +27,9 @@ JUMP_COSTS, CREEP_COSTS = 6.0, 0.5  # log-likelihood of another lag than in the 
 REWEIGHTED, ITERATIONS = 4, 4
 FARTHEST_MOVE, SETTLED = 0.15, 0.002  # s, of one iteration
 BESIDE_ROUGH = 0.3  # s, by which a lag may be off the one found roughly
-BLOCK = 5.0  # s; what a corner leaves is independent of what others do
+BLOCK = 2.0  # s; what is left is independent of what is left later
+FLOOR = 0.05  # of the spacing of the fixes, by which a path between them is late or early
+UNKNOWN = 10.0  # sigmas, by which lags scatter of which too few show
 LIVELY = 0.4  # of what an axis usually does; less shows nothing
 LEAST_GAIN = 0.3  # of 1; less is not the motion of the path, or it is mirrored
 TINY = 1e-12
@@ -170,15 +172,30 @@ def _fitted(measured: Measured, rows: _Rows, rough: Array, spacing: float) -> St
     variance = rows.sums(rows.centred(rows.path, np.ones_like(rows.path)) ** 2) / np.bincount(rows.stretch)
     goes_on = variance > LIVELY**2 * np.mean(variance, axis=1, keepdims=True)
     is_known = goes_on & (fit.gain > LEAST_GAIN) & (np.abs(lag - rough) < BESIDE_ROUGH)
+    sigma = np.where(is_known, np.hypot(fit.sigma, FLOOR * spacing), np.inf)
     return Streams(
         rows.t[rows.first],
         rows.t[np.append(rows.first[1:], len(rows.t)) - 1],
         lag.T,
-        np.where(is_known, fit.sigma, np.inf).T,
+        (sigma * _scatter(lag, sigma)[:, None]).T,
         np.where(goes_on, fit.likeness, np.nan).T,
         fit.gain.T,
         spacing,
     )
+
+
+def _scatter(lag: Array, sigma: Array) -> Array:
+    """Scatter (3,) of lags (3, B), in their sigmas, from one stretch to the next, which clocks hardly make; at least 1.
+
+    What lasts for a corner is in it, as in no sigma of a stretch, which holds two of them.
+    """
+    out = np.full(3, UNKNOWN)
+    for i, known in enumerate(np.isfinite(sigma)):
+        both = known[1:] & known[:-1]
+        if np.count_nonzero(both) > 3:
+            apart = np.diff(lag[i])[both] / np.hypot(sigma[i, 1:], sigma[i, :-1])[both]
+            out[i] = max(1.0, MAD_TO_SIGMA * median(np.abs(apart)))
+    return out
 
 
 @dataclass(frozen=True, eq=False)
