@@ -191,7 +191,7 @@ def gps_alone(session: Session, rate: float = 50.0) -> Trajectory:
 
 def retimed(session: Session, trajectory: Trajectory) -> Session:
     """Return the session at the times of the trajectory: the same, unless the smoother found that a clock stepped."""
-    from smoother.estimate.retimed import moved
+    from smoother.estimate.preprocess.clock import moved
 
     return moved(session, trajectory.report.clock_moves)
 

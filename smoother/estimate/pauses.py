@@ -13,7 +13,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
 from smoother.disc import pieces, release, roomy
-from smoother.estimate.retimed import Retimed
+from smoother.estimate.preprocess.clock import Retimed
 from smoother.samples import Session
 from smoother.trajectory import Sigmas, Trajectory
 from smoother.units import ANY_ANGLE

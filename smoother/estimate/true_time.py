@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.estimate.retimed import Retimed, with_samples_at
+from smoother.estimate.preprocess.clock import Retimed, with_samples_at
 from smoother.samples import GnssFixes, Problem, Session
 from smoother.trajectory import Trajectory
 from smoother.utc_clock import UtcClock

@@ -8,7 +8,7 @@ import pytest
 
 from smoother import api
 from smoother.estimate.pauses import Pauses, closed_up
-from smoother.estimate.retimed import moved
+from smoother.estimate.preprocess.clock import moved
 from smoother.prepare import prepare
 from smoother.samples import Session, WheelSpeed
 from smoother.sim.scenario import Interval

@@ -18,11 +18,10 @@ from smoother.estimate.left_out import tell_motion, without_fixes, without_posit
 from smoother.estimate.path_motion import PathMotion, sampled_at_speed
 from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.preprocess.agreement import false_stops, stop_problems, stream_problems
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, moved
 from smoother.estimate.preprocess.clock_fit import fit_clock, fit_lags, place_step
 from smoother.estimate.preprocess.search import search_clock
 from smoother.estimate.preprocess.streams import Measured, compare_streams
-from smoother.estimate.retimed import moved
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
 

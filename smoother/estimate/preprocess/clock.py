@@ -7,6 +7,7 @@ of forward force, left force and yaw rate alike. What shifts one of them or two 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import PurePath
@@ -14,9 +15,11 @@ from pathlib import PurePath
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
-from smoother.estimate.retimed import moved, with_samples_at
+from smoother.disc import pieces, release, roomy
 from smoother.samples import Problem, Session
-from smoother.trajectory import ClockMove, Identified
+from smoother.trajectory import ClockMove, Identified, JointPosition
+
+Change = Callable[[Array], Array]
 
 CLOCK_OFFSET = "clock_offset"  # code of the problem that says so
 UNPLACED = 20.0  # s; a step whose moment is known no better is not taken out: an outage as long costs less
@@ -175,3 +178,69 @@ def _text(step: ClockStep, session: Session) -> str:
         return f"{text}; taken out of the times of the {of_it}. With columns of your own, stamp both by one clock"
     lasts = step.last - step.first
     return f"{text}, sometime in {lasts:.0f} s, so it is not taken out. Smooth what is before and after each for itself"
+
+
+# Times that change
+
+
+def with_samples_at(session: Session, change: Change) -> Session:
+    """Return the session with the times of its inertial samples and of its other sensors changed; fixes stay."""
+    imu, mag, wheel = session.imu, session.mag, session.wheel_speed
+    return replace(
+        session,
+        imu=None if imu is None else replace(imu, t=_changed(imu.t, change)),
+        mag=None if mag is None else replace(mag, t=_changed(mag.t, change)),
+        wheel_speed=None if wheel is None else replace(wheel, t=_changed(wheel.t, change)),
+    )
+
+
+def moved(session: Session, moves: tuple[ClockMove, ...]) -> Session:
+    """Return the session with the times of samples and fixes moved; the same where there are no moves."""
+    fixes, samples = (tuple(move for move in moves if move.moves_fixes == which) for which in (True, False))
+    if samples:
+        session = with_samples_at(_without_late(session, samples), partial(_moved, moves=samples))
+    return replace(session, gnss=replace(session.gnss, t=_moved(session.gnss.t, fixes))) if fixes else session
+
+
+def _without_late(session: Session, moves: tuple[ClockMove, ...]) -> Session:
+    """The session without readings of magnetometer and wheel that a move takes behind later ones."""
+    mag, wheel = session.mag, session.wheel_speed
+    if mag is not None and len(mag.t):
+        keep = _in_order(mag.t, moves)
+        mag = replace(mag, t=mag.t[keep], field_s=mag.field_s[keep])
+    if wheel is not None and len(wheel.t):
+        keep = _in_order(wheel.t, moves)
+        wheel = replace(wheel, t=wheel.t[keep], speed=wheel.speed[keep])
+    return replace(session, mag=mag, wheel_speed=wheel)
+
+
+def _in_order(t: Array, moves: tuple[ClockMove, ...]) -> BoolArray:
+    """Mask (N,) of the times t (N,) s that come before all later ones when they are moved."""
+    t = _moved(t, moves)
+    return np.asarray(t < np.append(np.minimum.accumulate(t[::-1])[::-1][1:], np.inf))
+
+
+def _moved(t: Array, moves: tuple[ClockMove, ...]) -> Array:
+    """Times t (N,) s moved by those of their moves that are before them."""
+    return np.asarray(t + sum(move.by * (t > move.at) for move in moves))
+
+
+def _changed(t: Array, change: Change) -> Array:
+    """Times (N,) s changed, a piece at a time: those of a day are in a file."""
+    out = roomy(t.shape)
+    for part in pieces(len(t)):
+        out[part] = change(t[part])
+        release(t, out)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Retimed:
+    """A JointPosition that is asked on another clock; `own` takes times of that to those of the joint."""
+
+    joint: JointPosition
+    own: Change
+
+    def covariance(self, t: Array, direction_n: Array) -> Array:
+        """See :class:`smoother.trajectory.JointPosition`."""
+        return self.joint.covariance(self.own(t), direction_n)

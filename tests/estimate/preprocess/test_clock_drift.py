@@ -10,9 +10,8 @@ from smoother.arrays import Array
 from smoother.estimate.initial import begin as begin_module
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.pauses import pauses_of
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, with_samples_at
 from smoother.estimate.preprocess.clock_fit import Change, LagFit, fit_lags
-from smoother.estimate.retimed import with_samples_at
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session

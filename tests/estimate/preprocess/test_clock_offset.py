@@ -12,9 +12,8 @@ from smoother.estimate.initial.begin import begin
 from smoother.estimate.initial.options import GraphOptions
 from smoother.estimate.path_motion import PathMotion
 from smoother.estimate.pauses import pauses_of
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, with_samples_at
 from smoother.estimate.preprocess.search import DELAY, search_clock
-from smoother.estimate.retimed import with_samples_at
 from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
 from smoother.samples import Session

@@ -9,8 +9,7 @@ import pytest
 from smoother.arrays import Array
 from smoother.estimate.initial.begin import begin
 from smoother.estimate.pauses import pauses_of
-from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, ClockStep
-from smoother.estimate.retimed import moved
+from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, ClockStep, moved
 from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.true_time import in_session_time
 from smoother.prepare import prepare
