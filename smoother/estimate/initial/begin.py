@@ -20,7 +20,7 @@ from smoother.estimate.pauses import Pauses, closed_up
 from smoother.estimate.preprocess.agreement import false_stops, stop_problems, stream_problems
 from smoother.estimate.preprocess.clock import ONE_CLOCK, Clock, moved
 from smoother.estimate.preprocess.clock_fit import fit_clock, fit_lags, place_step
-from smoother.estimate.preprocess.search import search_clock
+from smoother.estimate.preprocess.search import DELAY, search_clock
 from smoother.estimate.preprocess.streams import Measured, compare_streams
 from smoother.fit.force_delay import UNSEEN, ForceDelay
 from smoother.samples import Problem, Session
@@ -105,6 +105,10 @@ def _on_one_clock(given: Session, options: GraphOptions, cut_out: Callable[[Sess
     clock = Clock(offset, drift, drifts=drift != 0.0, zero=float(given.gnss.t[0]))
     on_one = clock.taken_out(given)
     other = replace(_begun(on_one, options, cut_out(on_one)), clock=clock)
+    if offset != 0.0:  # which the alignment knows better than a search in steps
+        clock = replace(clock, offset=offset + DELAY - other.start.alignment.lag)
+        on_one = clock.taken_out(given)
+        other = replace(_begun(on_one, options, cut_out(on_one)), clock=clock)
     other = _with_fitted_clock(given, other, options, cut_out)
     return other if other.explains > max(fitted.explains, EXPLAINED) else fitted
 
