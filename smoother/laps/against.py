@@ -10,8 +10,8 @@ import numpy as np
 
 from smoother.arrays import BoolArray, IntArray
 from smoother.disc import pieces
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.follow import FOUND_WITHIN, MOVING, SAME_DIRECTION, Followed
-from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.samples import Problem
 

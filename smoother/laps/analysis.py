@@ -6,13 +6,14 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import release
+from smoother.fit.loop import SHORTEST
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.circuit import Circuit, find_circuit, usual_speed
 from smoother.laps.corner_speeds import steady_speed
 from smoother.laps.corners import make_corners
 from smoother.laps.delta import as_reference_lap, delta_sigma, grid_of, lap_times_at, make_traces, row_values
-from smoother.laps.loop import SHORTEST
 from smoother.laps.passages import Passage, find_passages, reasons
-from smoother.laps.path import PlanPath, in_gaps, interpolated, plan_path
+from smoother.laps.path import in_gaps, interpolated, plan_path
 from smoother.laps.reference import Curve
 from smoother.laps.results import (
     Corner,

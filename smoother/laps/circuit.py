@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.fit.loop import find_loop
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.against import driven_against
 from smoother.laps.follow import Followed, follow, refollow
 from smoother.laps.line import BESIDE, best_place, both_ways, line_across, meeting_places, oriented
-from smoother.laps.loop import find_loop
-from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve, first_line, mean_line, open_line, shifted
 from smoother.laps.results import GivenLines, Line, ReferenceLine
 from smoother.laps.timing import gate_crossings

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, runs_of
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.braking import braking_points
 from smoother.laps.corner_speeds import SteadySpeed, corner_speeds, steady_speed
-from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Traces
 from smoother.laps.sideslip import outward

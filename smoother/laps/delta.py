@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray, median
+from smoother.fit.plan_path import PlanPath
 from smoother.fit.running import local_polynomial
 from smoother.frames import to_left
 from smoother.laps.circuit import Circuit
 from smoother.laps.passages import Passage
-from smoother.laps.path import PlanPath, level_acceleration
+from smoother.laps.path import level_acceleration
 from smoother.laps.reference import Curve
 from smoother.laps.results import ReferenceLap, Traces
 from smoother.laps.sideslip import sideslip_of

@@ -11,7 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.reference import Curve
 
 EVERY = 0.15  # s between the places that are followed one by one

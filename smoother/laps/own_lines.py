@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.fit.plan_path import PlanPath
 from smoother.frames import Origin, geodetic_to_nwu
 from smoother.laps.line import both_ways, oriented
-from smoother.laps.path import PlanPath
 from smoother.laps.results import GivenLines
 from smoother.laps.timing import forward_normal, gate_crossings
 from smoother.samples import Problem

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, runs_of
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.circuit import Circuit
-from smoother.laps.path import PlanPath, in_gaps
+from smoother.laps.path import in_gaps
 from smoother.laps.results import FixPath, Reason
 from smoother.laps.timing import Crossings, crossings, gate_crossings
 from smoother.trajectory import Trajectory

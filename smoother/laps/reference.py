@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from smoother.arrays import Array
+from smoother.fit.plan_path import PlanPath
 from smoother.fit.running import gaussian_mean
 from smoother.fit.spline import CubicSpline
 from smoother.frames import to_left
-from smoother.laps.path import PlanPath
 from smoother.laps.results import ReferenceLine
 
 SPACING = 1.0  # m between points of the line

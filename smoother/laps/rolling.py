@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, IntArray
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Lap, Traces
 from smoother.laps.sigma import Crossed, sigma_of, time_covariance

@@ -3,10 +3,10 @@
 import numpy as np
 
 from smoother.arrays import Array, BoolArray
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.circuit import Circuit
 from smoother.laps.line import line_across
 from smoother.laps.passages import Passage
-from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Corner, Line
 from smoother.laps.sigma import Crossed, sigma_of, time_covariances

@@ -8,8 +8,8 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray
 from smoother.disc import pieces, release
+from smoother.fit.plan_path import PlanPath
 from smoother.frames import euler_from_rotation, wrap_angle
-from smoother.laps.path import PlanPath
 from smoother.trajectory import BOX_ON_WHEEL, Trajectory
 from smoother.units import DEG
 

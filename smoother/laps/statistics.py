@@ -3,7 +3,7 @@
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.reference import Curve
 from smoother.laps.results import Lap, Line, OfficialTime, SigmaSource, Statistics, Traces
 from smoother.laps.rolling import rolling_best

@@ -14,7 +14,7 @@ known and correlated errors; samples by Matheron's rule.
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.results import Lap, Line
 from smoother.laps.sigma import Crossed, time_covariance
 from smoother.laps.timing import forward_normal

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.follow import Followed
-from smoother.laps.path import PlanPath
 from smoother.laps.results import FixPath, Line
 
 ROUNDS = 6  # of Newton's method; from a bracket of one row two suffice

@@ -17,9 +17,9 @@ from smoother.estimate.smoother import GraphOptions, GraphSmoother
 from smoother.estimate.solve import Solved
 from smoother.estimate.solvers.batch import step
 from smoother.estimate.solvers.identify import FREE, held_at
+from smoother.fit.plan_path import PlanPath
 from smoother.frames import Origin
 from smoother.laps.circuit import find_circuit
-from smoother.laps.path import PlanPath
 from smoother.laps.results import GivenLines, Line
 from smoother.live.lag import LagOptions, LagStart
 from smoother.live.lag_graph import Marginal, rolling

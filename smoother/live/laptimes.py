@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smoother.arrays import Array
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.results import Line
 from smoother.laps.timing import BESIDE, gate_crossings
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from smoother.fit.plan_path import PlanPath
 from smoother.laps.follow import Followed
 from smoother.laps.line import meeting_places
-from smoother.laps.path import PlanPath
 from smoother.laps.reference import Curve, line_through
 from smoother.laps.results import FixPath, Line
 from smoother.laps.timing import crossings, raw_crossings

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from smoother.arrays import Array
-from smoother.laps import loop
+from smoother.fit import loop
+from smoother.fit.loop import find_loop
 from smoother.laps.analysis import LapOptions, analyse
 from smoother.laps.circuit import find_circuit
 from smoother.laps.follow import follow
-from smoother.laps.loop import find_loop
 from smoother.laps.path import in_gaps, interpolated, plan_path
 from smoother.laps.reference import Curve, first_line
 from smoother.laps.results import FixPath, GivenLines, LapAnalysis

@@ -11,7 +11,7 @@ import numpy as np
 
 from smoother.arrays import Array, BoolArray, IntArray
 from smoother.disc import pieces
-from smoother.laps.path import PlanPath
+from smoother.fit.plan_path import PlanPath
 
 SAME_PLACE = 10.0  # m: how wide a track is driven, plus what the GPS wanders between two laps
 SAME_DIRECTION = 0.7  # least cosine between the two directions of travel
