@@ -28,6 +28,7 @@ DRAWING = ("report.style", "report.calibration_figures", "sim.bench", "sim.senso
 PARTS = ("batch", "export", "laps", "live", "report", "sim")  # benchmarks measure these themselves, beside PLAIN
 EXCEPTIONS = {  # of benchmarks
     "ablations": ("estimate.factors",),  # whose table has what can be left out
+    "lap_wander": ("fit.lap_registration",),  # which it measures
     "calibration_honesty": ("fit.allan",),  # the fit of calib that its sigmas are tested of
 }
 
