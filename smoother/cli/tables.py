@@ -32,7 +32,7 @@ _NAMES = {
     "accel_rectification_by_rate": "rocking offset",
 }
 # drivers need not ask
-_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "mag_heading_offset")
+_ONLY_ON_THE_PAGE = ("gps_velocity_response", "slip_sigma", "mag_hard_iron", "mag_heading_offset", "gps_offset_change")
 
 
 def show_result(result: Result, path: Path | None = None) -> None:

@@ -1,12 +1,14 @@
 """What to report of the noise and the wander of fixes, whoever found them: with a graph, or from the fixes alone."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from smoother.arrays import Array
 from smoother.estimate.fixes.offset import BIN, TIMES, OffsetModel, is_told
 from smoother.estimate.fixes.path import GnssPath
+from smoother.fit.lap_registration import LapRegistration
 from smoother.fit.noise_spread import ANY_NOISE
 from smoother.trajectory import Identified
 
@@ -82,4 +84,26 @@ def wander_of_fixes(offset: OffsetModel, hidden: Array) -> dict[str, Identified]
             source,
         ),
         "gps_offset_tau": Identified(offset.tau, spread * offset.tau, "s", told, source),
+    }
+
+
+def wander_from_laps(laps: LapRegistration, otherwise: Mapping[str, Identified]) -> dict[str, Identified]:
+    """Return the same as laps show it; they say nothing of the height, which stays as it is `otherwise`.
+
+    They show the change over a lap, and leave open which part of it is the size of the wander and which its time.
+    """
+    own = laps.sigma * laps.sigma_spread
+    before = otherwise["gps_offset_sigma"]
+    up, of_up = (float(np.ravel(np.asarray(values, dtype=np.float64))[2]) for values in (before.value, before.sigma))
+    told = laps.sigma_spread < ANY_WANDER
+    return {
+        "gps_offset_sigma": Identified(
+            [laps.sigma, laps.sigma, up],
+            [own, own, of_up],
+            "m",
+            told,
+            "identified" if told else "default",
+        ),
+        "gps_offset_tau": Identified(laps.tau, laps.tau * laps.tau_spread, "s", False, "default"),
+        "gps_offset_change": Identified(laps.change, laps.change * laps.change_spread, "m", True, "identified"),
     }

@@ -3,6 +3,10 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from smoother.arrays import Array
+
 
 @dataclass(frozen=True)
 class SlowVelocity:
@@ -19,6 +23,21 @@ class SlowVelocity:
     def gone(self, h: float) -> float:
         """Way, s, that a unit of it adds up to in h s."""
         return h if math.isinf(self.tau) else -self.tau * math.expm1(-h / self.tau)
+
+    def way(self, h: Array) -> Array:
+        """Variance, m^2, of the way that it adds up to in h s, stationary from the start (Gelb 1974, 3.8)."""
+        if math.isinf(self.tau):
+            return np.asarray((self.sigma * h) ** 2)
+        return np.asarray(2.0 * self.sigma**2 * self.tau * (h + self.tau * np.expm1(-h / self.tau)))
+
+    def way_covariance(self, one: Array, two: Array) -> Array:
+        """Covariance, m^2, of the ways until two times, s, from a common start: the double integral of its own."""
+
+        def left(t: Array) -> Array:
+            return np.asarray(np.exp(-t / self.tau))
+
+        ends = left(one) + left(two) - 1.0 - left(np.abs(one - two))
+        return np.asarray(self.sigma**2 * self.tau * (2.0 * np.minimum(one, two) + self.tau * ends))
 
     def noise(self, h: float) -> tuple[float, float, float]:
         """Of what comes anew in h s: variance m^2 of the way, covariance m^2/s with the velocity, its variance m^2/s^2.

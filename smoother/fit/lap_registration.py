@@ -40,8 +40,8 @@ class LapRegistration:
     """What n laps show of the slow error of the fixes, per level axis.
 
     change m: over one lap of time_of_lap s, rms; sigma m and tau s of the process; each with the sigma of its
-    logarithm, `*_spread`. translation_n (n, 2) m, against the common line, at time (n,) s; noise m: of one.
-    log_likelihood (S, T): of candidates LOG_SIGMA and LOG_TAU, without what is usual.
+    logarithm, `*_spread`. translation_n (n, 2) m, against the common line; noise m: of one. crossing_time (n, J) s:
+    of the stations, NaN where a lap does not cross one.
     """
 
     change: float
@@ -52,14 +52,13 @@ class LapRegistration:
     tau_spread: float
     time_of_lap: float
     translation_n: Array
-    time: Array
     noise: float
-    log_likelihood: Array
+    crossing_time: Array
 
     @property
     def laps(self) -> int:
         """How many there were."""
-        return len(self.time)
+        return len(self.translation_n)
 
 
 def register_laps(t: Array, position_n: Array, spacing: float = SPACING) -> LapRegistration | None:
@@ -182,9 +181,9 @@ def _lost(crossings: LapCrossings, lasting: float) -> float:
 def _process(translation_n: Array, covariance: Array, crossings: LapCrossings) -> LapRegistration:
     """Sigma and time of the process that the translations are means of, with noise of this covariance (2, 2)."""
     within = np.nanquantile(crossings.time, (np.arange(WITHIN) + 0.5) / WITHIN, axis=1).T
-    found = _log_likelihood(translation_n, covariance, within)
     logs, taus = np.meshgrid(LOG_SIGMA, LOG_TAU, indexing="ij")
-    posterior = found - 0.5 * ((logs - USUAL_SIGMA[0]) / USUAL_SIGMA[1]) ** 2
+    posterior = _log_likelihood(translation_n, covariance, within)
+    posterior -= 0.5 * ((logs - USUAL_SIGMA[0]) / USUAL_SIGMA[1]) ** 2
     posterior -= 0.5 * ((taus - USUAL_TAU[0]) / USUAL_TAU[1]) ** 2
     weight = np.exp(posterior - posterior.max())
     weight /= weight.sum()
@@ -200,9 +199,8 @@ def _process(translation_n: Array, covariance: Array, crossings: LapCrossings) -
         *of(taus),
         crossings.time_of_lap,
         translation_n,
-        within.mean(axis=1),
         float(np.sqrt(0.5 * np.trace(covariance))),
-        found,
+        crossings.time,
     )
 
 

@@ -152,6 +152,7 @@ _NAMES = {
     "gps_velocity_noise": "GPS velocity noise: north, west, up",
     "gps_offset_sigma": "GPS wander: north, west, up",
     "gps_offset_tau": "GPS wander time",
+    "gps_offset_change": "GPS wander over one lap",
     "accel_rectification": "false acceleration by vibration, on each axis of the box",
     "accel_rectification_by_rate": "false acceleration by rocking of the box, on each axis",
 }

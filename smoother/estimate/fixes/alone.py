@@ -27,8 +27,10 @@ from smoother.estimate.noise_of_fixes import (
     noise_of_fixes,
     scatter_of_fixes,
     unseen_wander,
+    wander_from_laps,
     wander_of_fixes,
 )
+from smoother.fit.lap_registration import register_laps
 from smoother.samples import Problem, Session
 from smoother.trajectory import (
     EstimateReport,
@@ -75,17 +77,19 @@ class GnssSmoother:
         session = without_positions(session, early) if early.any() else session
         path = fit_path(session, options.path)
         found, offset = _offset(session, path, options.path)
+        laps = register_laps(session.gnss.t, path.at(session.gnss.t).track_n[:, :2])
         fitted = time.perf_counter()
         first, last = session.gnss.t[0], session.gnss.t[-1]
         t = first + np.arange(int(np.floor((last - first) * options.rate + 1e-6)) + 1) / options.rate
         motion, sigma = path.at(t), path.sigma_at(t)
         acceleration_b, angular_rate_b = _body_motion(motion, sigma, options)
         latency_sigma = 0.0 if _is_latency_stated(session, options) else options.position_latency_sigma
+        wander = wander_of_fixes(offset, _hidden(session, path, offset))
         report = EstimateReport(
             identified={
                 **_identified(session, path, options, latency_sigma),
                 **_of_fixes(session, path, found),
-                **wander_of_fixes(offset, _hidden(session, path, offset)),
+                **(wander if laps is None else wander_from_laps(laps, wander)),
                 **_inertial(session),
             },
             residuals=_statistics(path),

@@ -18,10 +18,13 @@ from smoother.estimate.factors.antenna import arm_axes
 from smoother.estimate.factors.rows import Between, no_jacobian
 from smoother.estimate.model.state import COLUMNS, CONSTANTS_SIZE, State
 from smoother.estimate.slow_doppler import DOPPLER
+from smoother.estimate.slow_errors import SlowErrors
 from smoother.estimate.solvers.covariance import Chain
 from smoother.trajectory import JointPosition
 
 THINNED = 4  # one keyframe of so many is kept of a window: in 0.8 s a position's error is still a straight line
+ALWAYS = 1e6  # s
+CHANGES = 20  # pairs of times that a mean is of
 POSITION_TAU = 300.0  # s after which fixes have corrected what the position had added up to
 
 
@@ -31,8 +34,9 @@ class WithUnseen:
 
     unseen (3,) m^2: variance of the slow error of the fixes that is the same at all times. variance m^2: the usual one
     of a position along one level direction, of a path that followed Doppler velocities, whose slow error makes it
-    wander; None without Doppler. A position is neither surer nor less sure for wandering, but shares less of its error
-    with another one: where they share all, what changes between them is :func:`wander`, less by what that is at most
+    wander; None without Doppler. errors: slow ones,
+    where laps show them. A position is neither surer nor less sure for wandering, but shares less of its error
+    with another one: where they share all, what changes between them is :meth:`changed`, less by what that is at most
     against the variance (a position known to 0.2 m wanders by no more); where nothing, nothing is changed. (A product
     with a correlation stays a covariance: Schur.)
     """
@@ -40,15 +44,20 @@ class WithUnseen:
     joint: JointPosition
     unseen: Array
     variance: float | None
+    errors: SlowErrors | None = None
 
     def covariance(self, t: Array, direction_n: Array) -> Array:
         """See :class:`smoother.trajectory.JointPosition`."""
         P = self.joint.covariance(t, direction_n) + (direction_n * self.unseen) @ direction_n.T
         if self.variance is None:
             return P
-        most = 0.5 * float(wander(np.inf))
-        lost = 0.5 * wander(np.abs(t[:, None] - t[None, :])) / (self.variance + most)
+        most = 0.5 * float(self.changed(np.array(ALWAYS)))
+        lost = 0.5 * self.changed(np.abs(t[:, None] - t[None, :])) / (self.variance + most)
         return np.asarray(P * (1.0 - lost))
+
+    def changed(self, apart: Array) -> Array:
+        """Variance (N,) m^2 of the change of a position over `apart` (N,) s by what no chain knows."""
+        return wander(apart) if self.errors is None else self.errors.parted(apart)
 
 
 def wander(apart: Array | float) -> Array:
@@ -59,6 +68,20 @@ def wander(apart: Array | float) -> Array:
     c, a = 1.0 / DOPPLER.tau, 1.0 / POSITION_TAU
     scale = DOPPLER.sigma**2 * c / (c**2 - a**2)
     return np.asarray(2.0 * scale * (-np.expm1(-a * np.asarray(apart)) / a + np.expm1(-c * np.asarray(apart)) / c))
+
+
+def mean_change(joint: JointPosition, start: float, end: float, apart: float) -> float:
+    """Return the variance per level axis, m^2, of the change of a position over `apart` s, mean of start to end, s.
+
+    Zero where that time is too short.
+    """
+    if end - start <= apart:
+        return 0.0
+    at = np.repeat(np.linspace(start, end - apart, CHANGES), 2)
+    direction_n = np.tile(np.eye(3)[:2], (CHANGES, 1))
+    P = joint.covariance(np.concatenate([at, at + apart]), np.concatenate([direction_n, direction_n]))
+    n = len(at)
+    return float(np.mean(np.diag(P)[:n] + np.diag(P)[n:] - 2.0 * np.diagonal(P, n)))
 
 
 @dataclass(frozen=True, eq=False)

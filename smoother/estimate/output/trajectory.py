@@ -11,15 +11,18 @@ from smoother.estimate.fixes.claims import claims_of
 from smoother.estimate.fixes.offset import OffsetModel, unseen_variance
 from smoother.estimate.fixes.path import UNKNOWN_HEIGHT
 from smoother.estimate.model.imu import BinnedImu
+from smoother.estimate.noise_of_fixes import wander_from_laps
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import doubt_by_rates, identified_values, unsure_moment
-from smoother.estimate.output.joint import WithUnseen
+from smoother.estimate.output.joint import WithUnseen, mean_change
 from smoother.estimate.output.kart_keyframes import keyframes_of_kart, widen
 from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.output.residual_statistics import row_statistics
-from smoother.estimate.output.wander import share_wander
+from smoother.estimate.output.wander import offset_at_fixes, share_wander, unaided
 from smoother.estimate.pauses import NO_PAUSES, Pauses
+from smoother.estimate.slow_errors import SlowErrors, slow_errors
+from smoother.fit.lap_registration import LapRegistration, register_laps
 from smoother.samples import Problem, Sampling, Session
 from smoother.trajectory import (
     BOX_ON_WHEEL,
@@ -56,7 +59,8 @@ def build_trajectory(
     offset = OffsetModel(noise.offset_sigma, noise.offset_tau, known.offset_tau_spread)
     unseen = unseen_variance(offset, float(noise.position[0]), population, len(session.gnss), hidden)
     unsure = unseen if known.has_height else np.add(unseen, [0.0, 0.0, UNKNOWN_HEIGHT**2])
-    found = _with_wander_shared(session, found)
+    laps = register_laps(found.state.t, (found.state.position_n + found.state.offset_n)[:, :2])  # as fixes have them
+    found, errors = _with_wander_shared(session, found, laps)
     source = DenseSource(found.state, binned, noise.inertial, pauses)
     keyframes = keyframes_of_kart(session, found, source, mounting, unsure)
     swing = swing_on_the_wheel(keyframes, is_steered=is_steered)
@@ -64,6 +68,8 @@ def build_trajectory(
         widen(keyframes, swing)
     sampling = session.imu.sampling if session.imu is not None else Sampling(0.0)
     identified = identified_values(found, mounting, session.config, unseen, sampling)
+    if laps is not None:
+        identified |= wander_from_laps(laps, identified)
     report = _report(found, identified, keyframes, is_on_wheel=swing is not None)
     t = _times(session, pauses, rate)
     rows = DenseRows.empty(len(t))
@@ -75,19 +81,31 @@ def build_trajectory(
         release(rows, keyframes, binned)
     has_doppler = bool(np.isfinite(session.gnss.velocity_n[:, 0]).any())
     usual = median(np.einsum("kii->ki", keyframes.covariance)[:, 6:8].ravel()) if has_doppler else None
-    return rows.trajectory(t, report, WithUnseen(found.joint, unsure, usual))
+    return rows.trajectory(t, report, WithUnseen(found.joint, unsure, usual, errors))
 
 
-def _with_wander_shared(session: Session, found: Estimated) -> Estimated:
-    """What was found, with the part of the fixes' wander in the path that is the wander of its Doppler velocities.
+def _with_wander_shared(
+    session: Session, found: Estimated, laps: LapRegistration | None
+) -> tuple[Estimated, SlowErrors | None]:
+    """What was found, with the part of the fixes' wander in the path that is the wander of its Doppler velocities; and
+    the slow errors of both, where laps show them.
 
     Not where corrections come and go: what such fixes are off by is not one process, and hardly Doppler's.
     """
-    fixes = session.gnss
+    fixes, state = session.gnss, found.state
     if not np.isfinite(fixes.velocity_n[:, 0]).any() or len(claims_of(fixes).renewed):
-        return found
-    shared = share_wander(found.state, found.rows["gps_position"], found.known.noise.offset_tau)
-    return replace(found, state=shared)
+        return found, None
+    seen = offset_at_fixes(state, found.rows["gps_position"])
+    if seen is None:
+        return found, None
+    noise = found.known.noise
+    if laps is None:
+        return replace(found, state=share_wander(state, seen, unaided(seen, noise.offset_tau))), None
+    known = mean_change(found.joint, float(seen.t[0]), float(seen.t[-1]), laps.time_of_lap)
+    errors = slow_errors(laps, seen.t, seen.drift, known)
+    left = replace(errors, sigma=errors.beyond(float(noise.offset_sigma[0])))
+    seen = replace(seen, walk=np.diff(seen.t, prepend=seen.t[0]) * known / laps.time_of_lap)
+    return replace(found, state=share_wander(state, seen, left)), errors
 
 
 def _report(

@@ -8,8 +8,9 @@ the offset y is shared out afterwards, per level axis,
 
     y = o + w,   o: first-order Gauss-Markov, of the fixes;   w' = b,   b: first-order Gauss-Markov, of Doppler
 
-with the sigma of o that is likeliest, by the most probable o, w and b of a chain of nodes. The path moves by w.
-Where fixes wander by a metre, that is next to nothing, where they hardly do, it is most of y.
+by the most probable o, w and b of a chain of nodes. Sigmas of o and b are those that laps show (`slow_errors`); without
+laps b is the usual one and o has the likeliest sigma. The path moves by w: where fixes wander by a metre and Doppler
+hardly, that is next to nothing, where they hardly do, it is most of y.
 
 Sources: Gelb 1974, 3.8 (both processes); Schweppe 1965 (the likelihood); Rauch, Tung and Striebel 1965 (that the most
 probable states are those of least squares).
@@ -27,6 +28,7 @@ from smoother.estimate.fixes.offset import ANYWHERE, BIN, FEWEST, Drift, log_lik
 from smoother.estimate.model.state import State
 from smoother.estimate.resample import bracket, hermite, hermite_slope
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
+from smoother.estimate.slow_errors import SlowErrors
 from smoother.estimate.solvers.linear import solve_rows
 
 WEIGHTY = 0.5  # robust weight from which a fix holds the offset where it is
@@ -34,15 +36,9 @@ SIGMAS = np.geomspace(0.005, 5.0, 25)  # m, of o: from what cannot be told from 
 UNKNOWNS = 3  # of a node: o, w, b
 
 
-def share_wander(state: State, fixes: Rows, tau: float) -> State:
-    """Return the state with what is Doppler's of the level offset moved into positions and velocities.
-
-    fixes: their rows, one per fix; tau s: over which their own offset is forgotten. As it was where fixes are too few.
-    """
-    seen = _offset_at_fixes(state, fixes)
-    if len(seen.t) < FEWEST:
-        return state
-    moved_n, faster_n = moved(seen, tau, state.t)
+def share_wander(state: State, seen: Drift, errors: SlowErrors) -> State:
+    """Return the state with what is Doppler's of the level offset, `seen` at fixes, moved into the path."""
+    moved_n, faster_n = moved(seen, errors, state.t)
     return replace(
         state,
         position_n=_sum(state.position_n, moved_n),
@@ -58,12 +54,18 @@ def _sum(values: Array, more: Array) -> Array:
     return out
 
 
-def moved(seen: Drift, tau: float, t: Array, slow: SlowVelocity = DOPPLER) -> tuple[Array, Array]:
+def unaided(seen: Drift, tau: float) -> SlowErrors:
+    """Return the slow errors without laps: that of Doppler is the usual one, that of fixes, which lasts tau s, the
+    likeliest beside it."""
+    return SlowErrors(likeliest_sigma(seen, tau), tau, DOPPLER)
+
+
+def moved(seen: Drift, errors: SlowErrors, t: Array) -> tuple[Array, Array]:
     """Way w m and velocity b m/s (N, 3) at t (N,) s of the part of the offset `seen` that is Doppler's; none upwards.
 
     Before the first and after the last node the way stays what it is there.
     """
-    _, w, b = most_probable(seen, likeliest_sigma(seen, tau, slow), tau, slow)
+    _, w, b = most_probable(seen, errors.sigma, errors.tau, errors.doppler)
     place = bracket(seen.t, t)
     inside = (t >= seen.t[0]) & (t <= seen.t[-1])
     moved_n, faster_n = np.zeros((len(t), 3)), np.zeros((len(t), 3))
@@ -90,7 +92,7 @@ def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DO
 
     sigma m and tau s are those of o. Least squares over all nodes, of UNKNOWNS for each level axis.
     """
-    transition, root = _steps(np.diff(seen.t), sigma, tau, slow)
+    transition, root = _steps(np.diff(seen.t), seen.walk[1:], sigma, tau, slow)
     nodes, eye = np.arange(len(seen.t)), np.eye(2)
     level = [np.kron(root, eye), np.kron(-root @ transition, eye), np.kron(np.array([[1.0, 1.0, 0.0]]), eye)]
     both = (len(seen.t), 2, 2 * UNKNOWNS)
@@ -120,23 +122,29 @@ def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DO
     return own, way, velocity
 
 
-def _steps(h: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Array, Array]:
-    """Transitions and roots of the information (S, 3, 3) of (o, w, b) over steps h (S,) s."""
+def _steps(h: Array, walk: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Array, Array]:
+    """Transitions and roots of the information (S, 3, 3) of (o, w, b) over steps h (S,) s; w also walks by walk (S,) m^2."""
     F, Q = np.zeros((2, len(h), UNKNOWNS, UNKNOWNS))
     F[:, 0, 0], F[:, 1, 1] = np.exp(-h / tau), 1.0
     F[:, 1, 2], F[:, 2, 2] = ([part(float(step)) for step in h] for part in (slow.gone, slow.kept))
     Q[:, 0, 0] = sigma**2 * -np.expm1(-2.0 * h / tau)
     Q[:, 1, 1], Q[:, 1, 2], Q[:, 2, 2] = np.reshape([slow.noise(float(step)) for step in h], (-1, 3)).T
+    Q[:, 1, 1] += walk
     Q[:, 2, 1] = Q[:, 1, 2]
     return F, np.asarray(np.linalg.inv(np.linalg.cholesky(Q)), dtype=np.float64)
 
 
-def _offset_at_fixes(state: State, fixes: Rows) -> Drift:
-    """The level offset of the graph where fixes hold it, in means of BIN; white: variance of the fixes that do."""
+def offset_at_fixes(state: State, fixes: Rows) -> Drift | None:
+    """Return the level offset of the graph where fixes hold it, in means of BIN; white: variance of the fixes that do.
+
+    fixes: their rows, one per fix. None where they are too few.
+    """
     use = np.flatnonzero(np.isfinite(fixes.sigma[:, 0]) & (fixes.weight > WEIGHTY))
+    if not len(use):
+        return None
     at = fixes.interval[use]
     _, row = np.unique(np.floor((state.t[at] - state.t[0]) / BIN), return_inverse=True)
     count = np.bincount(row)
     t, north, west = (np.bincount(row, values) / count for values in (state.t[at], *state.offset_n[at, :2].T))
     white = 1.0 / np.bincount(row, fixes.weight[use] / fixes.sigma[use, 0] ** 2)
-    return Drift(t, np.stack([north, west], axis=1), np.zeros(len(t)), white)
+    return Drift(t, np.stack([north, west], axis=1), np.zeros(len(t)), white) if len(t) >= FEWEST else None

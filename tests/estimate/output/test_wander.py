@@ -9,7 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from smoother.arrays import Array
 from smoother.estimate.fixes.offset import Drift
 from smoother.estimate.output import trajectory as output
-from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved
+from smoother.estimate.output.wander import likeliest_sigma, most_probable, moved, unaided
 from smoother.estimate.slow_doppler import DOPPLER, SlowVelocity
 from smoother.estimate.smoother import GraphSmoother
 from smoother.prepare import prepare
@@ -69,7 +69,7 @@ def test_the_most_probable_is_what_conditioning_on_everything_gives() -> None:
 
 def test_its_velocity_is_the_slope_of_its_way() -> None:
     drift, _ = seen(0.1, 3)
-    moved_n, faster_n = moved(drift, TAU, t := np.arange(100.0, 1000.0, 0.5))
+    moved_n, faster_n = moved(drift, unaided(drift, TAU), t := np.arange(100.0, 1000.0, 0.5))
     np.testing.assert_allclose(np.gradient(moved_n[:, :2], t, axis=0)[1:-1], faster_n[1:-1, :2], atol=3e-4)
     assert not moved_n[:, 2].any() and not faster_n[:, 2].any()
     _, way, velocity = most_probable(drift, likeliest_sigma(drift, TAU), TAU)
@@ -89,18 +89,18 @@ def test_where_fixes_hardly_wander_most_is_dopplers_and_where_they_do_hardly_any
         off, before = [], []
         for seed in range(6):
             drift, way = seen(sigma, seed)
-            found = moved(drift, TAU, drift.t)[0][:, :2]
+            found = moved(drift, unaided(drift, TAU), drift.t)[0][:, :2]
             before.append(np.var(way, axis=0))
             off.append(np.var(found - way, axis=0))
         assert np.sqrt(np.mean(off) / np.mean(before)) < left
     drift, _ = seen(1.5, 1)
-    moves = np.ptp(moved(drift, TAU, drift.t)[0][:, :2], axis=0)
+    moves = np.ptp(moved(drift, unaided(drift, TAU), drift.t)[0][:, :2], axis=0)
     assert np.all(moves < 0.5 * np.ptp(drift.drift, axis=0))
 
 
 def test_before_and_after_the_nodes_it_stays() -> None:
     drift, _ = seen(0.05, 1, duration=200.0)
-    moved_n, faster_n = moved(drift, TAU, np.array([-9.0, 0.0, float(drift.t[-1]), 500.0]))
+    moved_n, faster_n = moved(drift, unaided(drift, TAU), np.array([-9.0, 0.0, float(drift.t[-1]), 500.0]))
     np.testing.assert_array_equal(moved_n[[0, 3]], moved_n[[1, 2]])
     assert not faster_n[[0, 3]].any() and faster_n[1, 0] != 0.0
 
