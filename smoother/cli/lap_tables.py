@@ -213,12 +213,13 @@ def show_corners(laps: list[dict[str, Any]], analysis: dict[str, Any], units: st
 
 
 def show_losses(analysis: dict[str, Any], units: str) -> None:
-    """Print the largest real losses, one a line, with what was different."""
-    lost = analysis.get("largest_losses") or []
-    if not lost:
+    """Print the largest real losses, or the likeliest where none is real, one a line, with what was different."""
+    lost, likely = (analysis.get(name) or [] for name in ("largest_losses", "likely_losses"))
+    if not (lost or likely):
         return
     say("")
-    say(f"where time was lost, against {_against(analysis)}")
+    say(f"where time was {'lost' if lost else 'likely lost, none of it sure'}, against {_against(analysis)}")
+    lost = lost or likely
     for loss in lost:
         what = _differences(loss, units)
         say(f"  {_most_lost(loss)}{': ' if what else ''}{what}")

@@ -37,6 +37,8 @@ from smoother.laps.top_speed import likely_tops
 from smoother.samples import Problem
 from smoother.trajectory import JointPosition, Trajectory
 
+GRID_SPEED = 0.5  # of the usual speed over the line, below which a lap was begun from a standing start
+
 
 @dataclass(frozen=True, eq=False)
 class LapOptions:
@@ -253,10 +255,20 @@ def _laps(
     times = line_times(given.path, circuit, passages, lines, _beside(given.trajectory))
     sigma, sector_sigma, gap_sigma = lap_sigmas(given.path, circuit, lines, times, given.errors, best)
     raw, speeds = _raw_times(given, circuit, passages), _speeds(given, passages)
-    return tuple(
+    laps = (
         _lap(given, passage, why[i], sigma[i], np.diff(times[i]), sector_sigma[i], gap_sigma[i], raw[i], speeds[i])
         for i, passage in enumerate(passages)
     )
+    grid = _from_grid(given.path, passages)
+    return tuple(replace(lap, is_from_grid=bool(slow)) for lap, slow in zip(laps, grid, strict=True))
+
+
+def _from_grid(path: PlanPath, passages: tuple[Passage, ...]) -> BoolArray:
+    """Mask (L,) of laps that were begun far slower than is usual over the line."""
+    speed = interpolated(np.array([passage.start for passage in passages]), path.t, path.speed)
+    at_line = np.array([passage.starts_at_line for passage in passages], dtype=np.bool_)
+    usual = float(np.median(speed[at_line])) if at_line.any() else 0.0
+    return np.asarray(at_line & (speed < GRID_SPEED * usual))
 
 
 def _speeds(given: _Given, passages: tuple[Passage, ...]) -> Array:

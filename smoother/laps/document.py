@@ -7,7 +7,7 @@ import polars as pl
 
 from smoother.arrays import Array
 from smoother.frames import Origin, nwu_to_geodetic
-from smoother.laps.lost import Loss, largest_losses
+from smoother.laps.lost import Loss, largest_losses, likely_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Line, Statistics
 from smoother.laps.sigma import Drift
 from smoother.units import DEG
@@ -86,6 +86,7 @@ def analysis_document(analysis: LapAnalysis, origin: Origin, drift: Drift | None
         "statistics": _statistics(analysis.statistics, analysis),
         "corners": [_corner(corner, analysis) for corner in analysis.corners],
         "largest_losses": [_loss(loss, analysis) for loss in largest_losses(analysis)],
+        "likely_losses": [_loss(loss, analysis) for loss in likely_losses(analysis)],
         "no_sideslip": analysis.no_sideslip or None,
         "problems": [{"code": p.code, "text": p.text} for p in analysis.problems],
         "official": [

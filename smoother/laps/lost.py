@@ -1,9 +1,12 @@
 """Where time was lost: the largest losses that are no luck, and what was done differently there.
 
+Where none is, the likeliest ones are ranked, marked as unsure: those that are beyond their own sigma, by what is left.
+
 What is said of a loss is only what is beyond two sigma of the difference between both laps, in the direction that
 loses: braked earlier, or slower into, in or out of the corner. It is what went with the loss, not a proof of its cause.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +15,7 @@ import numpy as np
 from smoother.arrays import Array
 from smoother.laps.results import Corner, LapAnalysis
 
-MOST = 5  # that are told; the table has them all
+MOST, FEW = 5, 3  # that are reported, real and unsure; the table has them all
 CLEARLY = 2.0  # sigmas
 
 Kind = Literal["braking", "entry", "minimum", "exit"]
@@ -39,14 +42,26 @@ class Loss:
 
 
 def largest_losses(laps: LapAnalysis, most: int = MOST) -> tuple[Loss, ...]:
-    """Return the largest real losses of the laps that count, largest first."""
-    found = [
-        Loss(i, corner, float(corner.time_lost[i]), float(corner.time_lost_sigma[i]), _differences(corner, i, laps))
-        for corner in laps.corners
-        for i, lap in enumerate(laps.laps)
-        if lap.is_valid and corner.is_real[i] and corner.time_lost[i] > 0.0
-    ]
+    """Return the largest real losses of the laps that are compared, largest first."""
+    found = [loss for loss in _losses(laps) if loss.corner.is_real[loss.lap]]
     return tuple(sorted(found, key=lambda loss: -loss.lost)[:most])
+
+
+def likely_losses(laps: LapAnalysis, most: int = FEW) -> tuple[Loss, ...]:
+    """Return the likeliest losses, the surest large ones first, where none is real; else nothing."""
+    found = list(_losses(laps))
+    if any(loss.corner.is_real[loss.lap] for loss in found):
+        return ()
+    return tuple(sorted((x for x in found if x.lost > x.sigma), key=lambda loss: loss.sigma - loss.lost)[:most])
+
+
+def _losses(laps: LapAnalysis) -> Iterator[Loss]:
+    """All losses of the laps that are compared, real or not, whose sigma is known."""
+    for corner in laps.corners:
+        for i, lap in enumerate(laps.laps):
+            lost, sigma = float(corner.time_lost[i]), float(corner.time_lost_sigma[i])
+            if lap.is_comparable and lost > 0.0 and (corner.is_real[i] or sigma > 0.0):
+                yield Loss(i, corner, lost, sigma, _differences(corner, i, laps))
 
 
 def _differences(corner: Corner, lap: int, laps: LapAnalysis) -> tuple[Difference, ...]:

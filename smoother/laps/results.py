@@ -50,7 +50,7 @@ class Lap:
     crossings. sector_time, sector_sigma (S,) s, NaN for a sector not crossed at both ends; sector_gap_sigma (S,) s, of
     the difference from the same sector of the best lap, without what both share of the GPS offset, 0 for that lap.
     reasons: empty if the lap counts. raw_time s: between straight-line crossings of the raw fixes, NaN where they have
-    a gap. distance m, driven.
+    a gap. distance m, driven. is_from_grid: it was begun far slower than the others, as from a standing start.
     """
 
     number: int
@@ -66,6 +66,12 @@ class Lap:
     distance: float
     top_speed: float
     min_speed: float
+    is_from_grid: bool = False
+
+    @property
+    def is_comparable(self) -> bool:
+        """Whether the lap is compared with others: what a standing start costs is no mistake."""
+        return self.is_valid and not self.is_from_grid
 
     @property
     def is_valid(self) -> bool:

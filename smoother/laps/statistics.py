@@ -28,6 +28,7 @@ def statistics_of(
     counting = [i for i, lap in enumerate(laps) if lap.is_valid]
     times = np.array([laps[i].time for i in counting])
     sigmas = np.array([laps[i].sigma for i in counting])
+    flying = np.array([laps[i].is_comparable for i in counting], dtype=np.bool_)
     best = counting[int(np.argmin(times))] if counting else None
     theoretical, theoretical_sigma, raw = theoretical_best([laps[i] for i in counting], gates, path, errors)
     rolling = rolling_best(laps, traces, curve, path, errors)
@@ -46,7 +47,7 @@ def statistics_of(
         rolling_t=rolling.t,
         mean=float(times.mean()) if len(times) else np.nan,
         median=float(np.median(times)) if len(times) else np.nan,
-        spread=_spread(times, sigmas if is_measured else np.zeros(len(sigmas))),
+        spread=_spread(times[flying], sigmas[flying] if is_measured else np.zeros(np.count_nonzero(flying))),
         within_tenth=int(np.count_nonzero(times <= times.min() + TENTH)) if len(times) else 0,
         counted=len(counting),
     )

@@ -11,7 +11,7 @@ from smoother.estimate.check import Check
 from smoother.estimate.quality import Quality
 from smoother.estimate.true_time import utc_clock
 from smoother.laps.clock import local_day, local_time, local_zone, luck_said, spread_said
-from smoother.laps.lost import Loss, largest_losses
+from smoother.laps.lost import Loss, largest_losses, likely_losses
 from smoother.laps.results import Corner, Lap, LapAnalysis, Statistics
 from smoother.laps.top_speed import top_speed
 from smoother.report.page_charts import settings
@@ -269,7 +269,11 @@ def _where_lost(laps: LapAnalysis, against: str) -> list[Element]:
         return [title, element("p", text)]
     if not lost:
         text = f"Nowhere for sure: what the laps lost to {against} in single corners is within what luck does."
-        return [title, element("p", text)]
+        likely = [_lost_item(loss, laps) for loss in likely_losses(laps)]
+        if not likely:
+            return [title, element("p", text)]
+        unsure = element("p", f"{text} What is likeliest, all of it unsure:")
+        return [title, unsure, element("ol", *likely, class_="soft")]
     note = f"The largest losses to {against} that are real, and what was clearly different there."
     items = (_lost_item(loss, laps) for loss in lost)
     return [title, element("p", note, class_="soft"), element("ol", *items)]

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smoother.fit.plan_path import PlanPath
 from smoother.frames import Origin
-from smoother.laps.analysis import analyse
+from smoother.laps import analysis
+from smoother.laps.analysis import _from_grid, analyse
 from smoother.laps.document import analysis_document
-from smoother.laps.lost import largest_losses
+from smoother.laps.lost import largest_losses, likely_losses
+from smoother.laps.passages import Passage
 from smoother.laps.results import Corner, LapAnalysis
 from smoother.trajectory import Trajectory
 
@@ -95,3 +98,47 @@ def test_summary_json_has_them(found: LapAnalysis) -> None:
     assert (row["braking_earlier_m"], row["minimum_slower_mps"]) == (9.0, 1.5)
     assert row["minimum_slower_sigma_mps"] == pytest.approx(0.141)
     assert not [name for name in row if name.startswith(("entry", "exit"))]
+
+
+def test_where_nothing_is_sure_the_likeliest_are_ranked(found: LapAnalysis) -> None:
+    lap, rows = slow_lap(found), []
+    for corner in found.corners:
+        only = np.arange(len(found.laps)) == lap
+        sigma = np.where(only, 0.05, 0.2)
+        lost = np.where(only, 0.03 * corner.number, 0.1)  # the others are within their sigma
+        rows.append(replace(corner, time_lost=lost, time_lost_sigma=sigma, is_real=np.zeros_like(only)))
+    unsure = replace(found, corners=tuple(rows))
+    assert largest_losses(unsure) == ()
+    numbers = [loss.corner.number for loss in likely_losses(unsure)]
+    assert numbers == [len(rows), len(rows) - 1, len(rows) - 2]
+    assert [row["corner"] for row in analysis_document(unsure, Origin(45.0, 12.0, 100.0))["likely_losses"]] == numbers
+    assert likely_losses(with_loss(found, 3, 0.3)) == ()
+
+
+def test_a_lap_from_a_standing_start_is_not_compared(found: LapAnalysis) -> None:
+    lost = with_loss(found, 3, 0.3)
+    grid = tuple(replace(lap, is_from_grid=i == slow_lap(found)) for i, lap in enumerate(lost.laps))
+    assert largest_losses(replace(lost, laps=grid)) == ()
+
+
+def test_a_lap_is_from_the_grid_where_it_begins_far_slower_than_others() -> None:
+    t, speed = np.arange(0.0, 100.0, 1.0), np.full(100, 20.0)
+    speed[:12] = np.linspace(0.0, 20.0, 12)
+    velocity_n = np.stack([speed, np.zeros(100)], axis=1)
+    path = PlanPath(t, np.cumsum(velocity_n, axis=0), velocity_n, np.zeros(100))
+    ends = [(3.0, 30.0, True), (30.0, 60.0, True), (60.0, 90.0, True), (0.0, 3.0, False)]
+    passages = tuple(Passage(i, start, end, at_line, True, 0.0) for i, (start, end, at_line) in enumerate(ends))
+    assert _from_grid(path, passages).tolist() == [True, False, False, False]
+
+
+def test_consistency_is_that_of_flying_laps(
+    driven: Trajectory, found: LapAnalysis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = next(i for i, lap in enumerate(found.laps) if lap.is_valid)
+    grid = np.arange(len(found.laps)) == first
+    monkeypatch.setattr(analysis, "_from_grid", lambda *_: grid)
+    other = analyse(driven, fixes_of(driven))
+    times = [lap.time for i, lap in enumerate(found.laps) if lap.is_valid and i != first]
+    assert other.statistics.spread == pytest.approx(np.std(times, ddof=1))
+    assert other.statistics.spread != pytest.approx(found.statistics.spread)
+    assert other.statistics.counted == found.statistics.counted

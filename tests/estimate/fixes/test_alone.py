@@ -126,11 +126,11 @@ def test_report_tells_what_was_found_and_what_was_rejected(lap_fixes: Make) -> N
     assert (identified["lever_arm_b"].value, identified["R_bs"].source) == ([0.0, 0.0, 0.0], "default")
 
 
-@pytest.mark.parametrize(("offset", "tau"), [(2.0, 60.0), (4.0, 30.0)])
-def test_an_offset_that_wanders_faster_than_others_makes_positions_and_laps_as_unsure(
+@pytest.mark.parametrize(("offset", "tau"), [(2.0, 60.0), (4.0, 60.0)])
+def test_an_offset_that_wanders_farther_than_others_makes_positions_and_laps_as_unsure(
     offset: float, tau: float
 ) -> None:
-    squares, changes, said = [], [], []
+    squares, changes, said, lap = [], [], [], 265  # rows
     for seed in range(3):
         changed = {"gnss_offset_horizontal": offset, "gnss_offset_tau": tau, "gnss_position_latency": 0.0}
         simulation = simulate_preset("kart", 40 + seed, duration=400.0, gnss_jumps=(), **changed)
@@ -143,10 +143,10 @@ def test_an_offset_that_wanders_faster_than_others_makes_positions_and_laps_as_u
         squares.append(np.mean((error / found.sigmas.position_n[known, :2]) ** 2))
         errors, source = position_errors(found, 0.2)
         assert errors is not None and source == "model"
-        ends = np.stack([found.t[known][:-150], found.t[known][150:]], axis=1)  # half a minute apart
+        ends = np.stack([found.t[known][:-lap], found.t[known][lap:]], axis=1)
         north = np.tile([1.0, 0.0, 0.0], (2, 1))
         expected = np.mean([np.array([-1, 1]) @ errors.covariance(t, north) @ np.array([-1, 1]) for t in ends[::50]])
-        changes.append(np.mean((error[150:] - error[:-150]) ** 2) / expected)
+        changes.append(np.mean((error[lap:] - error[:-lap]) ** 2) / expected)
         said.append(found.report.identified["gps_offset_sigma"])
     for one in said:  # by laps
         value, sigma = float(np.ravel(one.value)[0]), float(np.ravel(one.sigma)[0])
