@@ -141,3 +141,11 @@ def test_sessions_without_laps_say_nothing_of_a_change_per_lap(drifting: Session
     keep = drifting.gnss.t < 90.0
     short = replace(drifting, gnss=drifting.gnss.select(keep))
     assert "gps_offset_change" not in api.smooth(short, imu=False).report.identified
+
+
+def test_over_an_outage_nothing_is_dopplers(drifting: Session) -> None:
+    t = drifting.gnss.t
+    cut = replace(drifting, gnss=drifting.gnss.select((t < 180.0) | (t > 195.0)))
+    found = api.smooth(cut)
+    assert isinstance(found.joint, WithUnseen) and found.joint.errors is None
+    assert "gps_offset_change" in found.report.identified

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smoother import so3
-from smoother.arrays import Array, BoolArray
+from smoother.arrays import Array, BoolArray, median
 from smoother.disc import Shelf, release
 from smoother.estimate.factors.antenna import arm_axes
 from smoother.estimate.factors.rows import Between, no_jacobian
@@ -24,7 +24,7 @@ from smoother.trajectory import JointPosition
 
 THINNED = 4  # one keyframe of so many is kept of a window: in 0.8 s a position's error is still a straight line
 ALWAYS = 1e6  # s
-CHANGES = 20  # pairs of times that a mean is of
+CHANGES = 20  # pairs of times that it is looked for at
 POSITION_TAU = 300.0  # s after which fixes have corrected what the position had added up to
 
 
@@ -70,10 +70,10 @@ def wander(apart: Array | float) -> Array:
     return np.asarray(2.0 * scale * (-np.expm1(-a * np.asarray(apart)) / a + np.expm1(-c * np.asarray(apart)) / c))
 
 
-def mean_change(joint: JointPosition, start: float, end: float, apart: float) -> float:
-    """Return the variance per level axis, m^2, of the change of a position over `apart` s, mean of start to end, s.
+def usual_change(joint: JointPosition, start: float, end: float, apart: float) -> float:
+    """Return the usual variance per level axis, m^2, of a change over `apart` s between start and end, s.
 
-    Zero where that time is too short.
+    The median, since over an outage it is many times that. Zero where the time is too short.
     """
     if end - start <= apart:
         return 0.0
@@ -81,7 +81,7 @@ def mean_change(joint: JointPosition, start: float, end: float, apart: float) ->
     direction_n = np.tile(np.eye(3)[:2], (CHANGES, 1))
     P = joint.covariance(np.concatenate([at, at + apart]), np.concatenate([direction_n, direction_n]))
     n = len(at)
-    return float(np.mean(np.diag(P)[:n] + np.diag(P)[n:] - 2.0 * np.diagonal(P, n)))
+    return median(np.diag(P)[:n] + np.diag(P)[n:] - 2.0 * np.diagonal(P, n))
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from smoother.estimate.noise_of_fixes import wander_from_laps
 from smoother.estimate.output.dense_rows import DenseRows, DenseSource, parts_of
 from smoother.estimate.output.estimated import Estimated
 from smoother.estimate.output.identified import doubt_by_rates, identified_values, unsure_moment
-from smoother.estimate.output.joint import WithUnseen, mean_change
+from smoother.estimate.output.joint import WithUnseen, usual_change
 from smoother.estimate.output.kart_keyframes import keyframes_of_kart, widen
 from smoother.estimate.output.mounting import FittedMounting, swing_on_the_wheel
 from smoother.estimate.output.residual_statistics import row_statistics
@@ -33,6 +33,7 @@ from smoother.trajectory import (
     Trajectory,
 )
 
+OUTAGE = 10.0  # s without a fix
 ON_WHEEL = (
     "the box turns with the steering wheel: roll, yaw and the accelerations in the box's axes are the wheel's; "
     "position, speed, lap times and accelerations along the path are not affected"
@@ -99,9 +100,10 @@ def _with_wander_shared(
     if seen is None:
         return found, None
     noise = found.known.noise
-    if laps is None:
+    # over an outage the path goes with the samples, and what fixes do beside it then is not Doppler's
+    if laps is None or float(np.max(np.diff(seen.t))) > OUTAGE:
         return replace(found, state=share_wander(state, seen, unaided(seen, noise.offset_tau))), None
-    known = mean_change(found.joint, float(seen.t[0]), float(seen.t[-1]), laps.time_of_lap)
+    known = usual_change(found.joint, float(seen.t[0]), float(seen.t[-1]), laps.time_of_lap)
     errors = slow_errors(laps, seen.t, seen.drift, known)
     left = replace(errors, sigma=errors.beyond(float(noise.offset_sigma[0])))
     seen = replace(seen, walk=np.diff(seen.t, prepend=seen.t[0]) * known / laps.time_of_lap)
