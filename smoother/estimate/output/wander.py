@@ -123,7 +123,7 @@ def most_probable(seen: Drift, sigma: float, tau: float, slow: SlowVelocity = DO
 
 
 def _steps(h: Array, walk: Array, sigma: float, tau: float, slow: SlowVelocity) -> tuple[Array, Array]:
-    """Transitions and roots of the information (S, 3, 3) of (o, w, b) over steps h (S,) s; w also walks by walk (S,) m^2."""
+    """Transitions and roots of the information (S, 3, 3) of (o, w, b) over steps h (S,) s; walk (S,) m^2: of w."""
     F, Q = np.zeros((2, len(h), UNKNOWNS, UNKNOWNS))
     F[:, 0, 0], F[:, 1, 1] = np.exp(-h / tau), 1.0
     F[:, 1, 2], F[:, 2, 2] = ([part(float(step)) for step in h] for part in (slow.gone, slow.kept))
